@@ -1,0 +1,388 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api.h: the whole border between Python and C. Two readers: the C compiler (through rt.h) and cffi
+ * (through build_ffi.py). So it holds typedefs, enums, comments and prototypes, and no preprocessor line.
+ *
+ * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
+ * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.
+ * `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
+ */
+
+enum { JOINTS_MAX = 8, LINES_MAX = 4, FIELD_NAME_BYTES = 64 };
+
+/* ------------------------------------------------------------------------------------------------ reasons
+ * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
+enum {
+    REASON_LINEAR_VELOCITY      = 1 << 0,   /* [limits] linear_m_s */
+    REASON_LINEAR_ACCELERATION  = 1 << 1,   /* [limits] linear_m_s2 */
+    REASON_LINEAR_DECELERATION  = 1 << 2,   /* [limits] linear_deceleration_m_s2 */
+    REASON_LINEAR_JERK          = 1 << 3,   /* [limits] linear_m_s3 */
+    REASON_ANGULAR_VELOCITY     = 1 << 4,   /* the same four, angular */
+    REASON_ANGULAR_ACCELERATION = 1 << 5,
+    REASON_ANGULAR_DECELERATION = 1 << 6,
+    REASON_ANGULAR_JERK         = 1 << 7,
+    REASON_WHEEL_SATURATED      = 1 << 8,   /* a wheel's limit scaled the whole twist: curvature kept */
+    REASON_DUTY_CLAMPED         = 1 << 9,   /* [joint] duty_min / duty_max */
+    REASON_DUTY_SLEW            = 1 << 10,  /* [joint] duty_slew_per_s */
+    REASON_NOT_ARMED            = 1 << 16,  /* the state machine has not armed, or the core has disarmed */
+    REASON_STOP_REQUESTED       = 1 << 17,  /* control.stop */
+    REASON_COMMAND_STALE        = 1 << 18,  /* no command, or older than its lifetime or command_timeout_s */
+    REASON_COMMAND_NOT_FINITE   = 1 << 19,  /* NaN or infinity in the command: read as zero */
+    REASON_FAULT                = 1 << 20,  /* a latched fault: see robot_state.faults */
+};
+
+/* Faults are latched: cleared only by a rising reset_count with every cause gone and a command of zero. */
+enum {
+    FAULT_ESTOP           = 1 << 0,   /* control.estop was seen */
+    FAULT_HEARTBEAT_LOST  = 1 << 1,   /* asyncio has not beaten for heartbeat_timeout_s while armed */
+    FAULT_FEEDBACK_STALE  = 1 << 2,   /* a joint has not been heard for feedback_timeout_s while armed */
+    FAULT_DRIVE           = 1 << 3,   /* a drive reports a fault (joint_feedback.drive_faults) while armed */
+    FAULT_DRIVE_DISABLED  = 1 << 4,   /* a drive says it is not enabled while armed: nobody asked for that */
+    FAULT_TIME_STEP       = 1 << 5,   /* dt was NaN, infinite, zero or negative */
+    FAULT_EXTERNAL        = 1 << 6,   /* control.fault: raised by the daemon (a line lost, a check failed) */
+    FAULT_STATE           = 1 << 7,   /* a value inside the core was not finite: never expected, always rest */
+};
+
+/* ------------------------------------------------------------------------------------------ configuration */
+typedef enum { STOP_RAMP = 0, STOP_BRAKE = 1, STOP_HOLD = 2, STOP_COAST = 3 } stop_action;
+/* RAMP  through the deceleration limit (no jerk limit on faults), drives off when at rest after a fault
+ * BRAKE set-points zero at once; the drive does the stopping; drives off when at rest after a fault
+ * HOLD  as RAMP, but the drives stay enabled at zero speed, also in a fault (a robot on a slope)
+ * COAST drives off at once; the core disarms */
+
+typedef struct {
+    double velocity_u_s;        /* > 0, finite */
+    double acceleration_u_s2;   /* > 0, finite: away from zero */
+    double deceleration_u_s2;   /* > 0, finite: towards zero */
+    double jerk_u_s3;           /* > 0; INFINITY: no limit */
+} axis_limits;
+
+typedef struct {
+    axis_limits linear;         /* u = m */
+    axis_limits angular;        /* u = rad */
+} base_limits;
+
+typedef struct {
+    double dead_band;           /* 0..1: duty at which the motor just turns; the output jumps over it */
+    double duty_min;            /* -1..0: 0 for an output that cannot reverse */
+    double duty_max;            /*  0..1 */
+    double slew_per_s;          /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
+    double full_duty_rad_s;     /* > 0: wheel speed at duty 1 (open-loop map) */
+} pwm_config;
+
+typedef struct {
+    double side;                /* -1 left, +1 right */
+    double wheel_radius_m;      /* > 0 */
+    double velocity_min_rad_s;  /* <= 0: 0 for a joint that cannot reverse */
+    double velocity_max_rad_s;  /* > 0 */
+    double rad_per_count;       /* signed, not 0: gear and inversion are in it. Unused without a counter */
+    uint32_t counter_bits;      /* 8, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
+                                   from the set-point where the drive measures none */
+    uint32_t line;              /* 0..LINES_MAX-1: who carries this joint */
+    pwm_config pwm;
+} joint_config;
+
+typedef struct {
+    uint32_t joint_count;       /* 2..JOINTS_MAX, at least one on each side */
+    double track_m;             /* > 0: effective distance of the sides (skid: with the slip factor in it) */
+    base_limits limits;
+    double command_timeout_s;   /* > 0 */
+    double feedback_timeout_s;  /* > 0 */
+    double heartbeat_timeout_s; /* > 0 */
+    double rest_velocity_rad_s; /* > 0: a wheel slower than this is at rest */
+    stop_action on_timeout;     /* command stale, stop requested */
+    stop_action on_fault;       /* every latched fault but the e-stop */
+    stop_action on_estop;
+    /* odometry error model, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4 */
+    double distance_variance_m2_per_m;     /* > 0: variance of one side's travel per metre of it */
+    double turn_variance_rad2_per_rad;     /* > 0: heading variance per radian turned (scrub, track error) */
+    double pose_variance_floor_m2;         /* > 0: x and y start here and never fall below */
+    double heading_variance_floor_rad2;    /* > 0 */
+    double twist_variance_floor_m2_s2;     /* > 0 */
+    double twist_variance_floor_rad2_s2;   /* > 0 */
+    joint_config joint[JOINTS_MAX];
+} core_config;
+
+/* ------------------------------------------------------------------------------------------------- inputs */
+typedef struct {
+    int64_t stamp_ns;           /* when the command was given; older than the timeout: rest */
+    int64_t expires_ns;         /* end of the lease it was given under; later than this: rest */
+    uint64_t sequence;          /* grows with each command of the arbiter */
+    double linear_m_s;
+    double angular_rad_s;
+} twist_command;
+
+typedef struct {
+    int64_t heartbeat_ns;       /* last beat of asyncio */
+    uint32_t armed;             /* level; the core arms on its rising edge and only when all is well */
+    uint32_t stop;              /* level: come to rest, stay armed */
+    uint32_t estop;             /* level; latched by the core */
+    uint32_t fault;             /* level: raise FAULT_EXTERNAL */
+    uint32_t reset_count;       /* a change asks to clear latched faults */
+    uint32_t odometry_reset_count;   /* a change sets the pose to the origin */
+    uint32_t machine_state;     /* the daemon's state, copied to the state page; the core does not read it */
+    uint32_t owner;             /* who is in command (lease number), copied likewise */
+    base_limits limits;         /* replace the configured ones as a group; refused by base_limits_check: kept */
+} core_control;
+
+/* what a drive may say beside position; a value it does not say is NaN */
+typedef struct {
+    int64_t stamp_ns;           /* middle of the exchange that brought it; 0: never heard */
+    uint64_t count;             /* raw position counter, lowest counter_bits valid */
+    double velocity_rad_s;
+    double current_a;
+    double voltage_v;
+    double temperature_c;
+    uint32_t epoch;             /* another number: the counter's origin may have moved; seed again */
+    uint32_t enabled;           /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
+    uint32_t drive_faults;      /* the drive's fault word; 0 none */
+    uint32_t reserved;
+} joint_feedback;
+
+typedef struct {
+    int64_t now_ns;             /* this tick */
+    twist_command command;
+    core_control control;
+    joint_feedback feedback[JOINTS_MAX];
+} core_input;
+
+/* ------------------------------------------------------------------------------------------------ outputs */
+typedef struct {
+    double velocity_rad_s;      /* 0 unless armed */
+    double duty;                /* -1..1, the same wish through the PWM map; 0 unless armed */
+} joint_setpoint;
+
+typedef struct {
+    int64_t stamp_ns;           /* the tick that made it; a line sends zero when this is old */
+    uint64_t tick;
+    uint32_t enabled;           /* 0: the line takes the power off its drives now */
+    uint32_t joint_count;
+    joint_setpoint joint[JOINTS_MAX];
+} setpoints;
+
+typedef struct {
+    double position_rad;        /* sum of all counted turns since start, never jumps */
+    double velocity_rad_s;      /* measured, NaN before the first measure */
+    double setpoint_rad_s;
+    double duty;
+    double current_a;
+    double voltage_v;
+    double temperature_c;
+    double feedback_age_s;      /* INFINITY: never heard */
+    uint32_t drive_faults;
+    uint32_t enabled;           /* as in joint_feedback */
+    uint32_t stale;             /* 1: older than feedback_timeout_s */
+    uint32_t jumps;             /* counter jumps refused so far */
+} joint_state;
+
+/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1. */
+typedef struct {
+    int64_t stamp_ns;           /* this tick */
+    uint64_t tick;
+    uint32_t machine_state;     /* as in core_control */
+    uint32_t owner;
+    uint32_t reasons;           /* REASON_* */
+    uint32_t faults;            /* FAULT_*, latched */
+    uint32_t armed;             /* the core's own word */
+    uint32_t enabled;           /* what the drives are told */
+    uint32_t at_rest;           /* set-points are zero and every fresh wheel is slower than rest_velocity_rad_s */
+    uint32_t joint_count;
+    uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */
+    uint32_t odometry_epoch;    /* odometry resets so far */
+    double dt_s;
+    double command_age_s;       /* INFINITY: never */
+    double wanted_linear_m_s;   /* the command as it came in, 0 when stale or not finite */
+    double wanted_angular_rad_s;
+    double setpoint_linear_m_s; /* after limits and saturation */
+    double setpoint_angular_rad_s;
+    double saturation;          /* common factor, 1: none */
+    int64_t odometry_stamp_ns;  /* the newest feedback that is in the pose */
+    double x_m;
+    double y_m;
+    double heading_rad;         /* -pi..pi */
+    double distance_m;          /* travelled, never falls */
+    double turned_rad;          /* sum of |turn|, never falls */
+    double linear_m_s;          /* measured */
+    double angular_rad_s;
+    double pose_covariance[6];  /* xx, xy, xh, yy, yh, hh in m2, m rad, rad2 */
+    double twist_covariance[3]; /* vv, vw, ww */
+    joint_state joint[JOINTS_MAX];
+} robot_state;
+
+/* --------------------------------------------------------------------------------------- pure computations */
+typedef struct {
+    double velocity_u_s;
+    double acceleration_u_s2;   /* of the last step */
+} limit_state;
+
+typedef struct {
+    double velocity_u_s;
+    uint32_t reasons;           /* the linear REASON bits; core.c shifts them for the angular axis */
+} limited;
+
+/* One step from state towards want_u_s. Never overshoots want; NaN and infinity in want: 0.
+ * urgent: leave out the jerk limit (faults). dt_s > 0. */
+limited limit_step(limit_state *state, const axis_limits *limits, double want_u_s, double dt_s, bool urgent);
+
+/* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
+double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
+
+/* wheel speeds of a twist: (v + side w track / 2) / radius */
+void kinematics_wheels(const core_config *config, double linear_m_s, double angular_rad_s, double *wheel_rad_s);
+
+typedef struct {
+    double duty;
+    uint32_t reasons;
+} pwm_output;
+
+/* velocity → duty by config; last_duty is the duty of the step before. NaN: 0. */
+pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
+
+/* signed difference of two raw counters of 8..64 bits, the short way round */
+int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
+
+typedef struct {
+    uint64_t count;             /* last sample's */
+    int64_t stamp_ns;
+    uint32_t epoch;
+    uint32_t seeded;
+    uint32_t fresh;             /* a sample came since the last integration */
+    uint32_t jumps;
+    double pending_rad;         /* travelled since the last integration */
+    double position_rad;
+    double velocity_rad_s;
+} joint_odometry;
+
+typedef struct {
+    joint_odometry joint[JOINTS_MAX];
+    int64_t stamp_ns;           /* of the last integration */
+    uint32_t degraded;
+    uint32_t epoch;
+    double x_m;
+    double y_m;
+    double heading_rad;
+    double distance_m;
+    double turned_rad;
+    double linear_m_s;
+    double angular_rad_s;
+    double pose_covariance[6];
+    double twist_covariance[3];
+} odometry_state;
+
+void odometry_init(odometry_state *state, const core_config *config);
+/* Pose to the origin; what was pending is thrown away; position_rad of the joints stays. */
+void odometry_reset(odometry_state *state, const core_config *config);
+/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint_rad_s: for joints that measure nothing. */
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
+                   const uint32_t *stale, const double *setpoint_rad_s);
+
+typedef struct {
+    core_config config;
+    base_limits limits;         /* in force */
+    limit_state linear;
+    limit_state angular;
+    double duty[JOINTS_MAX];
+    double setpoint_rad_s[JOINTS_MAX];
+    odometry_state odometry;
+    uint64_t tick;
+    uint32_t armed;
+    uint32_t armed_seen;        /* control.armed of the tick before: arming wants an edge */
+    uint32_t reset_seen;
+    uint32_t odometry_reset_seen;
+    uint32_t faults;
+    uint32_t holding;           /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+} core_state;
+
+/* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static storage of
+ * the caller: name[FIELD_NAME_BYTES]. */
+const char *core_config_check(const core_config *config, char *name);
+const char *base_limits_check(const base_limits *limits, char *name);
+/* 0 or -EINVAL. State is then disarmed, at rest, with no fault. */
+int core_init(core_state *state, const core_config *config);
+/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. */
+void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot);
+
+/* ---------------------------------------------------------------------------------------------- histogram
+ * Log-linear: 16 buckets an octave (at most 6.25 % wide), 1 ns .. 2^40 ns (18 min); the last one is "more". */
+enum { HISTOGRAM_SUB_BUCKETS = 16, HISTOGRAM_BUCKETS = 608 };
+typedef struct {
+    uint64_t samples;
+    int64_t max_ns;
+    int64_t min_ns;
+    uint64_t bucket[HISTOGRAM_BUCKETS];
+} histogram;
+
+uint32_t histogram_bucket(int64_t value_ns);           /* negative: 0 */
+int64_t histogram_bucket_floor_ns(uint32_t bucket);    /* smallest value that falls into it */
+void histogram_clear(histogram *h);
+void histogram_add(histogram *h, int64_t value_ns);    /* one writer; relaxed atomics, so any thread may read */
+void histogram_copy(histogram *to, const histogram *from);
+int64_t histogram_percentile_ns(const histogram *h, double fraction);   /* 0..1; 0 when empty; never above max_ns */
+
+/* ------------------------------------------------------------------------------------------------ exchange
+ * All mailboxes between asyncio, the line engines and the loop: newest wins, triple buffers, one writer and
+ * one reader each, the writer never waits. */
+typedef struct exchange exchange;
+size_t exchange_bytes(void);
+void exchange_init(exchange *x);                       /* memory aligned to 64 bytes */
+void exchange_put_command(exchange *x, const twist_command *command);     /* asyncio → loop */
+void exchange_put_control(exchange *x, const core_control *control);      /* asyncio → loop */
+int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback);   /* line → loop */
+int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);  /* loop → line */
+/* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
+ * -EINVAL for a bad index. Never written: all zero. */
+int exchange_take_command(exchange *x, twist_command *out);
+int exchange_take_control(exchange *x, core_control *out);
+int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
+int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
+
+/* ---------------------------------------------------------------------------------------------- state page
+ * Shared memory, one writer, any number of readers, who need no lock and cannot disturb. docs/state-page.md */
+enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
+int page_init(void *page);                             /* PAGE_BYTES, aligned to 64 */
+void page_write(void *page, const robot_state *state);
+int page_read(const void *page, robot_state *out);     /* 0, -EAGAIN overtaken in every try, -EPROTO not a page of this layout, -ENODATA empty */
+
+/* ---------------------------------------------------------------------------------------------------- loop
+ * One loop a process: its state is static, so that the thread needs no memory. */
+typedef struct {
+    double rate_hz;             /* 10..20000 */
+    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    uint32_t notify_every_ticks;/* eventfd is written every so many ticks, and when reasons, faults, armed or at_rest change */
+    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
+    int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
+    int32_t event_fd;           /* an eventfd, or -1 */
+    uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
+    uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
+} loop_config;
+
+typedef struct {
+    uint32_t running;
+    int32_t policy;             /* SCHED_FIFO (1) or SCHED_OTHER (0): what the kernel granted */
+    int32_t priority;
+    int32_t scheduler_errno;    /* 0, or why it refused */
+    int32_t affinity_errno;
+    int32_t memory_lock_errno;
+    int32_t dma_latency_errno;
+    uint32_t reserved;
+    uint64_t ticks;
+    uint64_t overruns;          /* periods skipped because the one before was still running or the CPU was away */
+    uint64_t page_faults;       /* of the thread since its first tick, minor and major */
+    int64_t tick_stamp_ns;      /* last tick */
+} loop_status;
+
+enum {
+    HISTOGRAM_LATENESS = 0,     /* wake-up after its deadline */
+    HISTOGRAM_STEP = 1,         /* the tick's own work */
+    HISTOGRAM_COMMAND = 2,      /* command.stamp_ns to the first tick that used it */
+    HISTOGRAM_KINDS = 3
+};
+
+exchange *loop_exchange(void);                         /* static, ready before loop_start */
+int loop_start(const loop_config *loop, const core_config *core);   /* 0; -EINVAL, -EBUSY, -errno of what cannot be done without */
+int loop_stop(void);                                   /* last set-points zero and not enabled; 0 or -ESRCH */
+void loop_status_read(loop_status *out);
+int loop_histogram_read(uint32_t kind, histogram *out);
+int loop_histogram_clear(void);                        /* asked for; done by the loop at its next tick */
+int loop_state_read(robot_state *out);                 /* as page_read, on the loop's own page */
+int64_t clock_now_ns(void);                            /* CLOCK_MONOTONIC */

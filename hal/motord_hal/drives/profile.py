@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A drive profile as values: what config/drives/NAME.toml says, checked. The reader is `load.py`.
+
+Drive units (rpm, 0.1 A, per cent) exist only here: `Register.to_si` and `Register.from_si` are the one door.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+
+class RegisterType(enum.StrEnum):
+    """Width and sign. Words of 32-bit values come high word first unless the name says otherwise."""
+
+    U16 = "u16"
+    I16 = "i16"
+    U32 = "u32"
+    I32 = "i32"
+    U32_LOW_FIRST = "u32-low-first"
+    I32_LOW_FIRST = "i32-low-first"
+
+    @property
+    def words(self) -> int:
+        return 1 if self in (RegisterType.U16, RegisterType.I16) else 2
+
+    @property
+    def signed(self) -> bool:
+        return self.value.startswith("i")
+
+
+# drive unit → (SI unit, SI per drive unit, SI at drive zero)
+SI_UNITS = MappingProxyType({
+    "": ("", 1.0, 0.0),
+    "count": ("count", 1.0, 0.0),
+    "rpm": ("rad/s", 2.0 * math.pi / 60.0, 0.0),
+    "rad/s": ("rad/s", 1.0, 0.0),
+    "percent": ("1", 0.01, 0.0),
+    "a": ("A", 1.0, 0.0),
+    "v": ("V", 1.0, 0.0),
+    "c": ("°C", 1.0, 0.0),
+    "s": ("s", 1.0, 0.0),
+    "ms": ("s", 0.001, 0.0),
+})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Register:
+    """One holding register (or two). SI value = raw × scale × (SI per unit)."""
+
+    name: str
+    address: int
+    type: RegisterType
+    scale: float
+    unit: str
+    access: str
+    """"r", "w" or "rw"."""
+    minimum: float | None
+    """Smallest value the drive takes, in `unit`."""
+    maximum: float | None
+    source: str
+
+    def to_si(self, raw: int) -> float:
+        _, per_unit, _ = SI_UNITS[self.unit]
+        return raw * self.scale * per_unit
+
+    def from_si(self, value: float) -> int:
+        """Nearest raw value within the register's own limits. NaN and infinity raise ValueError."""
+        _, per_unit, _ = SI_UNITS[self.unit]
+        in_unit = value / per_unit
+        if not math.isfinite(in_unit):
+            raise ValueError(f"{self.name}: {value} cannot be written")
+        if self.minimum is not None:
+            in_unit = max(in_unit, self.minimum)
+        if self.maximum is not None:
+            in_unit = min(in_unit, self.maximum)
+        return round(in_unit / self.scale)
+
+    def decode(self, words: tuple[int, ...]) -> int:
+        """Raw value from the words as they stood on the wire."""
+        value = words[0]
+        if self.type.words == 2:
+            low_first = self.type.value.endswith("low-first")
+            high, low = (words[1], words[0]) if low_first else (words[0], words[1])
+            value = high << 16 | low
+        bits = 16 * self.type.words
+        return value - (1 << bits) if self.type.signed and value >> (bits - 1) else value
+
+    def encode(self, raw: int) -> tuple[int, ...]:
+        """Words for the wire; a value that does not fit raises ValueError."""
+        bits = 16 * self.type.words
+        low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
+        if not low <= raw <= high:
+            raise ValueError(f"{self.name}: {raw} does not fit {self.type.value}")
+        raw &= (1 << bits) - 1
+        if bits == 16:
+            return (raw,)
+        words = (raw >> 16, raw & 0xFFFF)
+        return words[::-1] if self.type.value.endswith("low-first") else words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """What one motor of the drive offers, as register names; None: the drive has no such thing."""
+
+    velocity_setpoint: str | None = None
+    duty_setpoint: str | None = None
+    """Exactly one of the two set-points is there."""
+    position: str | None = None
+    velocity: str | None = None
+    current: str | None = None
+    temperature: str | None = None
+    fault: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One step of a sequence: a write (`value` set), or a wait until (register & mask) == equals."""
+
+    register: str
+    value: int | None = None
+    mask: int = 0xFFFFFFFF
+    equals: int | None = None
+    within_s: float = 0.0
+    """For a wait: how long it may take."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Enabled:
+    """The drive is enabled when (register & mask) == equals. Per channel where `channel` says so."""
+
+    register: str
+    mask: int
+    equals: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watchdog:
+    """The drive's own communication watchdog: the register that holds its time."""
+
+    register: str
+    minimum_s: float
+    maximum_s: float
+    action: str
+    """What the drive does when it bites, in words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultBit:
+    bit: int
+    text: str
+    severity: str
+    """"fault" stops the robot; "warning" is only said."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveProfile:
+    name: str
+    title: str
+    protocol: str
+    source: str
+    path: Path
+    baudrate: int
+    parity: str
+    stop_bits: int
+    unit: int
+    turnaround_s: float
+    """Longest time from the request's last byte to the reply's first one."""
+    gap_s: float | None
+    """Silent interval this drive is content with; None: the standard's."""
+    max_registers: int
+    """Most registers in one request."""
+    write_function: int
+    """6 or 16: how set-points are written."""
+    counts_per_turn: int
+    """Of the motor shaft; 0: no position counter."""
+    counter_bits: int
+    registers: dict[str, Register]
+    channels: dict[int, Channel]
+    configure: tuple[Step, ...]
+    arm: tuple[Step, ...]
+    disarm: tuple[Step, ...]
+    quick_stop: tuple[Step, ...]
+    clear_fault: tuple[Step, ...]
+    enabled: Enabled | None
+    """None: the drive cannot say."""
+    watchdog: Watchdog | None
+    watchdog_note: str
+    """Why there is none, and what to do instead; empty where there is one."""
+    faults: tuple[FaultBit, ...]
+    bus_voltage: str | None

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong on a wire, sorted by what the reader can do about it.
+
+    HalError
+    ├── PortError        the port is absent, busy or was pulled: look at the cable, the path, the owner
+    ├── NoReply          (also TimeoutError) a drive said nothing in time: power, unit id, baud rate
+    ├── BadReply         something came that is not the answer: noise, wrong unit id, two masters
+    ├── Refused          the drive understood and said no (Modbus exception): profile or drive state
+    ├── DriveFault       the drive reports a fault of its own: its manual, then reset
+    └── ProfileError     the drive profile cannot be used: mend the file
+
+Every message says what, where and with which numbers.
+"""
+
+
+class HalError(Exception):
+    """Anything that the hardware layer reports."""
+
+
+class PortError(HalError):
+    """The port cannot be opened, or it went away."""
+
+
+class NoReply(HalError, TimeoutError):
+    """The other side said nothing in time."""
+
+
+class BadReply(HalError):
+    """Bytes came, but not the answer that was asked for."""
+
+
+class Refused(HalError):
+    """The drive answered with an exception code."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class DriveFault(HalError):
+    """The drive reports a fault."""
+
+
+class ProfileError(HalError):
+    """A drive profile is wrong; the message lists every problem as `file: key: problem`."""

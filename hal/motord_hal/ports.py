@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a line is to the rest of the house: plain values in, plain values out, one protocol.
+
+A line is one shared medium (an RS485 pair, a CAN bus). The daemon builds a LineSpec from the robot file,
+`open_line` (motord_hal.lines) turns it into a Line, and `Line.run()` does the rest until it is cancelled.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from motord_hal.drives.profile import DriveProfile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSpec:
+    """One wheel as its line sees it. `index` is the joint's place in the core's arrays."""
+
+    index: int
+    name: str
+    profile: DriveProfile
+    unit: int
+    channel: int = 1
+    gear_ratio: float = 1.0
+    """Motor turns per wheel turn, > 0."""
+    inverted: bool = False
+    """True where the motor turns backward when the robot drives forward."""
+    tries: int = 3
+    reply_timeout_s: float | None = None
+    """Deadline for a reply after the request's last byte; None: frame time plus the profile's turn-around."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineSpec:
+    """One medium and the joints on it. `index` is the line's place in the exchange."""
+
+    index: int
+    name: str
+    kind: str
+    port: str
+    baudrate: int
+    parity: str
+    """"none" | "even" | "odd"."""
+    stop_bits: int
+    cycle_hz: float
+    """Wished cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
+    gap_s: float | None
+    """Silent interval between frames; None: the standard's rule (3.5 characters, 1.75 ms above 19200)."""
+    engine: str
+    """"asyncio" (this issue's only one) | "rt" | "auto"."""
+    joints: tuple[JointSpec, ...]
+    watchdog_s: float
+    """Wanted communication watchdog of the drives, written and read back where the profile has one."""
+
+
+class LineState(enum.StrEnum):
+    CLOSED = "closed"
+    CONFIGURING = "configuring"
+    READY = "ready"
+
+
+class DriveState(enum.StrEnum):
+    """A drive on a line. QUIET drives are probed with back-off and come back as READY, never as ARMED."""
+
+    UNKNOWN = "unknown"
+    READY = "ready"
+    ARMED = "armed"
+    QUIET = "quiet"
+
+
+class EventKind(enum.StrEnum):
+    LINE_OPEN = "line_open"
+    LINE_LOST = "line_lost"
+    DRIVE_READY = "drive_ready"
+    DRIVE_QUIET = "drive_quiet"
+    DRIVE_BACK = "drive_back"
+    DRIVE_FAULT = "drive_fault"
+    DRIVE_FAULT_GONE = "drive_fault_gone"
+
+
+@dataclass(frozen=True, slots=True)
+class LineEvent:
+    """Said once when something changes, never once a try. `text` is a sentence for the log."""
+
+    kind: EventKind
+    line: str
+    joints: tuple[str, ...]
+    text: str
+
+
+@dataclass(slots=True)
+class RoundTrips:
+    """Round-trip times in microseconds: a bounded reservoir, newest kept."""
+
+    p50_us: float = 0.0
+    p99_us: float = 0.0
+    max_us: float = 0.0
+
+
+@dataclass(slots=True)
+class LineStats:
+    """Counters since start. `errors` is by kind: no_reply, bad_reply, refused, port."""
+
+    exchanges: int = 0
+    cycles: int = 0
+    reopened: int = 0
+    errors: dict[str, int] = field(default_factory=dict)
+    cycle_hz: float = 0.0
+    wire_limit_hz: float = 0.0
+    """Highest cyclic rate that the wire itself could carry with these drives, frames and gaps."""
+    round_trip: RoundTrips = field(default_factory=RoundTrips)
+
+
+Listener = Callable[[LineEvent], None]
+
+
+class Line(Protocol):
+    """A medium under one runner. All requests go through `run()`'s own cycle: one in flight, ever."""
+
+    spec: LineSpec
+
+    @property
+    def state(self) -> LineState: ...
+
+    @property
+    def drive_states(self) -> dict[str, DriveState]:
+        """By joint name."""
+        ...
+
+    @property
+    def drive_faults(self) -> dict[str, tuple[str, ...]]:
+        """By joint name: the words for the fault bits that are set."""
+        ...
+
+    def stats(self) -> LineStats: ...
+
+    async def run(self) -> None:
+        """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for the world's
+        faults. On cancellation: stop and disarm every drive within a short deadline, close, re-raise."""
+        ...
+
+    async def arm(self) -> None:
+        """Enable all drives at zero speed and see that they say so; on any failure all are disarmed again and
+        the first HalError is raised. Deadline inside."""
+        ...
+
+    async def disarm(self) -> None:
+        """Zero speed, power off, on every drive that answers; raises the first HalError after trying all."""
+        ...
+
+    async def clear_faults(self) -> None:
+        """Run the profile's fault-clearing steps; raise DriveFault if a drive still reports one."""
+        ...
