@@ -1,3 +1,25 @@
-from setuptools import setup
+# SPDX-License-Identifier: Apache-2.0
+"""What pyproject.toml cannot say: the cffi extension, and config/ as data of the wheel."""
 
-setup(cffi_modules=["csrc/build_ffi.py:ffi"], options={"bdist_wheel": {"py_limited_api": "cp311"}})
+import shutil
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_py import build_py
+
+
+class BuildWithConfig(build_py):
+    """Copies config/ to motord_hal/_config in a wheel; a checkout reads its own config/."""
+
+    def run(self) -> None:
+        super().run()
+        if not self.editable_mode:
+            target = Path(self.build_lib, "motord_hal", "_config")
+            shutil.copytree("config", target, dirs_exist_ok=True)
+
+
+setup(
+    cffi_modules=["csrc/build_ffi.py:ffi"],
+    cmdclass={"build_py": BuildWithConfig},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+)

@@ -272,7 +272,8 @@ typedef struct {
 void odometry_init(odometry_state *state, const core_config *config);
 /* Pose to the origin; what was pending is thrown away; position_rad of the joints stays. */
 void odometry_reset(odometry_state *state, const core_config *config);
-/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint_rad_s: for joints that measure nothing. */
+/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint_rad_s: for joints that
+ * measure nothing. */
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const double *setpoint_rad_s);
 
@@ -341,7 +342,8 @@ int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
 enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
 int page_init(void *page);                             /* PAGE_BYTES, aligned to 64 */
 void page_write(void *page, const robot_state *state);
-int page_read(const void *page, robot_state *out);     /* 0, -EAGAIN overtaken in every try, -EPROTO not a page of this layout, -ENODATA empty */
+/* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */
+int page_read(const void *page, robot_state *out);
 
 /* ---------------------------------------------------------------------------------------------------- loop
  * One loop a process: its state is static, so that the thread needs no memory. */

@@ -2,7 +2,8 @@
 """What can go wrong on a wire, sorted by what the reader can do about it.
 
     HalError
-    ├── PortError        the port is absent, busy or was pulled: look at the cable, the path, the owner
+    ├── PortError        the port is absent, busy or was pulled: look at the cable, the path, the
+    owner
     ├── NoReply          (also TimeoutError) a drive said nothing in time: power, unit id, baud rate
     ├── BadReply         something came that is not the answer: noise, wrong unit id, two masters
     ├── Refused          the drive understood and said no (Modbus exception): profile or drive state

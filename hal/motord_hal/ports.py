@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a line is to the rest of the house: plain values in, plain values out, one protocol.
 
-A line is one shared medium (an RS485 pair, a CAN bus). The daemon builds a LineSpec from the robot file,
-`open_line` (motord_hal.lines) turns it into a Line, and `Line.run()` does the rest until it is cancelled.
+A line is one shared medium (an RS485 pair, a CAN bus). The daemon builds a LineSpec from the robot
+file,
+`open_line` (motord_hal.lines) turns it into a Line, and `Line.run()` does the rest until it is
+cancelled.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ class JointSpec:
     """True where the motor turns backward when the robot drives forward."""
     tries: int = 3
     reply_timeout_s: float | None = None
-    """Deadline for a reply after the request's last byte; None: frame time plus the profile's turn-around."""
+    """Deadline for a reply after the request's last byte; None: frame time plus the profile's
+    turn-around."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +51,14 @@ class LineSpec:
     cycle_hz: float
     """Wished cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
     gap_s: float | None
-    """Silent interval between frames; None: the standard's rule (3.5 characters, 1.75 ms above 19200)."""
+    """Silent interval between frames; None: the standard's rule (3.5 characters, 1.75 ms above
+    19200)."""
     engine: str
     """"asyncio" (this issue's only one) | "rt" | "auto"."""
     joints: tuple[JointSpec, ...]
     watchdog_s: float
-    """Wanted communication watchdog of the drives, written and read back where the profile has one."""
+    """Wanted communication watchdog of the drives, written and read back where the profile has
+    one."""
 
 
 class LineState(enum.StrEnum):
@@ -63,7 +68,8 @@ class LineState(enum.StrEnum):
 
 
 class DriveState(enum.StrEnum):
-    """A drive on a line. QUIET drives are probed with back-off and come back as READY, never as ARMED."""
+    """A drive on a line. QUIET drives are probed with back-off and come back as READY, never as
+    ARMED."""
 
     UNKNOWN = "unknown"
     READY = "ready"
@@ -118,7 +124,8 @@ Listener = Callable[[LineEvent], None]
 
 
 class Line(Protocol):
-    """A medium under one runner. All requests go through `run()`'s own cycle: one in flight, ever."""
+    """A medium under one runner. All requests go through `run()`'s own cycle: one in flight,
+    ever."""
 
     spec: LineSpec
 
@@ -138,17 +145,21 @@ class Line(Protocol):
     def stats(self) -> LineStats: ...
 
     async def run(self) -> None:
-        """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for the world's
-        faults. On cancellation: stop and disarm every drive within a short deadline, close, re-raise."""
+        """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for
+        the world's
+        faults. On cancellation: stop and disarm every drive within a short deadline, close,
+        re-raise."""
         ...
 
     async def arm(self) -> None:
-        """Enable all drives at zero speed and see that they say so; on any failure all are disarmed again and
+        """Enable all drives at zero speed and see that they say so; on any failure all are
+        disarmed again and
         the first HalError is raised. Deadline inside."""
         ...
 
     async def disarm(self) -> None:
-        """Zero speed, power off, on every drive that answers; raises the first HalError after trying all."""
+        """Zero speed, power off, on every drive that answers; raises the first HalError after
+        trying all."""
         ...
 
     async def clear_faults(self) -> None:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drive profile as values: what config/drives/NAME.toml says, checked. The reader is `load.py`.
 
-Drive units (rpm, 0.1 A, per cent) exist only here: `Register.to_si` and `Register.from_si` are the one door.
+Drive units (rpm, 0.1 A, per cent) exist only here: `Register.to_si` and `Register.from_si` are the
+one door.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from types import MappingProxyType
 
 
 class RegisterType(enum.StrEnum):
-    """Width and sign. Words of 32-bit values come high word first unless the name says otherwise."""
+    """Width and sign. Words of 32-bit values come high word first unless the name says
+    otherwise."""
 
     U16 = "u16"
     I16 = "i16"
@@ -33,18 +35,20 @@ class RegisterType(enum.StrEnum):
 
 
 # drive unit → (SI unit, SI per drive unit, SI at drive zero)
-SI_UNITS = MappingProxyType({
-    "": ("", 1.0, 0.0),
-    "count": ("count", 1.0, 0.0),
-    "rpm": ("rad/s", 2.0 * math.pi / 60.0, 0.0),
-    "rad/s": ("rad/s", 1.0, 0.0),
-    "percent": ("1", 0.01, 0.0),
-    "a": ("A", 1.0, 0.0),
-    "v": ("V", 1.0, 0.0),
-    "c": ("°C", 1.0, 0.0),
-    "s": ("s", 1.0, 0.0),
-    "ms": ("s", 0.001, 0.0),
-})
+SI_UNITS = MappingProxyType(
+    {
+        "": ("", 1.0, 0.0),
+        "count": ("count", 1.0, 0.0),
+        "rpm": ("rad/s", 2.0 * math.pi / 60.0, 0.0),
+        "rad/s": ("rad/s", 1.0, 0.0),
+        "percent": ("1", 0.01, 0.0),
+        "a": ("A", 1.0, 0.0),
+        "v": ("V", 1.0, 0.0),
+        "c": ("°C", 1.0, 0.0),
+        "s": ("s", 1.0, 0.0),
+        "ms": ("s", 0.001, 0.0),
+    }
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +96,9 @@ class Register:
     def encode(self, raw: int) -> tuple[int, ...]:
         """Words for the wire; a value that does not fit raises ValueError."""
         bits = 16 * self.type.words
-        low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
+        low, high = (
+            (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
+        )
         if not low <= raw <= high:
             raise ValueError(f"{self.name}: {raw} does not fit {self.type.value}")
         raw &= (1 << bits) - 1
@@ -118,7 +124,8 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One step of a sequence: a write (`value` set), or a wait until (register & mask) == equals."""
+    """One step of a sequence: a write (`value` set), or a wait until (register & mask) ==
+    equals."""
 
     register: str
     value: int | None = None
@@ -130,7 +137,8 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Enabled:
-    """The drive is enabled when (register & mask) == equals. Per channel where `channel` says so."""
+    """The drive is enabled when (register & mask) == equals. Per channel where `channel` says
+    so."""
 
     register: str
     mask: int

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+# make demo, make test: from a fresh checkout, nothing else. make's own work goes to stderr; stdout is the program's.
+
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+# The packages of a distribution may carry flags of their own; a checkout builds with ours.
+unexport CFLAGS LDFLAGS
+MAKEFLAGS += --no-print-directory
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check san bench coverage wheel clean
+
+help:
+	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
+	@echo "make test      all tests                       make test ARGS=\"tests/unit -k wrap\"" >&2
+	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
+	@echo "make coverage  the tests, and what they miss   make bench  instruction counts, latency" >&2
+	@echo "make wheel     a wheel in dist/                make clean  all that make made" >&2
+
+# ------------------------------------------------------------------------------------------- environment
+$(VENV)/made: pyproject.toml setup.py bootstrap.sh
+	@echo "making $(VENV) ..." >&2
+	@python=$$(./bootstrap.sh) && $$python -m venv --clear $(VENV) >&2
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check "setuptools>=77" "cffi>=2.0" >&2
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable . >&2
+	@touch $@
+
+$(VENV)/built: $(VENV)/made $(wildcard csrc/*.c csrc/*.h csrc/*.py)
+	@echo "compiling csrc ..." >&2
+	@$(PYTHON) setup.py --quiet build_ext --inplace >&2
+	@touch $@
+
+$(VENV)/test: $(VENV)/made
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test]' >&2
+	@touch $@
+
+$(VENV)/check: $(VENV)/made
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,check]' >&2
+	@touch $@
+
+# ------------------------------------------------------------------------------------------- what people run
+demo: $(VENV)/built
+	@$(VENV)/bin/motord demo $(ARGS)
+
+test: $(VENV)/built $(VENV)/test
+	@$(PYTHON) -m pytest -n 2 --dist loadfile $(ARGS)
+
+check: $(VENV)/built $(VENV)/check
+	@$(VENV)/bin/ruff format --check . >&2
+	@$(VENV)/bin/ruff check . >&2
+	@$(VENV)/bin/mypy >&2
+	@$(VENV)/bin/lint-imports --no-logo >&2
+	@$(MAKE) -C tests/c warnings >&2
+	@$(PYTHON) -m pytest -q -p no:randomly tests/test_tidy.py
+
+# UBSan under Python (an ASan or TSan library cannot be loaded into it); ASan and TSan in C programs of their own.
+san: $(VENV)/built $(VENV)/test
+	@$(MAKE) -C tests/c asan tsan >&2
+	@rm -rf build/ubsan && mkdir -p build/ubsan
+	@MOTORD_CFLAGS="-fsanitize=undefined -fno-sanitize-recover=undefined -g" MOTORD_LDFLAGS="-fsanitize=undefined" \
+		$(PYTHON) setup.py --quiet build_ext --build-lib build/ubsan --build-temp build/ubsan/temp >&2
+	@MOTORD_RT_DIR=build/ubsan $(PYTHON) -m pytest -q tests/rt
+
+# Python lines by coverage.py, also in the processes that the tests start; C lines of the pure files by gcov.
+coverage: $(VENV)/built $(VENV)/test
+	@$(MAKE) -C tests/c coverage PYTHON=$(abspath $(PYTHON)) >&2
+	@rm -f .coverage .coverage.*
+	@$(PYTHON) -m coverage run -m pytest -q $(ARGS)
+	@$(PYTHON) -m coverage combine --quiet
+	@$(PYTHON) -m coverage report
+
+bench: $(VENV)/built $(VENV)/test
+	@$(PYTHON) tests/bench/core_instructions.py
+	@$(VENV)/bin/motord latency --seconds 10 --rate-hz 1000
+
+wheel: $(VENV)/made
+	@$(PYTHON) -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . >&2
+	@ls dist/*.whl
+
+clean:
+	@rm -rf $(VENV) build dist *.egg-info _motord_rt* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

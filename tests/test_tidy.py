@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""House rules that a machine can check; each failure names file, line and the reason for the rule."""
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TRACKED = [
+    ROOT / name
+    for name in subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=30,
+    ).stdout.splitlines()
+    if (ROOT / name).is_file()
+]  # fmt: skip
+PYTHON = [path for path in TRACKED if path.suffix == ".py"]
+C = [path for path in TRACKED if path.suffix in (".c", ".h")]
+TEXT = [path for path in TRACKED if path.suffix in (".py", ".c", ".h", ".toml", ".md", ".sh", ".pyi")
+        or path.name in ("Makefile", "run")]  # fmt: skip
+PRODUCT = [path for path in PYTHON if path.is_relative_to(ROOT / "daemon")
+           or path.is_relative_to(ROOT / "hal")]  # fmt: skip
+CSRC = [path for path in C if path.is_relative_to(ROOT / "csrc")]
+
+COLUMNS_MAX = 100
+C_COLUMNS_MAX = 130  # prototypes with their comment stay on one line
+FUNCTION_LINES_MAX = 60
+FILE_LINES_MAX = 500
+
+
+def report(rows: list[str], reason: str) -> None:
+    assert not rows, "\n".join([*rows, f"({reason})"])
+
+
+def where(path: Path, line: int) -> str:
+    return f"{path.relative_to(ROOT)}:{line}"
+
+
+def matching(paths: list[Path], pattern: str) -> list[str]:
+    regex = re.compile(pattern)
+    return [
+        f"{where(path, number)}: {line.strip()}"
+        for path in paths
+        if path != Path(__file__).resolve()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if regex.search(line)
+    ]
+
+
+def test_lines_fit_a_screen():
+    rows = [
+        where(path, number)
+        for path in PYTHON + C
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if len(line) > (COLUMNS_MAX if path.suffix == ".py" else C_COLUMNS_MAX)
+    ]
+    report(rows, f"at most {COLUMNS_MAX} columns in Python, {C_COLUMNS_MAX} in C")
+
+
+def test_a_file_has_one_subject():
+    rows = [
+        f"{where(path, 1)}: {lines} lines"
+        for path in PYTHON + C
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > FILE_LINES_MAX
+    ]
+    report(rows, f"at most {FILE_LINES_MAX} lines: split by subject")
+
+
+def test_a_python_function_has_one_job():
+    rows = []
+    for path in PYTHON:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                documented = ast.get_docstring(node) is not None
+                first = node.body[1 if documented and len(node.body) > 1 else 0].lineno
+                lines = (node.end_lineno or first) - first + 1
+                if lines > FUNCTION_LINES_MAX:
+                    rows.append(f"{where(path, node.lineno)}: {node.name}: {lines} lines")
+    report(rows, f"at most {FUNCTION_LINES_MAX} lines of body")
+
+
+def test_a_c_function_has_one_job():
+    rows = []
+    for path in CSRC:
+        start = None
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if line.startswith("{"):
+                start = number
+            elif line.startswith("}") and start is not None:
+                if number - start - 1 > FUNCTION_LINES_MAX:
+                    rows.append(f"{where(path, start)}: {number - start - 1} lines")
+                start = None
+    report(rows, f"at most {FUNCTION_LINES_MAX} lines of body")
+
+
+def test_every_source_file_names_its_licence():
+    rows = [
+        where(path, 1)
+        for path in PYTHON + C
+        if "SPDX-License-Identifier: Apache-2.0" not in path.read_text(encoding="utf-8")[:200]
+    ]
+    report(rows, "one SPDX line at the head")
+
+
+def test_the_core_takes_no_memory():
+    report(
+        matching(CSRC, r"\b(malloc|calloc|realloc|free|alloca|strdup)\s*\(|Python\.h"),
+        "csrc/ runs from static memory and knows no Python",
+    )
+
+
+def test_the_daemon_never_forks():
+    report(matching(PRODUCT, r"\bos\.fork|\bpty\.fork|forkserver|set_start_method\(.fork"),
+           "a fork costs the real-time thread about 600 page faults")  # fmt: skip
+
+
+def test_every_task_belongs_to_a_group():
+    report(
+        matching(PRODUCT, r"ensure_future|(asyncio|loop|get_running_loop\(\))\.create_task"),
+        "a task outside a TaskGroup outlives its owner",
+    )
+
+
+def test_no_error_is_swallowed():
+    report(
+        matching(PRODUCT, r"except\s*:|except (Base)?Exception|suppress\((Base)?Exception|"
+                 r"except .*CancelledError|suppress\(.*CancelledError"),
+        "name what is caught; cancellation passes",
+    )  # fmt: skip
+
+
+def test_nothing_is_left_for_later():
+    report(matching(TEXT, r"\b(TODO|FIXME|XXX|NotImplementedError)\b"), "build it or leave it out")
+
+
+def test_no_machine_of_a_builder_shows():
+    pattern = r"(^|[\s\"'=(])/(w" + r"ork|r" + r"oot)/|https?://(deb|security|files|registry)[.-]"
+    report(matching(TEXT, pattern), "paths and hosts of one machine have no place here")
+
+
+def test_headers_of_csrc_point_downwards():
+    """loop and page know the core; the core knows the pure files; the pure files know nothing."""
+    allowed = {"pthread.h": {"loop"}, "sched.h": {"loop"}, "sys/mman.h": {"loop"}}
+    rows = []
+    for path in CSRC:
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            header = re.match(r"#include [<\"](.+)[>\"]", line)
+            owners = allowed.get(header.group(1)) if header else None
+            if owners is not None and not any(path.stem.startswith(owner) for owner in owners):
+                rows.append(f"{where(path, number)}: {header.group(1)}")
+    report(rows, "threads, schedulers and mappings belong to loop*.c")
+
+
+def test_the_c_extension_has_two_doors():
+    doors = {ROOT / "daemon/motord/rt.py", ROOT / "hal/motord_hal/rt.py"}
+    report(
+        matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
+        "_motord_rt is imported by motord/rt.py and motord_hal/rt.py alone",
+    )
+
+
+def test_nothing_but_the_entry_points_imports_app():
+    others = [path for path in PRODUCT if "cli" not in path.parts and path.name != "__main__.py"]
+    report(matching(others, r"(from|import) motord\.app|from motord import .*\bapp\b"),
+           "app is the top of the house")  # fmt: skip
+
+
+def test_the_top_level_holds_the_rooms_and_nothing_else():
+    rooms = {".ci", "config", "csrc", "daemon", "docs", "hal", "systemd", "tests"}
+    found = {path.relative_to(ROOT).parts[0] for path in TRACKED if path.parent != ROOT}
+    assert found <= rooms
+
+
+UNIT = re.compile(
+    r"(_m|_m2|_m_s|_m_s2|_m_s3|_rad|_rad_s|_rad_s2|_rad_s3|_hz|_s|_ms|_us|_ns|_v|_a|_c|_per_s|_rad2_per_rad|_m2_per_m"
+    r"|_m2|_rad2|_m2_s2|_rad2_s2)$"
+)
+UNITLESS = {
+    # counts, names, ratios: numbers without a dimension
+    "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries", "counts_per_turn",
+    "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor", "schema",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "config/robots").glob("*.toml")), ids=lambda p: p.stem
+)
+def test_every_number_of_a_robot_file_wears_its_unit(path):
+    rows = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        pair = re.match(r"(\w+)\s*=\s*[-+\d]", line)
+        if pair and pair.group(1) not in UNITLESS and not UNIT.search(pair.group(1)):
+            rows.append(f"{where(path, number)}: {pair.group(1)}")
+    report(rows, "a physical number's key ends in its SI unit")
