@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""House rules that a machine can check; each failure names file, line and the reason for the rule."""
+"""House rules that a machine can check; a failure names file, line and the rule's reason."""
 
 import ast
 import re
@@ -19,10 +19,11 @@ TRACKED = [
 ]  # fmt: skip
 PYTHON = [path for path in TRACKED if path.suffix == ".py"]
 C = [path for path in TRACKED if path.suffix in (".c", ".h")]
-TEXT = [path for path in TRACKED if path.suffix in (".py", ".c", ".h", ".toml", ".md", ".sh", ".pyi")
-        or path.name in ("Makefile", "run")]  # fmt: skip
-PRODUCT = [path for path in PYTHON if path.is_relative_to(ROOT / "daemon")
-           or path.is_relative_to(ROOT / "hal")]  # fmt: skip
+TEXT_SUFFIXES = {".py", ".c", ".h", ".toml", ".md", ".sh", ".pyi"}
+TEXT = [
+    path for path in TRACKED if path.suffix in TEXT_SUFFIXES or path.name in ("Makefile", "run")
+]
+PRODUCT = [path for path in PYTHON if path.relative_to(ROOT).parts[0] in ("daemon", "hal")]
 CSRC = [path for path in C if path.is_relative_to(ROOT / "csrc")]
 
 COLUMNS_MAX = 100
@@ -175,13 +176,14 @@ def test_the_top_level_holds_the_rooms_and_nothing_else():
 
 
 UNIT = re.compile(
-    r"(_m|_m2|_m_s|_m_s2|_m_s3|_rad|_rad_s|_rad_s2|_rad_s3|_hz|_s|_ms|_us|_ns|_v|_a|_c|_per_s|_rad2_per_rad|_m2_per_m"
-    r"|_m2|_rad2|_m2_s2|_rad2_s2)$"
+    r"_(m|m_s|m_s2|m_s3|rad|rad_s|rad_s2|rad_s3|hz|s|ms|us|ns|v|a|c|per_s)$|"
+    r"_(m2|rad2|m2_s2|rad2_s2|m2_per_m|rad2_per_rad)$"
 )
 UNITLESS = {
     # counts, names, ratios: numbers without a dimension
-    "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries", "counts_per_turn",
-    "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor", "schema",
+    "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries",
+    "counts_per_turn", "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor",
+    "schema",
 }  # fmt: skip
 
 
