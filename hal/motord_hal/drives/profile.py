@@ -66,6 +66,10 @@ class Register:
     """Smallest value the drive takes, in `unit`."""
     maximum: float | None
     source: str
+    mask: int | None = None
+    """Adjacent bits of the word that hold the value (two temperatures in one word); read only."""
+    default: int = 0
+    """Raw value at power-up (of the whole word); what the simulator starts with."""
 
     def to_si(self, raw: int) -> float:
         _, per_unit, _ = SI_UNITS[self.unit]
@@ -91,14 +95,21 @@ class Register:
             high, low = (words[1], words[0]) if low_first else (words[0], words[1])
             value = high << 16 | low
         bits = 16 * self.type.words
+        if self.mask is not None:
+            value = (value & self.mask) // (self.mask & -self.mask)
+            bits = self.mask.bit_count()
         return value - (1 << bits) if self.type.signed and value >> (bits - 1) else value
+
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Smallest and largest raw value of the type."""
+        bits = 16 * self.type.words
+        return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
 
     def encode(self, raw: int) -> tuple[int, ...]:
         """Words for the wire; a value that does not fit raises ValueError."""
         bits = 16 * self.type.words
-        low, high = (
-            (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
-        )
+        low, high = self.raw_range
         if not low <= raw <= high:
             raise ValueError(f"{self.name}: {raw} does not fit {self.type.value}")
         raw &= (1 << bits) - 1
@@ -106,6 +117,18 @@ class Register:
             return (raw,)
         words = (raw >> 16, raw & 0xFFFF)
         return words[::-1] if self.type.value.endswith("low-first") else words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Direction:
+    """For drives whose set-point is a magnitude: the register that says which way, and its values.
+    A velocity that such a drive measures without sign takes the sign of the last way."""
+
+    register: str
+    forward: int
+    reverse: int
+    rest: int
+    """Written with a set-point of zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +143,7 @@ class Channel:
     current: str | None = None
     temperature: str | None = None
     fault: str | None = None
+    direction: Direction | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,8 +161,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Enabled:
-    """The drive is enabled when (register & mask) == equals. Per channel where `channel` says
-    so."""
+    """The drive (all its channels) is enabled when (register & mask) == equals."""
 
     register: str
     mask: int
@@ -158,7 +181,10 @@ class Watchdog:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultBit:
-    bit: int
+    """One fault: a bit of the fault word or, on drives that number them, its code. One is None."""
+
+    bit: int | None
+    code: int | None = None
     text: str
     severity: str
     """"fault" stops the robot; "warning" is only said."""
@@ -200,3 +226,26 @@ class DriveProfile:
     """Why there is none, and what to do instead; empty where there is one."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
+
+    def faults_in(self, word: int) -> tuple[FaultBit, ...]:
+        """What a fault word says. A bit or code that the profile does not list is a fault too."""
+        if word == 0:
+            return ()
+        if any(fault.code is not None for fault in self.faults):
+            known = tuple(fault for fault in self.faults if fault.code == word)
+            unlisted = f"unlisted fault code {word}"
+            return known or (FaultBit(bit=None, code=word, text=unlisted, severity="fault"),)
+        by_bit = {fault.bit: fault for fault in self.faults}
+        return tuple(
+            by_bit.get(bit) or FaultBit(bit=bit, text=f"unlisted fault bit {bit}", severity="fault")
+            for bit in range(word.bit_length())
+            if word >> bit & 1
+        )
+
+    def stopping_faults(self, word: int) -> int:
+        """The word without what is only a warning: 0 when the robot may go on."""
+        kept = 0
+        for fault in self.faults_in(word):
+            if fault.severity == "fault":
+                kept |= word if fault.bit is None else 1 << fault.bit
+        return kept

@@ -56,7 +56,7 @@ class FrameError(ValueError):
     """These bytes are not a frame of the kind that was looked for."""
 
 
-class BadCrc(FrameError):
+class CrcError(FrameError):
     """The check sum does not fit the bytes."""
 
 
@@ -169,11 +169,11 @@ def request_bytes(head: bytes) -> int | None:
 
 
 def parse_request(frame: bytes) -> Request:
-    """The request in a whole frame. Raises BadCrc, or FrameError for what no request looks like."""
+    """The request in a whole frame. Raises CrcError, or FrameError for what is no request."""
     if len(frame) < 4:
         raise FrameError(f"{len(frame)} bytes are no frame")
     if not sealed(frame):
-        raise BadCrc(f"bad CRC in {frame.hex(' ')}")
+        raise CrcError(f"bad CRC in {frame.hex(' ')}")
     if request_bytes(frame) != len(frame):
         raise FrameError(f"wrong length {len(frame)} for function {frame[1]}")
     unit, function, address = struct.unpack_from(">BBH", frame)
@@ -241,11 +241,11 @@ def build_exception(unit: int, function: int, code: int) -> bytes:
 
 def parse_reply(request: Request, frame: bytes) -> Reply:
     """The answer to exactly this request: unit, function, length, write echo and CRC all fit.
-    Raises BadCrc or FrameError that says which of them does not."""
+    Raises CrcError or FrameError that says which of them does not."""
     if len(frame) < EXCEPTION_BYTES:
         raise FrameError(f"{len(frame)} bytes are no reply")
     if not sealed(frame):
-        raise BadCrc(f"bad CRC in {frame.hex(' ')}")
+        raise CrcError(f"bad CRC in {frame.hex(' ')}")
     if frame[0] != request.unit:
         raise FrameError(f"unit {frame[0]} answered for unit {request.unit}")
     if frame[1] == request.function | EXCEPTION_FLAG and len(frame) == EXCEPTION_BYTES:

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the parts of a drive profile, so that the line can trust it blindly."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+from motord_hal.drives.profile import Channel, Direction, DriveProfile, Register, Step
+from motord_hal.drives.toml_table import Problems, did_you_mean
+
+_SPEED_UNITS = ("rpm", "rad/s")
+# what a channel's entry must be: units, and whether it is written
+_CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
+    "velocity_setpoint": (_SPEED_UNITS, "w"),
+    "duty_setpoint": (("percent",), "w"),
+    "position": (("count",), "r"),
+    "velocity": (_SPEED_UNITS, "r"),
+    "current": (("a",), "r"),
+    "temperature": (("c",), "r"),
+    "fault": (("",), "r"),
+}
+
+
+def check_profile(profile: DriveProfile, problems: Problems) -> None:
+    """Add a row for everything that does not fit together."""
+    if profile.name and profile.name != profile.path.stem:
+        problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
+    for register in profile.registers.values():
+        _check_register(profile, register, problems)
+    _check_overlaps(profile, problems)
+    for number, channel in profile.channels.items():
+        _check_channel(profile, f"channel.{number}", channel, problems)
+    _check_counter(profile, problems)
+    for name in ("configure", "arm", "disarm", "quick_stop", "clear_fault"):
+        _check_steps(profile, name, getattr(profile, name), problems)
+    for name in ("disarm", "quick_stop"):
+        if not getattr(profile, name):
+            problems.add(f"steps.{name}", "must have a step: every drive can at least be told zero")
+    _check_enabled(profile, problems)
+    _check_watchdog(profile, problems)
+    _check_faults(profile, problems)
+    if profile.bus_voltage is not None:
+        _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
+
+
+def _check_register(profile: DriveProfile, register: Register, problems: Problems) -> None:
+    key = f"register.{register.name}"
+    low, high = register.raw_range
+    if register.address + register.type.words > 0x10000:
+        problems.add(f"{key}.address", "the second word lies beyond 0xFFFF")
+    if register.type.words > profile.max_registers:
+        problems.add(f"{key}.type", "is wider than serial.max_registers allows in one request")
+    if register.scale == 0:
+        problems.add(f"{key}.scale", "must not be zero")
+        return
+    for name, value in (("minimum", register.minimum), ("maximum", register.maximum)):
+        if value is not None and not low <= value / register.scale <= high:
+            problems.add(f"{key}.{name}", f"{value:g} does not fit {register.type.value}")
+    if None not in (register.minimum, register.maximum) and register.minimum > register.maximum:  # type: ignore[operator]  # neither is None here
+        problems.add(f"{key}.minimum", "is above maximum")
+    if not low <= register.default <= high:
+        problems.add(f"{key}.default", f"{register.default} does not fit {register.type.value}")
+    if register.mask is not None:
+        _check_mask(key, register, problems)
+
+
+def _check_mask(key: str, register: Register, problems: Problems) -> None:
+    mask = register.mask or 1
+    if mask // (mask & -mask) + 1 & mask // (mask & -mask):
+        problems.add(f"{key}.mask", f"{mask:#06x}: the bits must be adjacent")
+    if register.access != "r" or register.type.words != 1:
+        problems.add(f"{key}.mask", "only a 16-bit register that is read may have a mask")
+
+
+def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
+    for one, other in combinations(profile.registers.values(), 2):
+        apart = (
+            one.address + one.type.words <= other.address
+            or other.address + other.type.words <= one.address
+        )
+        shared = one.mask is not None and other.mask is not None and not one.mask & other.mask
+        if not apart and not shared:
+            problems.add(
+                f"register.{other.name}.address",
+                f"{other.address:#06x} overlaps {one.name} at {one.address:#06x}",
+            )
+
+
+def _reference(
+    profile: DriveProfile,
+    key: str,
+    name: str,
+    access: str,
+    units: tuple[str, ...],
+    problems: Problems,
+) -> Register | None:
+    """The register that a key names, if it is there and may be used like that."""
+    if not name:
+        return None  # the reader has complained
+    register = profile.registers.get(name)
+    if register is None:
+        problems.add(key, f'no register "{name}"{did_you_mean(name, profile.registers)}')
+        return None
+    if register.access and access not in register.access:
+        word = {"r": "read", "w": "written"}[access]
+        problems.add(key, f'"{name}" cannot be {word}: its access is "{register.access}"')
+    if units and register.unit not in units:
+        allowed = " or ".join(f'"{unit}"' for unit in units)
+        problems.add(key, f'"{name}" has the unit "{register.unit}", must be {allowed}')
+    return register
+
+
+def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
+    if (channel.velocity_setpoint is None) == (channel.duty_setpoint is None):
+        problems.add(key, "must have exactly one of velocity_setpoint and duty_setpoint")
+    setpoint = None
+    for entry, (units, access) in _CHANNEL_RULES.items():
+        name = getattr(channel, entry)
+        if name is None:
+            continue
+        register = _reference(profile, f"{key}.{entry}", name, access, units, problems)
+        if access == "w":
+            setpoint = register
+    if setpoint is not None:
+        _check_setpoint(profile, key, setpoint, channel.direction, problems)
+    if channel.direction is not None:
+        _check_direction(profile, f"{key}.direction", channel.direction, problems)
+
+
+def _check_setpoint(
+    profile: DriveProfile,
+    key: str,
+    register: Register,
+    direction: Direction | None,
+    problems: Problems,
+) -> None:
+    if register.type.words == 2 and profile.write_function == 6:
+        problems.add(key, "a 32-bit set-point cannot be written with function 6")
+    if direction is not None and register.type.signed:
+        problems.add(f"{key}.direction", "the set-point is signed: it needs no direction")
+    low, high = register.minimum, register.maximum
+    if (low is not None and low > 0) or (high is not None and high < 0):
+        problems.add(key, f'the set-point "{register.name}" cannot say zero')
+
+
+def _check_direction(
+    profile: DriveProfile, key: str, direction: Direction, problems: Problems
+) -> None:
+    _reference(profile, f"{key}.register", direction.register, "w", ("",), problems)
+    if len({direction.forward, direction.reverse, direction.rest}) != 3:
+        problems.add(key, "forward, reverse and rest must be three different values")
+
+
+def _check_counter(profile: DriveProfile, problems: Problems) -> None:
+    if (profile.counts_per_turn == 0) != (profile.counter_bits == 0):
+        problems.add("motor", "counts_per_turn and counter_bits are both zero or both not")
+    for number, channel in profile.channels.items():
+        if (channel.position is None) != (profile.counter_bits == 0):
+            problems.add(f"channel.{number}.position", "is there if and only if counter_bits > 0")
+        register = profile.registers.get(channel.position or "")
+        if register is not None and profile.counter_bits > 16 * register.type.words:
+            problems.add("motor.counter_bits", f"is wider than {register.name}")
+
+
+def _check_steps(
+    profile: DriveProfile, name: str, steps: tuple[Step, ...], problems: Problems
+) -> None:
+    for index, step in enumerate(steps):
+        key = f"steps.{name}.{index}"
+        register = _reference(
+            profile, key, step.register, "r" if step.value is None else "w", (), problems
+        )
+        if step.value is None and step.equals is not None and step.equals & ~step.mask:
+            problems.add(key, f"never true: {step.equals:#x} has bits outside {step.mask:#x}")
+        if register is None or step.value is None:
+            continue
+        low, high = register.raw_range
+        if not low <= step.value <= high:
+            problems.add(key, f"{step.value} does not fit {register.name}")
+
+
+def _check_enabled(profile: DriveProfile, problems: Problems) -> None:
+    enabled = profile.enabled
+    if enabled is None:
+        return
+    _reference(profile, "enabled.register", enabled.register, "r", (), problems)
+    if enabled.equals & ~enabled.mask:
+        problems.add(
+            "enabled", f"never true: {enabled.equals:#x} has bits outside {enabled.mask:#x}"
+        )
+
+
+def _check_watchdog(profile: DriveProfile, problems: Problems) -> None:
+    watchdog = profile.watchdog
+    if (watchdog is None) != bool(profile.watchdog_note):
+        problems.add("watchdog", "give either [watchdog] or watchdog_note (why there is none)")
+    if watchdog is None:
+        return
+    units = ("s", "ms")
+    register = _reference(profile, "watchdog.register", watchdog.register, "w", units, problems)
+    if watchdog.minimum_s > watchdog.maximum_s:
+        problems.add("watchdog.minimum_s", "is above maximum_s")
+    if register is None or register.scale == 0:
+        return
+    if "r" not in register.access:
+        problems.add("watchdog.register", "must be readable: it is read back after it was written")
+    for name, seconds in (("minimum_s", watchdog.minimum_s), ("maximum_s", watchdog.maximum_s)):
+        raw = register.from_si(seconds)
+        low, high = register.raw_range
+        if not low <= raw <= high or raw == 0 or abs(register.to_si(raw) - seconds) > seconds / 2:
+            problems.add(f"watchdog.{name}", f"{seconds:g} s cannot be said with {register.name}")
+
+
+def _check_faults(profile: DriveProfile, problems: Problems) -> None:
+    words = {channel.fault for channel in profile.channels.values()} - {None}
+    if bool(words) != bool(profile.faults):
+        problems.add("fault", "fault bits and a channel's fault register go together")
+    if len({fault.bit is None for fault in profile.faults}) > 1:
+        problems.add("fault", "all by bit, or all by code")
+    seen = set()
+    for index, fault in enumerate(profile.faults):
+        if (fault.bit, fault.code) in seen:
+            problems.add(f"fault.{index}", "is listed twice")
+        seen.add((fault.bit, fault.code))
+        for name in words:
+            register = profile.registers.get(name or "")
+            if register and fault.bit is not None and fault.bit >= 16 * register.type.words:
+                problems.add(f"fault.{index}.bit", f"{fault.bit} is beyond {register.name}")

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reader of drive profiles: a TOML file in, a DriveProfile or every problem at once out.
+
+The format is explained in docs/drives/README.md. What a value alone can say is checked here; what
+follows only from several of them together is checked in `check.py`.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+
+from motord_hal.drives.check import check_profile
+from motord_hal.drives.profile import (
+    SI_UNITS,
+    Channel,
+    Direction,
+    DriveProfile,
+    Enabled,
+    FaultBit,
+    Register,
+    RegisterType,
+    Step,
+    Watchdog,
+)
+from motord_hal.drives.toml_table import Problems, Table, did_you_mean
+from motord_hal.errors import ProfileError
+from motord_hal.paths import config_dir
+
+SCHEMA = 1
+CHANNELS_MAX = 8
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_CHANNEL_KEYS = (
+    "velocity_setpoint",
+    "duty_setpoint",
+    "position",
+    "velocity",
+    "current",
+    "temperature",
+    "fault",
+)
+
+
+def list_profiles(extra_dirs: Iterable[Path] = ()) -> dict[str, Path]:
+    """Name → file of every profile; the extra folders outrank the shipped one."""
+    found: dict[str, Path] = {}
+    for folder in (*extra_dirs, config_dir() / "drives"):
+        for path in sorted(Path(folder).glob("*.toml")):
+            found.setdefault(path.stem, path)
+    return dict(sorted(found.items()))
+
+
+def find_profile(name: str, extra_dirs: Iterable[Path] = ()) -> DriveProfile:
+    """The profile of that name, or the file where the name has a slash. Raises ProfileError."""
+    if "/" in name:
+        return load_profile(Path(name))
+    profiles = list_profiles(extra_dirs)
+    if name not in profiles:
+        known = ", ".join(profiles)
+        raise ProfileError(
+            f'no drive profile "{name}"{did_you_mean(name, profiles)}; known: {known}'
+        )
+    return load_profile(profiles[name])
+
+
+def load_profile(path: Path) -> DriveProfile:
+    """Read and check one file. Raises one ProfileError with a `file:line: key: problem` row for
+    each problem in it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = tomllib.loads(text)
+    except OSError as error:
+        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ProfileError(f"{path}: is not UTF-8: {error.reason}") from error
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"line (\d+)", str(error))
+        raise ProfileError(f"{path}:{line.group(1) if line else 1}: toml: {error}") from error
+    problems = Problems(path, text)
+    profile = _profile(Table("", values, problems), path)
+    check_profile(profile, problems)
+    if problems.rows:
+        raise ProfileError("\n".join(dict.fromkeys(problems.rows)))
+    return profile
+
+
+def _profile(root: Table, path: Path) -> DriveProfile:
+    root.integer("schema", SCHEMA, SCHEMA)
+    serial = root.table("serial")
+    motor = root.table("motor")
+    steps = root.table("steps")
+    registers = _registers(root.table("register"))
+    profile = DriveProfile(
+        name=root.text("name"),
+        title=root.text("title"),
+        protocol=root.text("protocol", choices=("modbus-rtu",)),
+        source=root.text("source"),
+        path=path,
+        baudrate=serial.integer("baudrate", 300, 4_000_000),
+        parity=serial.text("parity", choices=("none", "even", "odd")),
+        stop_bits=serial.one_of("stop_bits", (1, 2)),
+        unit=serial.integer("unit", 1, 247),
+        turnaround_s=serial.number("turnaround_s", 1e-5, 1.0, unit="s"),
+        gap_s=serial.number("gap_s", 1e-5, 0.1, unit="s") if "gap_s" in serial else None,
+        max_registers=serial.integer("max_registers", 1, 123),
+        write_function=serial.one_of("write_function", (6, 16)),
+        counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
+        counter_bits=motor.one_of("counter_bits", (0, 8, 16, 24, 32), 0),
+        registers=registers,
+        channels=_channels(root.table("channel")),
+        configure=_steps(steps, "configure"),
+        arm=_steps(steps, "arm"),
+        disarm=_steps(steps, "disarm"),
+        quick_stop=_steps(steps, "quick_stop"),
+        clear_fault=_steps(steps, "clear_fault"),
+        enabled=_enabled(root),
+        watchdog=_watchdog(root),
+        watchdog_note=root.text("watchdog_note") if "watchdog_note" in root else "",
+        faults=tuple(_fault(table) for table in root.tables("fault")),
+        bus_voltage=root.text("bus_voltage") if "bus_voltage" in root else None,
+    )
+    for table in (serial, motor, steps, root):
+        table.finish()
+    return profile
+
+
+def _registers(parent: Table) -> dict[str, Register]:
+    found = {}
+    for name in parent:
+        if not _NAME.fullmatch(name):
+            parent.complain(name, "a register's name is lower case letters, digits and _")
+        found[name] = _register(name, parent.table(name))
+    if not found:
+        parent.problems.add(parent.name, "there is no register")
+    return found
+
+
+def _register(name: str, table: Table) -> Register:
+    bound = 1e12
+    register = Register(
+        name=name,
+        address=table.integer("address", 0, 0xFFFF),
+        type=RegisterType(
+            table.text("type", choices=[kind.value for kind in RegisterType]) or "u16"
+        ),
+        scale=table.number("scale", -bound, bound, 1.0),
+        unit=table.text("unit", "", choices=SI_UNITS),
+        access=table.text("access", choices=("r", "w", "rw")),
+        minimum=table.number("minimum", -bound, bound) if "minimum" in table else None,
+        maximum=table.number("maximum", -bound, bound) if "maximum" in table else None,
+        source=table.text("source"),
+        mask=table.integer("mask", 1, 0xFFFF) if "mask" in table else None,
+        default=table.integer("default", -(1 << 31), (1 << 32) - 1, 0),
+    )
+    table.finish()
+    return register
+
+
+def _channels(parent: Table) -> dict[int, Channel]:
+    found = {}
+    for name in parent:
+        if not name.isdecimal() or not 1 <= int(name) <= CHANNELS_MAX:
+            parent.complain(name, f"a channel is a number, 1 to {CHANNELS_MAX}")
+            continue
+        table = parent.table(name)
+        references = {key: table.text(key) if key in table else None for key in _CHANNEL_KEYS}
+        direction = _direction(table.table("direction")) if "direction" in table else None
+        found[int(name)] = Channel(**references, direction=direction)
+        table.finish()
+    if sorted(found) != list(range(1, len(found) + 1)) or not found:
+        parent.problems.add(
+            parent.name, "channels are numbered 1, 2, ... and there is at least one"
+        )
+    return found
+
+
+def _direction(table: Table) -> Direction:
+    direction = Direction(
+        register=table.text("register"),
+        forward=table.integer("forward", 0, 0xFFFF),
+        reverse=table.integer("reverse", 0, 0xFFFF),
+        rest=table.integer("rest", 0, 0xFFFF),
+    )
+    table.finish()
+    return direction
+
+
+def _steps(parent: Table, key: str) -> tuple[Step, ...]:
+    steps = []
+    for table in parent.tables(key):
+        if ("write" in table) == ("wait" in table):
+            problem = 'a step has either "write" or "wait"'
+            table.problems.add(table.name, problem)
+            continue
+        steps.append(_write(table) if "write" in table else _wait(table))
+        table.finish()
+    return tuple(steps)
+
+
+def _write(table: Table) -> Step:
+    value = table.integer("value", -(1 << 31), (1 << 32) - 1)
+    return Step(register=table.text("write"), value=value)
+
+
+def _wait(table: Table) -> Step:
+    return Step(
+        register=table.text("wait"),
+        mask=table.integer("mask", 1, 0xFFFFFFFF, 0xFFFFFFFF),
+        equals=table.integer("equals", 0, 0xFFFFFFFF),
+        within_s=table.number("within_s", 0.001, 10.0, unit="s"),
+    )
+
+
+def _enabled(root: Table) -> Enabled | None:
+    if "enabled" not in root:
+        return None
+    table = root.table("enabled")
+    enabled = Enabled(
+        register=table.text("register"),
+        mask=table.integer("mask", 1, 0xFFFFFFFF),
+        equals=table.integer("equals", 0, 0xFFFFFFFF),
+    )
+    table.finish()
+    return enabled
+
+
+def _watchdog(root: Table) -> Watchdog | None:
+    if "watchdog" not in root:
+        return None
+    table = root.table("watchdog")
+    watchdog = Watchdog(
+        register=table.text("register"),
+        minimum_s=table.number("minimum_s", 0.001, 3600.0, unit="s"),
+        maximum_s=table.number("maximum_s", 0.001, 3600.0, unit="s"),
+        action=table.text("action"),
+    )
+    table.finish()
+    return watchdog
+
+
+def _fault(table: Table) -> FaultBit:
+    if ("bit" in table) == ("code" in table):
+        table.problems.add(table.name, 'a fault has either "bit" or "code"')
+    fault = FaultBit(
+        bit=table.integer("bit", 0, 31) if "bit" in table else None,
+        code=table.integer("code", 1, 0xFFFF) if "code" in table else None,
+        text=table.text("text"),
+        severity=table.text("severity", choices=("fault", "warning")),
+    )
+    table.finish()
+    return fault
