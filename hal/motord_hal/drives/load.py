@@ -89,7 +89,7 @@ def load_profile(path: Path) -> DriveProfile:
 def _profile(root: Table, path: Path) -> DriveProfile:
     root.integer("schema", SCHEMA, SCHEMA)
     serial = root.table("serial")
-    motor = root.table("motor")
+    motor = root.table("motor", required=False)
     steps = root.table("steps")
     registers = _registers(root.table("register"))
     profile = DriveProfile(
