@@ -9,14 +9,24 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-TRACKED = [
-    ROOT / name
-    for name in subprocess.run(
+
+
+def project_files() -> list[Path]:
+    """What git tracks or would track; from an unpacked archive, all but what make made."""
+    listing = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT, capture_output=True, text=True, check=True, timeout=30,
-    ).stdout.splitlines()
-    if (ROOT / name).is_file()
-]  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    if listing.returncode == 0:
+        return [ROOT / name for name in listing.stdout.splitlines() if (ROOT / name).is_file()]
+    made = {".venv", "build", "dist", "__pycache__"}
+    return [p for p in ROOT.rglob("*") if p.is_file() and not made & set(p.parts)]
+
+
+TRACKED = project_files()
 PYTHON = [path for path in TRACKED if path.suffix == ".py"]
 C = [path for path in TRACKED if path.suffix in (".c", ".h")]
 TEXT_SUFFIXES = {".py", ".c", ".h", ".toml", ".md", ".sh", ".pyi"}
