@@ -258,6 +258,8 @@ typedef struct {
     int64_t stamp_ns;           /* of the last integration */
     uint32_t degraded;
     uint32_t epoch;
+    uint32_t blind;             /* 1: no wheel of one side is heard, nothing is integrated */
+    uint32_t reserved;
     double x_m;
     double y_m;
     double heading_rad;
@@ -292,6 +294,10 @@ typedef struct {
     uint32_t odometry_reset_seen;
     uint32_t faults;
     uint32_t holding;           /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+    uint32_t commanded;         /* a fresh command has come since arming */
+    uint32_t at_rest;           /* after the last tick */
+    int64_t armed_ns;           /* the tick that armed */
+    int64_t zero_since_ns;      /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;
 
 /* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static storage of

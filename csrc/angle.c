@@ -1,0 +1,60 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * angle.c: angles, with nothing but IEEE 754's exactly rounded operations.
+ */
+#include "core.h"
+
+#include <math.h>
+
+static const double PI = 3.14159265358979323846;
+static const double HALF_PI = 1.57079632679489661923;
+static const double HALF_PI_REST = 6.123233995736766036e-17; /* pi/2 - HALF_PI */
+
+double angle_wrap(double angle_rad)
+{
+    return fabs(angle_rad) <= PI ? angle_rad : remainder(angle_rad, 2.0 * PI);
+}
+
+/* Taylor's series; at pi/4 the first term left out is below 1e-18 (sine) and 3e-18 (cosine). */
+static double sine_near_zero(double x)
+{
+    double q = x * x;
+    double sum = 1.0 / 355687428096000.0;
+    sum = sum * q - 1.0 / 1307674368000.0;
+    sum = sum * q + 1.0 / 6227020800.0;
+    sum = sum * q - 1.0 / 39916800.0;
+    sum = sum * q + 1.0 / 362880.0;
+    sum = sum * q - 1.0 / 5040.0;
+    sum = sum * q + 1.0 / 120.0;
+    sum = sum * q - 1.0 / 6.0;
+    return x + x * (sum * q);
+}
+
+static double cosine_near_zero(double x)
+{
+    double q = x * x;
+    double sum = 1.0 / 20922789888000.0;
+    sum = sum * q - 1.0 / 87178291200.0;
+    sum = sum * q + 1.0 / 479001600.0;
+    sum = sum * q - 1.0 / 3628800.0;
+    sum = sum * q + 1.0 / 40320.0;
+    sum = sum * q - 1.0 / 720.0;
+    sum = sum * q + 1.0 / 24.0;
+    sum = sum * q - 0.5;
+    return 1.0 + sum * q;
+}
+
+void angle_sine_cosine(double angle_rad, double *sine, double *cosine)
+{
+    double turns = angle_rad / HALF_PI;
+    int quarter = (int)(turns < 0.0 ? turns - 0.5 : turns + 0.5);
+    double rest = (angle_rad - quarter * HALF_PI) - quarter * HALF_PI_REST;
+    double s = sine_near_zero(rest);
+    double c = cosine_near_zero(rest);
+    switch ((unsigned)quarter & 3U) {
+    case 0: *sine = s; *cosine = c; break;
+    case 1: *sine = c; *cosine = -s; break;
+    case 2: *sine = -s; *cosine = -c; break;
+    default: *sine = -c; *cosine = s; break;
+    }
+}

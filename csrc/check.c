@@ -1,0 +1,140 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * check.c: every number of a configuration, one by one, before anything moves by it.
+ */
+#include "core.h"
+
+#include <math.h>
+#include <stdio.h>
+
+/* What "greater than zero" and "finite" mean here: wide enough for any machine, narrow enough that no product
+ * of two or three such numbers leaves the range of a double. */
+#define LEAST 1e-12
+#define MOST 1e9
+
+typedef struct {
+    const char *name;
+    size_t offset;
+    double low;
+    double high;
+} rule;
+
+#define RULE(type, field, low, high) {#field, offsetof(type, field), low, high}
+#define COUNT(rules) (sizeof(rules) / sizeof(rules)[0])
+
+static const rule LIMIT_RULES[] = {
+    RULE(base_limits, linear.velocity_u_s, LEAST, MOST),
+    RULE(base_limits, linear.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, angular.velocity_u_s, LEAST, MOST),
+    RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
+};
+
+static const rule CONFIG_RULES[] = {
+    RULE(core_config, track_m, LEAST, MOST),
+    RULE(core_config, command_timeout_s, LEAST, MOST),
+    RULE(core_config, feedback_timeout_s, LEAST, MOST),
+    RULE(core_config, heartbeat_timeout_s, LEAST, MOST),
+    RULE(core_config, rest_velocity_rad_s, LEAST, MOST),
+    RULE(core_config, distance_variance_m2_per_m, LEAST, MOST),
+    RULE(core_config, turn_variance_rad2_per_rad, LEAST, MOST),
+    RULE(core_config, pose_variance_floor_m2, LEAST, MOST),
+    RULE(core_config, heading_variance_floor_rad2, LEAST, MOST),
+    RULE(core_config, twist_variance_floor_m2_s2, LEAST, MOST),
+    RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
+};
+
+static const rule JOINT_RULES[] = {
+    RULE(joint_config, side, -1.0, 1.0),
+    RULE(joint_config, wheel_radius_m, LEAST, MOST),
+    RULE(joint_config, velocity_min_rad_s, -MOST, 0.0),
+    RULE(joint_config, velocity_max_rad_s, LEAST, MOST),
+    RULE(joint_config, pwm.dead_band, 0.0, 1.0),
+    RULE(joint_config, pwm.duty_min, -1.0, 0.0),
+    RULE(joint_config, pwm.duty_max, 0.0, 1.0),
+    RULE(joint_config, pwm.slew_per_s, LEAST, INFINITY),
+    RULE(joint_config, pwm.full_duty_rad_s, LEAST, MOST),
+};
+
+/* The first field out of its range; NaN is out of every range. */
+static const char *first_bad(const void *values, const rule *rules, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        const double *value = (const void *)((const char *)values + rules[i].offset);
+        if (!(*value >= rules[i].low && *value <= rules[i].high))
+            return rules[i].name;
+    }
+    return NULL;
+}
+
+static const char *bad_joint_field(const joint_config *joint)
+{
+    const char *bad = first_bad(joint, JOINT_RULES, COUNT(JOINT_RULES));
+    if (bad != NULL)
+        return bad;
+    if (fabs(joint->side) != 1.0)
+        return "side";
+    uint32_t bits = joint->counter_bits;
+    if (bits != 0 && bits != 8 && bits != 16 && bits != 24 && bits != 32 && bits != 64)
+        return "counter_bits";
+    if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST))
+        return "rad_per_count";
+    return joint->line < LINES_MAX ? NULL : "line";
+}
+
+static const char *bad_base_field(const core_config *config)
+{
+    if (config->joint_count < 2 || config->joint_count > JOINTS_MAX)
+        return "joint_count";
+    if ((uint32_t)config->on_timeout > STOP_COAST)
+        return "on_timeout";
+    if ((uint32_t)config->on_fault > STOP_COAST)
+        return "on_fault";
+    if ((uint32_t)config->on_estop > STOP_COAST)
+        return "on_estop";
+    return first_bad(config, CONFIG_RULES, COUNT(CONFIG_RULES));
+}
+
+bool base_limits_good(const base_limits *limits)
+{
+    return first_bad(limits, LIMIT_RULES, COUNT(LIMIT_RULES)) == NULL;
+}
+
+const char *base_limits_check(const base_limits *limits, char *name)
+{
+    const char *bad = first_bad(limits, LIMIT_RULES, COUNT(LIMIT_RULES));
+    if (bad == NULL)
+        return NULL;
+    snprintf(name, FIELD_NAME_BYTES, "%s", bad);
+    return name;
+}
+
+const char *core_config_check(const core_config *config, char *name)
+{
+    const char *bad = bad_base_field(config);
+    if (bad != NULL) {
+        snprintf(name, FIELD_NAME_BYTES, "%s", bad);
+        return name;
+    }
+    if (base_limits_check(&config->limits, name) != NULL) {
+        snprintf(name, FIELD_NAME_BYTES, "limits.%s", first_bad(&config->limits, LIMIT_RULES, COUNT(LIMIT_RULES)));
+        return name;
+    }
+    double sides = 0.0;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        bad = bad_joint_field(&config->joint[j]);
+        if (bad != NULL) {
+            snprintf(name, FIELD_NAME_BYTES, "joint[%u].%s", j, bad);
+            return name;
+        }
+        sides += config->joint[j].side;
+    }
+    if (fabs(sides) == (double)config->joint_count) {
+        snprintf(name, FIELD_NAME_BYTES, "joint[0].side");
+        return name;
+    }
+    return NULL;
+}

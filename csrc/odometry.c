@@ -1,0 +1,310 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * odometry.c: from counters to a pose with its uncertainty.
+ *
+ * Each joint gathers its travel from its own samples; when every joint that is heard has brought one, the
+ * gathered travel is integrated as one exact arc. Where a counter cannot say how far a wheel has gone (it
+ * jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` says so.
+ */
+#include "core.h"
+
+#include <math.h>
+
+/* A wheel may turn faster than its configured limit (downhill, pushed) without its counter being called wrong. */
+static const double JUMP_MARGIN = 1.5;
+static const double JUMP_SLACK_COUNTS = 4.0;
+
+/* joint_odometry.fresh: what came since the last integration; the worst of several counts. */
+enum { NOTHING = 0, TRAVEL = 1, ESTIMATE = 2, SEED = 3 };
+
+typedef struct {
+    double travel_m[2];         /* left, right: sums, then means */
+    uint32_t joints[2];         /* that brought a travel */
+    int64_t stamp_ns;           /* newest */
+    uint32_t degraded;
+} arc;
+
+int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits)
+{
+    if (bits == 0 || bits > 64)
+        return 0;
+    uint32_t shift = 64 - bits;
+    /* the counter's sign bit becomes the word's; the shift back extends it */
+    return (int64_t)((now - before) << shift) >> shift;
+}
+
+static void floor_covariance(odometry_state *state, const core_config *config)
+{
+    state->pose_covariance[0] = fmax(state->pose_covariance[0], config->pose_variance_floor_m2);
+    state->pose_covariance[3] = fmax(state->pose_covariance[3], config->pose_variance_floor_m2);
+    state->pose_covariance[5] = fmax(state->pose_covariance[5], config->heading_variance_floor_rad2);
+}
+
+static void pose_to_origin(odometry_state *state, const core_config *config)
+{
+    state->x_m = state->y_m = state->heading_rad = 0.0;
+    for (int i = 0; i < 6; i++)
+        state->pose_covariance[i] = 0.0;
+    floor_covariance(state, config);
+}
+
+void odometry_init(odometry_state *state, const core_config *config)
+{
+    *state = (odometry_state){0};
+    for (uint32_t j = 0; j < JOINTS_MAX; j++)
+        state->joint[j].velocity_rad_s = NAN;
+    pose_to_origin(state, config);
+    state->twist_covariance[0] = config->twist_variance_floor_m2_s2;
+    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2;
+}
+
+void odometry_reset(odometry_state *state, const core_config *config)
+{
+    pose_to_origin(state, config);
+    state->epoch++;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        state->joint[j].pending_rad = 0.0;
+        state->joint[j].fresh = NOTHING;
+    }
+}
+
+bool odometry_finite(const odometry_state *state, uint32_t joint_count)
+{
+    /* a sum with an infinity or a NaN in it is one itself */
+    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
+        + state->linear_m_s + state->angular_rad_s;
+    for (int i = 0; i < 6; i++)
+        sum += state->pose_covariance[i];
+    for (int i = 0; i < 3; i++)
+        sum += state->twist_covariance[i];
+    for (uint32_t j = 0; j < joint_count; j++)
+        sum += state->joint[j].position_rad + state->joint[j].pending_rad;
+    return isfinite(sum);
+}
+
+/* How far the wheel went by the drive's own measure, or without one by `otherwise`. After a silence the speed of now says
+ * nothing about all of it. */
+static double travel_by_velocity(const joint_feedback *sample, double elapsed_s, double timeout_s, double otherwise_rad_s)
+{
+    double velocity_rad_s = isfinite(sample->velocity_rad_s) ? sample->velocity_rad_s : otherwise_rad_s;
+    return velocity_rad_s * (elapsed_s < timeout_s ? elapsed_s : timeout_s);
+}
+
+/* Could the counter have gone round unseen in a silence? */
+static bool ambiguous(const joint_config *joint, double reach_rad, double elapsed_s, double timeout_s)
+{
+    return elapsed_s > timeout_s && reach_rad > fabs(joint->rad_per_count) * ldexp(0.5, (int)joint->counter_bits);
+}
+
+static void gather(joint_odometry *joint, uint32_t kind, double travel_rad)
+{
+    joint->pending_rad += travel_rad;
+    joint->position_rad += travel_rad;
+    joint->fresh = kind > joint->fresh ? kind : joint->fresh;
+}
+
+/* One new sample of a joint that has been seeded. */
+static void take(joint_odometry *joint, const joint_config *config, const joint_feedback *sample,
+                 double setpoint_rad_s, double timeout_s)
+{
+    double elapsed_s = (double)(sample->stamp_ns - joint->stamp_ns) * 1e-9;
+    double top_rad_s = fmax(config->velocity_max_rad_s, -config->velocity_min_rad_s);
+    double reach_rad = JUMP_MARGIN * top_rad_s * elapsed_s;
+    double travel_rad;
+    bool known = true;
+
+    if (config->counter_bits == 0) {
+        travel_rad = travel_by_velocity(sample, elapsed_s, timeout_s, setpoint_rad_s);
+    } else {
+        int64_t counts = counter_difference(sample->count, joint->count, config->counter_bits);
+        travel_rad = (double)counts * config->rad_per_count;
+        known = sample->epoch == joint->epoch && !ambiguous(config, reach_rad, elapsed_s, timeout_s);
+        reach_rad += JUMP_SLACK_COUNTS * fabs(config->rad_per_count);
+    }
+    if (known && !(fabs(travel_rad) <= reach_rad)) {
+        joint->jumps++;
+        known = false;
+    }
+    joint->velocity_rad_s = sample->velocity_rad_s;
+    if (!isfinite(sample->velocity_rad_s))
+        joint->velocity_rad_s = known && config->counter_bits != 0 ? travel_rad / elapsed_s : NAN;
+    if (!known) {
+        travel_rad = travel_by_velocity(sample, elapsed_s, timeout_s, 0.0);
+        if (!(fabs(travel_rad) <= reach_rad))
+            travel_rad = 0.0;
+    }
+    gather(joint, known && config->counter_bits != 0 ? TRAVEL : ESTIMATE, travel_rad);
+}
+
+static void take_if_new(joint_odometry *joint, const joint_config *config, const joint_feedback *sample,
+                        double setpoint_rad_s, double timeout_s)
+{
+    if (sample->stamp_ns <= joint->stamp_ns)
+        return;
+    if (joint->seeded) {
+        take(joint, config, sample, setpoint_rad_s, timeout_s);
+    } else {
+        gather(joint, SEED, 0.0);
+        joint->velocity_rad_s = isfinite(sample->velocity_rad_s) ? sample->velocity_rad_s : NAN;
+    }
+    joint->seeded = 1;
+    joint->count = sample->count;
+    joint->stamp_ns = sample->stamp_ns;
+    joint->epoch = sample->epoch;
+}
+
+/* Empties the joints into one arc. A joint left out seeds again, for its side has gone on without it. */
+static arc collect(odometry_state *state, const core_config *config, const uint32_t *stale)
+{
+    arc found = {0};
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        joint_odometry *joint = &state->joint[j];
+        uint32_t right = config->joint[j].side > 0.0;
+        if (stale[j]) {
+            joint->seeded = 0;
+            found.degraded = 1;
+        } else if (joint->fresh != SEED) {
+            found.travel_m[right] += joint->pending_rad * config->joint[j].wheel_radius_m;
+            found.joints[right]++;
+            found.degraded |= joint->fresh == ESTIMATE;
+        }
+        if (!stale[j] && joint->stamp_ns > found.stamp_ns)
+            found.stamp_ns = joint->stamp_ns;
+        joint->pending_rad = 0.0;
+        joint->fresh = NOTHING;
+    }
+    for (int side = 0; side < 2; side++)
+        if (found.joints[side] != 0)
+            found.travel_m[side] /= found.joints[side];
+    return found;
+}
+
+/* sin(h) / h, without the cancellation near zero; the first term left out is below 1e-18 */
+static double sine_over(double half_rad)
+{
+    double q = half_rad * half_rad;
+    if (q < 0.01)
+        return 1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0 * (1.0 - q / 110.0))));
+    double sine, cosine;
+    angle_sine_cosine(angle_wrap(half_rad), &sine, &cosine);
+    return sine / half_rad;
+}
+
+/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the error of each side's travel grows with the travel and
+ * is carried into the pose by the Jacobians of the motion; the scrub of turning is added to the heading. */
+static void grow_pose_covariance(odometry_state *state, const core_config *config, const arc *found,
+                                 double sine, double cosine)
+{
+    double *p = state->pose_covariance;
+    double left_m = found->travel_m[0], right_m = found->travel_m[1];
+    double distance_m = 0.5 * (left_m + right_m);
+    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m);
+    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m);
+    double a = -distance_m * sine, b = distance_m * cosine;
+    double xx = p[0] + a * (2.0 * p[2] + a * p[5]);
+    double xy = p[1] + a * p[4] + b * p[2] + a * b * p[5];
+    double xh = p[2] + a * p[5];
+    double yy = p[3] + b * (2.0 * p[4] + b * p[5]);
+    double yh = p[4] + b * p[5];
+
+    double over_track = 1.0 / config->track_m;
+    double lever = 0.5 * distance_m * over_track;
+    double right_x = 0.5 * cosine - lever * sine, right_y = 0.5 * sine + lever * cosine;
+    double left_x = 0.5 * cosine + lever * sine, left_y = 0.5 * sine - lever * cosine;
+    double turn_rad2 = config->turn_variance_rad2_per_rad * fabs(right_m - left_m) * over_track;
+
+    p[0] = xx + right_m2 * right_x * right_x + left_m2 * left_x * left_x;
+    p[1] = xy + right_m2 * right_x * right_y + left_m2 * left_x * left_y;
+    p[2] = xh + (right_m2 * right_x - left_m2 * left_x) * over_track;
+    p[3] = yy + right_m2 * right_y * right_y + left_m2 * left_y * left_y;
+    p[4] = yh + (right_m2 * right_y - left_m2 * left_y) * over_track;
+    p[5] += (right_m2 + left_m2) * over_track * over_track + turn_rad2;
+    floor_covariance(state, config);
+}
+
+static void measure_twist(odometry_state *state, const core_config *config, const arc *found, double elapsed_s)
+{
+    double left_m = found->travel_m[0], right_m = found->travel_m[1];
+    double turn_rad = (right_m - left_m) / config->track_m;
+    double per_s2 = 1.0 / (elapsed_s * elapsed_s);
+    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m) * per_s2;
+    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m) * per_s2;
+    double turn_rad2 = config->turn_variance_rad2_per_rad * fabs(turn_rad) * per_s2;
+    double over_track = 1.0 / config->track_m;
+
+    state->linear_m_s = 0.5 * (left_m + right_m) / elapsed_s;
+    state->angular_rad_s = turn_rad / elapsed_s;
+    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + 0.25 * (right_m2 + left_m2);
+    state->twist_covariance[1] = 0.5 * (right_m2 - left_m2) * over_track;
+    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2
+        + (right_m2 + left_m2) * over_track * over_track + turn_rad2;
+}
+
+static void integrate(odometry_state *state, const core_config *config, const uint32_t *stale)
+{
+    arc found = collect(state, config, stale);
+    int64_t before_ns = state->stamp_ns;
+    state->degraded = found.degraded;
+    if (found.stamp_ns > before_ns)
+        state->stamp_ns = found.stamp_ns;
+    if (found.joints[0] == 0 || found.joints[1] == 0) {
+        /* one side has only just been seeded: what the other has gone alone is no arc */
+        state->degraded |= found.joints[0] != found.joints[1];
+        return;
+    }
+    double distance_m = 0.5 * (found.travel_m[0] + found.travel_m[1]);
+    double turn_rad = (found.travel_m[1] - found.travel_m[0]) / config->track_m;
+    double chord_m = distance_m * sine_over(0.5 * turn_rad);
+    double sine, cosine;
+    angle_sine_cosine(angle_wrap(state->heading_rad + 0.5 * turn_rad), &sine, &cosine);
+
+    state->x_m += chord_m * cosine;
+    state->y_m += chord_m * sine;
+    state->heading_rad = angle_wrap(state->heading_rad + turn_rad);
+    state->distance_m += fabs(distance_m);
+    state->turned_rad += fabs(turn_rad);
+    grow_pose_covariance(state, config, &found, sine, cosine);
+    if (before_ns > 0 && found.stamp_ns > before_ns)
+        measure_twist(state, config, &found, (double)(found.stamp_ns - before_ns) * 1e-9);
+}
+
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
+                   const uint32_t *stale, const double *setpoint_rad_s)
+{
+    bool complete = true, heard[2] = {false, false}, any_stale = false;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (stale[j]) {
+            any_stale = true;
+            continue;
+        }
+        joint_odometry *joint = &state->joint[j];
+        take_if_new(joint, &config->joint[j], &feedback[j], setpoint_rad_s[j], config->feedback_timeout_s);
+        heard[config->joint[j].side > 0.0] = true;
+        complete = complete && joint->fresh != NOTHING;
+    }
+    state->blind = !heard[0] || !heard[1];
+    if (any_stale)
+        state->degraded = 1;
+    if (complete && !state->blind)
+        integrate(state, config, stale);
+}
+
+void odometry_drift(odometry_state *state, const core_config *config, const double *setpoint_rad_s, double dt_s)
+{
+    double side_m[2] = {0.0, 0.0};
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        double travel_m = fabs(setpoint_rad_s[j]) * config->joint[j].wheel_radius_m * dt_s;
+        uint32_t right = config->joint[j].side > 0.0;
+        side_m[right] = fmax(side_m[right], travel_m);
+    }
+    double distance_m = 0.5 * (side_m[0] + side_m[1]);
+    double turn_rad = (side_m[0] + side_m[1]) / config->track_m;
+    double *p = state->pose_covariance;
+    p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
+    p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
+    p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
+    /* the last measured twist is all there is: as uncertain as it is large */
+    double linear = state->linear_m_s * state->linear_m_s, angular = state->angular_rad_s * state->angular_rad_s;
+    state->twist_covariance[0] = fmax(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
+    state->twist_covariance[2] = fmax(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
+}
