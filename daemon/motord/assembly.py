@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the robot file to what the core, the loop and the lines want to be told. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from motord import rt
+from motord.config.model import Joint, Limits, Robot
+from motord.config.wheels import (
+    Profiles,
+    counts_per_turn,
+    profile_of,
+    takes_duty,
+    velocity_range_rad_s,
+)
+from motord.config.wiring import line_specs
+from motord_hal.drives.profile import DriveProfile
+
+__all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
+
+_NOTIFY_HZ = 50.0
+"""How often asyncio looks at the state when no publisher wants more."""
+
+
+def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
+    """The profiles of its drives, by the name that the file gives them. Raises ProfileError."""
+    return {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+
+
+def loop_settings(robot: Robot) -> rt.LoopSettings:
+    """How the loop's thread is to run."""
+    rates = (publish.rate_hz for publish in robot.publish.values())
+    return rt.LoopSettings(
+        rate_hz=robot.loop.rate_hz,
+        priority=robot.loop.priority,
+        cpu=robot.loop.cpu,
+        notify_hz=min(max(_NOTIFY_HZ, *rates, 0.0), robot.loop.rate_hz),
+        lock_memory=robot.loop.lock_memory,
+        hold_dma_latency=robot.loop.hold_dma_latency,
+    )
+
+
+def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
+    """The core's config, joints in the file's order."""
+    safety = robot.safety
+    return {
+        "joint_count": len(robot.joint),
+        "track_m": robot.base.effective_track_m,
+        "limits": base_limits(robot.limits),
+        "command_timeout_s": safety.command_timeout_s,
+        "feedback_timeout_s": safety.feedback_timeout_s,
+        "heartbeat_timeout_s": safety.heartbeat_timeout_s,
+        "rest_velocity_rad_s": safety.rest_velocity_rad_s,
+        "on_timeout": rt.StopAction[safety.on_timeout.upper()],
+        "on_fault": rt.StopAction[safety.on_fault.upper()],
+        "on_estop": rt.StopAction[safety.on_estop.upper()],
+        "distance_variance_m2_per_m": robot.odometry.distance_variance_m2_per_m,
+        "turn_variance_rad2_per_rad": robot.odometry.turn_variance_rad2_per_rad,
+        "pose_variance_floor_m2": robot.odometry.pose_variance_floor_m2,
+        "heading_variance_floor_rad2": robot.odometry.heading_variance_floor_rad2,
+        "twist_variance_floor_m2_s2": robot.odometry.twist_variance_floor_m2_s2,
+        "twist_variance_floor_rad2_s2": robot.odometry.twist_variance_floor_rad2_s2,
+        "joint": [_joint(robot, name, profiles) for name in robot.joint],
+    }
+
+
+def base_limits(limits: Limits) -> rt.BaseLimits:
+    """[limits] as the core has them."""
+    return {
+        "linear": {
+            "velocity_u_s": limits.linear_m_s,
+            "acceleration_u_s2": limits.linear_m_s2,
+            "deceleration_u_s2": limits.linear_deceleration_m_s2,
+            "jerk_u_s3": limits.linear_m_s3,
+        },
+        "angular": {
+            "velocity_u_s": limits.angular_rad_s,
+            "acceleration_u_s2": limits.angular_rad_s2,
+            "deceleration_u_s2": limits.angular_deceleration_rad_s2,
+            "jerk_u_s3": limits.angular_rad_s3,
+        },
+    }
+
+
+def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
+    joint = robot.joint[name]
+    profile = profiles[joint.drive]
+    backward_rad_s, forward_rad_s = velocity_range_rad_s(joint, profile)
+    counts = counts_per_turn(joint, profile)
+    return {
+        "side": -1.0 if joint.side == "left" else 1.0,
+        "wheel_radius_m": robot.wheel_radius_m(name),
+        "velocity_min_rad_s": backward_rad_s,
+        "velocity_max_rad_s": forward_rad_s,
+        "rad_per_count": _rad_per_count(joint, counts),
+        "counter_bits": profile.counter_bits if counts else 0,
+        "line": list(robot.line).index(joint.line),
+        "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
+    }
+
+
+def _rad_per_count(joint: Joint, counts: int) -> float:
+    """Wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel turn), signed.
+    Without a counter the core does not use it."""
+    sign = -1.0 if joint.inverted else 1.0
+    return sign * 2 * math.pi / (counts * joint.gear_ratio) if counts else sign
+
+
+def _pwm(
+    joint: Joint, profile: DriveProfile, forward_rad_s: float, *, reversible: bool
+) -> rt.PwmConfig:
+    """The duty map; for a drive that takes velocities the duty is only shown, 1 at full speed."""
+    full_duty_rad_s = joint.full_duty_rad_s if takes_duty(joint, profile) else None
+    return {
+        "dead_band": joint.duty_dead_band,
+        "duty_min": joint.duty_min if reversible else 0.0,
+        "duty_max": joint.duty_max,
+        "slew_per_s": joint.duty_slew_per_s,
+        "full_duty_rad_s": full_duty_rad_s or forward_rad_s,
+    }

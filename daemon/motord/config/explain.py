@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pydantic found, in the words of the robot file; and a mended copy of the file, so that the
+checks which need a whole robot can find the other mistakes in the same run."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic_core import ErrorDetails
+
+from motord.config.problems import nearest
+from motord.config.schema import Node, allowed, choices, describe, robot_schema
+from motord.config.toml_lines import Path
+
+# Kinds and keys that motord plans and does not have; * is any name.
+_LATER: dict[Path, frozenset[str]] = {
+    ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
+    ("line", "*", "kind"): frozenset({"modbus-tcp", "can", "canopen", "gpio", "pwm", "serial"}),
+    ("line", "*", "engine"): frozenset({"rt"}),
+    ("input", "*", "kind"): frozenset({"ros2", "mqtt", "zenoh", "websocket", "joystick"}),
+    ("publish", "*", "kind"): frozenset(
+        {"ros2", "mqtt", "zenoh", "foxglove", "mcap", "prometheus"}
+    ),
+    ("robot",): frozenset({"namespace"}),
+    ("safety",): frozenset({"estop"}),
+    ("line", "*"): frozenset({"direction"}),
+    ("publish", "*"): frozenset({"qos"}),
+}
+_NOT_A = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}
+_OUT_OF_RANGE = ("greater_than_equal", "less_than_equal", "finite_number")
+_BAD_NAME = "a name is lower-case letters, digits, _ and -, begins with a letter, at most 32 long"
+_NOTHING = object()
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """A problem at a path; `stand_in` would do for the value (`_NOTHING`: without it), `rename`
+    for the key."""
+
+    path: Path
+    text: str
+    stand_in: Any = _NOTHING
+    rename: str | None = None
+
+
+def explain(errors: Sequence[ErrorDetails]) -> list[Complaint]:
+    """One complaint for each mistake: what only follows from another one is left out."""
+    schema = robot_schema()
+    found = [
+        _complaint(schema, error)
+        for error in errors
+        if error["type"] != "default_factory_not_called"
+    ]
+    meant = {(*hit.path[:-1], hit.rename) for hit in found if hit.rename}
+    refused = {hit.path[:-1] for hit in found if hit.path[-1] == "kind"}
+    return [
+        hit
+        for hit in found
+        if hit.path not in meant and (hit.path[-1] == "kind" or hit.path[:-1] not in refused)
+    ]
+
+
+def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, Any]:
+    """A copy in which stand-ins take the place of everything that was complained about."""
+    data = copy.deepcopy(data)
+    for hit in complaints:
+        around: Any = data
+        *parents, key = (part for part in hit.path if not isinstance(part, int))
+        for part in parents:
+            around = around.get(part) if isinstance(around, dict) else None
+        if not isinstance(around, dict):
+            continue
+        value = around.pop(key, None)
+        if hit.rename is not None:
+            around.setdefault(hit.rename, value)
+        elif hit.stand_in is not _NOTHING:
+            around[key] = hit.stand_in
+    return data
+
+
+def touched(complaints: Sequence[Complaint]) -> set[Path]:
+    """The paths that were mended: what follows from them is not worth saying."""
+    renamed = {(*hit.path[:-1], hit.rename) for hit in complaints if hit.rename}
+    return {hit.path for hit in complaints} | renamed
+
+
+def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
+    path, node, around = describe(schema, error["loc"])
+    kind, value = error["type"], error["input"]
+    if isinstance(path[-1], int):
+        return _element(path, node, value)
+    if kind == "extra_forbidden":
+        return _unknown_key(path, around)
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        path = (*path, "kind")
+        value = value.get("kind") if isinstance(value, dict) else value
+        kind = "missing" if kind == "union_tag_not_found" else "literal_error"
+    stand_in = _stand_in(node, value)
+    if kind == "missing":
+        return Complaint(path, f"is missing{_description(node)}{_hint(allowed(node))}", stand_in)
+    if kind == "literal_error":
+        return Complaint(path, _no_choice(path, node, value), stand_in)
+    if kind in _OUT_OF_RANGE:
+        text = f"{_shown(value)} is out of range{_hint(allowed(node))}"
+        return Complaint(path, text, stand_in)
+    if kind in _NOT_A:
+        text = f"{_shown(value)} is not {_NOT_A[kind]}{_hint(allowed(node))}"
+        return Complaint(path, text, stand_in)
+    if kind == "string_pattern_mismatch":
+        return Complaint(path, f"{_shown(value)}: {_BAD_NAME}", stand_in)
+    if kind == "string_too_short":
+        return Complaint(path, "is empty", stand_in)
+    return Complaint(path, f"{_shown(value)}: {error['msg']}", stand_in)
+
+
+def _element(path: Path, node: Node, value: Any) -> Complaint:
+    """Of a list: without the list, the file is whole again."""
+    return Complaint(path, f"{_shown(value)} may not stand here{_hint(allowed(node))}")
+
+
+def _unknown_key(path: Path, around: Node) -> Complaint:
+    key = str(path[-1])
+    if key in _LATER.get(_general(path[:-1]), ()):
+        return Complaint(path, "is not in this version of motord")
+    known = list(around.get("properties", ()))
+    near = nearest(key, known)
+    if near is None:
+        return Complaint(path, f"unknown key{_hint('known: ' + ', '.join(known))}")
+    return Complaint(path, f"unknown key (did you mean {near}?)", rename=near)
+
+
+def _no_choice(path: Path, node: Node, value: Any) -> str:
+    if isinstance(value, str) and value in _LATER.get(_general(path), ()):
+        return f"{_shown(value)} is not in this version of motord{_hint(allowed(node))}"
+    near = nearest(value, choices(node)) if isinstance(value, str) else None
+    meant = f'; did you mean "{near}"?' if near else ""
+    return f"{_shown(value)} is unknown{_hint(allowed(node) + meant)}"
+
+
+def _general(path: Path) -> Path:
+    """Names of lines, joints and so on made equal."""
+    named = ("line", "joint", "input", "publish")
+    return (path[0], "*", *path[2:]) if len(path) > 1 and path[0] in named else path
+
+
+def _stand_in(node: Node, value: Any) -> Any:
+    """Something that may stand here, as near to what stands here as can be told."""
+    if words := choices(node):
+        return (nearest(value, words) if isinstance(value, str) else None) or words[0]
+    if "default" in node:
+        return _NOTHING
+    simple = {"integer": node.get("minimum"), "number": node.get("minimum"), "string": "x"}
+    return simple.get(node.get("type", ""), _NOTHING)
+
+
+def _description(node: Node) -> str:
+    return f": {node['description'].rstrip('.')}" if "description" in node else ""
+
+
+def _hint(text: str) -> str:
+    return f" ({text})" if text else ""
+
+
+def _shown(value: Any) -> str:
+    """A value as TOML writes it, cut where it is long."""
+    if isinstance(value, dict | list | tuple):
+        return "a table" if isinstance(value, dict) else "a list"
+    text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

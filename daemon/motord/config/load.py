@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a file (and `--set` options) to a Robot, or to every problem at once."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path as File
+from typing import Any
+
+from pydantic import ValidationError
+
+from motord.config.checks import Finding, findings
+from motord.config.explain import Complaint, explain, mended, touched
+from motord.config.model import Robot
+from motord.config.problems import ConfigError, Problem, dotted
+from motord.config.toml_lines import Path, line_of, lines_of
+
+_MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
+
+
+def load_robot(path: str | File, overrides: Sequence[str] = ()) -> Robot:
+    """Read a robot file. `overrides` are KEY=VALUE: a dotted key, and a value as TOML writes it
+    (else it is taken for a text). Raises ConfigError with every problem; what only deserves a look
+    is in `robot.warnings`."""
+    file = File(path)
+    text = _read(file)
+    data = _parse(file, text)
+    places = _Places(str(file), lines_of(text))
+    for option in overrides:
+        places.options[_override(data, option)] = f"--set {option}"
+    try:
+        robot = Robot.model_validate(data).read_from(file)
+    except ValidationError as error:
+        raise ConfigError(_all_problems(file, data, error, places)) from None
+    found = findings(robot)
+    if any(not hit.warning for hit in found):
+        raise ConfigError(places.sorted(found, warnings=False))
+    return robot.read_from(file, places.sorted(found, warnings=True))
+
+
+class _Places:
+    """Where in the file, or in which option, a path was said."""
+
+    def __init__(self, file: str, lines: dict[Path, int]) -> None:
+        self.file = file
+        self.lines = lines
+        self.options: dict[Path, str] = {}
+
+    def problem(self, path: Path, text: str) -> Problem:
+        for said, option in self.options.items():
+            if path[: len(said)] == said:
+                return Problem(option, 0, dotted(path), text)
+        return Problem(self.file, line_of(self.lines, path), dotted(path), text)
+
+    def sorted(
+        self, found: Sequence[Finding], *, warnings: bool, more: Sequence[Complaint] = ()
+    ) -> list[Problem]:
+        """In the file's order, errors or warnings."""
+        chosen = [(hit.paths[0], hit.text) for hit in found if hit.warning == warnings]
+        chosen += [(hit.path, hit.text) for hit in more]
+        problems = dict.fromkeys(self.problem(path, text) for path, text in chosen)
+        return sorted(problems, key=lambda problem: problem.line)
+
+
+def _all_problems(
+    file: File, data: dict[str, Any], error: ValidationError, places: _Places
+) -> list[Problem]:
+    """What pydantic found, and what the checks find in a mended copy."""
+    complaints = explain(error.errors())
+    mends, unsure = complaints, touched(complaints)
+    copied = data
+    for _ in range(_MENDING_ROUNDS):
+        copied = mended(copied, mends)
+        try:
+            robot = Robot.model_validate(copied)
+        except ValidationError as again:
+            mends = explain(again.errors())
+            unsure |= touched(mends)
+            continue
+        found = [hit for hit in findings(robot.read_from(file)) if unsure.isdisjoint(hit.paths)]
+        return places.sorted(found, warnings=False, more=complaints)
+    return places.sorted((), warnings=False, more=complaints)
+
+
+def _read(file: File) -> str:
+    try:
+        return file.read_bytes().decode()
+    except OSError as error:
+        problem = Problem(str(file), 0, "", f"cannot be read: {error.strerror}")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        problem = Problem(str(file), line, "syntax", "is not UTF-8")
+    raise ConfigError([problem])
+
+
+def _parse(file: File, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error))
+        words = said[1] if said else str(error)
+        line = int(said[2]) if said and said[2] else text.count("\n") + 1
+        raise ConfigError([Problem(str(file), line, "syntax", words)]) from None
+
+
+def _override(data: dict[str, Any], option: str) -> Path:
+    """Put KEY=VALUE into the data; returns the key as a path."""
+    key, equals, value = option.partition("=")
+    try:
+        table: Any = tomllib.loads(f"{key} = 0") if equals and "\n" not in key else None
+    except tomllib.TOMLDecodeError:
+        table = None
+    if table is None:
+        problem = Problem(f"--set {option}", 0, "", "is not KEY=VALUE, as in limits.linear_m_s=0.3")
+        raise ConfigError([problem])
+    path: list[str] = []
+    while isinstance(table, dict):
+        path.append(next(iter(table)))
+        table = table[path[-1]]
+    around = data
+    for part in path[:-1]:
+        if not isinstance(around.setdefault(part, {}), dict):
+            around[part] = {}
+        around = around[part]
+    around[path[-1]] = _value(value)
+    return tuple(path)
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot file as values. What one value alone can say is checked here, what follows only from
+several together in `checks.py`.
+
+Every number has a unit in its name, a range, and its unit as data in the JSON Schema. Defaults are
+on the slow and careful side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, StringConstraints
+
+from motord.config.problems import Problem
+
+Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]{0,31}$")]
+StopAction = Literal["ramp", "brake", "hold", "coast"]
+
+
+def number(
+    description: str,
+    low: float,
+    high: float | None,
+    unit: str,
+    default: Any = ...,
+) -> Any:
+    """A number within low..high (None: no upper end, infinity allowed) and its unit. A callable
+    default makes the value from those above it."""
+    start = {"default_factory" if callable(default) else "default": default}
+    return Field(
+        **start,
+        description=description,
+        ge=low,
+        le=high,
+        json_schema_extra={"unit": unit},
+        allow_inf_nan=high is None,
+    )
+
+
+class Section(BaseModel):
+    """A table of the robot file: no unknown key, no text for a number, no change afterwards."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class RobotName(Section):
+    """Who this robot is."""
+
+    name: Name
+    """Name of the robot: of its socket and of its state page."""
+
+
+class Loop(Section):
+    """The real-time loop."""
+
+    rate_hz: float = number("ticks a second", 10, 20000, "Hz", 1000.0)
+    priority: int = number("SCHED_FIFO priority; 0: ordinary scheduling", 0, 99, "1", 80)
+    cpu: tuple[Annotated[int, Field(ge=0, le=63)], ...] = Field((), strict=False)
+    """CPUs the loop may run on, each 0 to 63; none: all of them."""
+    lock_memory: bool = True
+    """Keep the daemon's memory from being paged out."""
+    hold_dma_latency: bool = True
+    """Keep the CPUs out of deep sleep while the loop runs."""
+
+
+class Base(Section):
+    """Geometry that every base with wheels on two sides has."""
+
+    track_m: float = number("distance of the left wheels from the right ones", 0.02, 20, "m")
+    wheel_radius_m: float = number("radius of the wheels, loaded", 0.005, 5, "m")
+
+    @property
+    def effective_track_m(self) -> float:
+        """The track that turning feels."""
+        return self.track_m
+
+
+class DifferentialBase(Base):
+    """Two driven sides, and casters that follow."""
+
+    kind: Literal["differential"]
+
+
+class SkidBase(Base):
+    """Wheels on two sides that scrub sideways in a turn."""
+
+    kind: Literal["skid"]
+    track_slip_factor: float = number(
+        "by how much the track seems wider in a turn, because the wheels scrub: turn the robot "
+        "ten times on the spot, divide the turns counted by the turns made",
+        1,
+        10,
+        "1",
+        1.0,
+    )
+
+    @property
+    def effective_track_m(self) -> float:
+        """Track times slip factor: Mandow et al., Experimental kinematics for wheeled skid-steer
+        mobile robots, IROS 2007, for instantaneous centres that lie symmetrically."""
+        return self.track_m * self.track_slip_factor
+
+
+class Limits(Section):
+    """What the base may do at most. They can be changed while the daemon runs."""
+
+    linear_m_s: float = number("speed", 0.001, 50, "m/s", 0.5)
+    linear_m_s2: float = number("acceleration", 0.001, 100, "m/s²", 0.5)
+    linear_deceleration_m_s2: float = number(
+        "deceleration; as the acceleration where it is not given",
+        0.001,
+        100,
+        "m/s²",
+        lambda above: above["linear_m_s2"],
+    )
+    linear_m_s3: float = number("jerk; inf: no limit", 0.001, None, "m/s³", math.inf)
+    angular_rad_s: float = number("turn rate", 0.001, 100, "rad/s", 1.0)
+    angular_rad_s2: float = number("turn acceleration", 0.001, 1000, "rad/s²", 1.0)
+    angular_deceleration_rad_s2: float = number(
+        "turn deceleration; as the acceleration where it is not given",
+        0.001,
+        1000,
+        "rad/s²",
+        lambda above: above["angular_rad_s2"],
+    )
+    angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
+
+
+class Safety(Section):
+    """When to stop, and how."""
+
+    command_timeout_s: float = number("a command older than this is none", 0.02, 5, "s", 0.3)
+    feedback_timeout_s: float = number(
+        "a wheel that has not been heard for so long is a fault", 0.005, 5, "s", 0.25
+    )
+    heartbeat_timeout_s: float = number(
+        "the loop stops the robot when the daemon has hung for so long", 0.05, 5, "s", 0.5
+    )
+    drive_watchdog_s: float = number(
+        "the drives stop by themselves when they have heard nothing for so long",
+        0.01,
+        10,
+        "s",
+        0.5,
+    )
+    rest_velocity_rad_s: float = number(
+        "a wheel slower than this is at rest", 0.001, 10, "rad/s", 0.05
+    )
+    on_timeout: StopAction = "ramp"
+    """How to stop when the command is old."""
+    on_fault: StopAction = "ramp"
+    """How to stop when something is wrong."""
+    on_estop: StopAction = "brake"
+    """How to stop at the emergency stop."""
+
+
+class Odometry(Section):
+    """Error model of the odometry: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4.
+
+    The defaults are what a base does that nobody has calibrated, about 1 % of the way and 3 % of
+    the turn (Borenstein & Feng, Measurement and Correction of Systematic Odometry Errors in Mobile
+    Robots, IEEE Transactions on Robotics and Automation 12(6), 1996); the floors are a millimetre,
+    a milliradian, 1 cm/s and 1 crad/s.
+    """
+
+    distance_variance_m2_per_m: float = number(
+        "variance of one side's travel for each metre of it", 1e-9, 1, "m²/m", 1e-4
+    )
+    turn_variance_rad2_per_rad: float = number(
+        "variance of the heading for each radian turned", 1e-9, 1, "rad²/rad", 1e-3
+    )
+    pose_variance_floor_m2: float = number("least variance of x and y", 1e-12, 1, "m²", 1e-6)
+    heading_variance_floor_rad2: float = number(
+        "least variance of the heading", 1e-12, 1, "rad²", 1e-6
+    )
+    twist_variance_floor_m2_s2: float = number(
+        "least variance of the speed", 1e-12, 1, "m²/s²", 1e-4
+    )
+    twist_variance_floor_rad2_s2: float = number(
+        "least variance of the turn rate", 1e-12, 1, "rad²/s²", 1e-4
+    )
+
+
+class RtuLine(Section):
+    """One RS485 pair and its port."""
+
+    kind: Literal["modbus-rtu"]
+    port: str = Field(min_length=1)
+    """Device file: /dev/serial/by-id/... names the same adapter after every start."""
+    baudrate: int = number("bits a second", 1200, 4_000_000, "1/s", 115200)
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: int = number("stop bits", 1, 2, "1", 1)
+    engine: Literal["auto", "asyncio"] = "auto"
+    """Who does the cyclic exchange."""
+    cycle_hz: float = number("exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0)
+    gap_s: float | None = number(
+        "silence between frames; the drive's or the standard's where it is not given (Modbus over "
+        "serial line V1.02, 2.5.1.1)",
+        0,
+        0.1,
+        "s",
+        None,
+    )
+
+
+class Joint(Section):
+    """One driven wheel."""
+
+    line: str
+    """Name of the line that it is connected to."""
+    drive: str
+    """Name of its drive profile (motord drives), or a profile's path with a slash in it."""
+    unit: int = number("Modbus address of its drive", 1, 247, "1")
+    channel: int = number("which motor of the drive", 1, 8, "1", 1)
+    side: Literal["left", "right"]
+    gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
+    inverted: bool = False
+    """The motor turns backward when the robot drives forward."""
+    reversible: bool | None = None
+    """Whether the wheel may turn backward; as the drive can where it is not given."""
+    wheel_radius_m: float | None = number("radius; the base's if not given", 0.005, 5, "m", None)
+    velocity_max_rad_s: float | None = number(
+        "the wheel's speed at most; what the drive can where it is not given",
+        0.01,
+        10000,
+        "rad/s",
+        None,
+    )
+    counts_per_turn: int | None = number(
+        "encoder counts for a motor turn, where they are not the profile's; 0: no encoder",
+        0,
+        1 << 30,
+        "1",
+        None,
+    )
+    duty_dead_band: float = number("duty at which the motor just turns", 0, 0.9, "1", 0.0)
+    duty_min: float = number("least duty; 0: never backward", -1, 0, "1", -1.0)
+    duty_max: float = number("greatest duty", 0.01, 1, "1", 1.0)
+    duty_slew_per_s: float = number(
+        "greatest rise of the duty; inf: no limit", 0.01, None, "1/s", math.inf
+    )
+    full_duty_rad_s: float | None = number(
+        "the wheel's speed at duty 1: a drive that takes a duty needs it", 0.01, 10000, "rad/s", None
+    )
+    tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
+    reply_timeout_s: float | None = number(
+        "deadline for a reply; from baud rate, length and drive where it is not given",
+        0.001,
+        1,
+        "s",
+        None,
+    )
+
+
+class SocketInput(Section):
+    """Commands from the local socket."""
+
+    kind: Literal["socket"]
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number("a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3)
+
+
+class Publish(Section):
+    """Who is told how the robot does."""
+
+    rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
+
+
+class StdoutPublish(Publish):
+    """A line of JSON for each sample on standard output."""
+
+    kind: Literal["stdout"]
+
+
+class UdpPublish(Publish):
+    """A datagram of JSON for each sample."""
+
+    kind: Literal["udp"]
+    host: str = Field("127.0.0.1", min_length=1)
+    """Where to; this machine unless something else is said."""
+    port: int = number("UDP port", 1, 65535, "1", 9870)
+
+
+class Robot(Section):
+    """A robot file. `load_robot` reads one."""
+
+    robot: RobotName
+    loop: Loop = Field(default_factory=Loop)
+    base: Annotated[DifferentialBase | SkidBase, Field(discriminator="kind")]
+    limits: Limits = Field(default_factory=Limits)
+    safety: Safety = Field(default_factory=Safety)
+    odometry: Odometry = Field(default_factory=Odometry)
+    line: dict[Name, RtuLine]
+    """The wires."""
+    joint: dict[Name, Joint]
+    """The driven wheels; their order is that of the core's joints."""
+    input: dict[Name, SocketInput] = Field(
+        default_factory=lambda: {"socket": SocketInput(kind="socket")}
+    )
+    publish: dict[
+        Name, Annotated[StdoutPublish | UdpPublish, Field(discriminator="kind")]
+    ] = Field(default_factory=dict)
+
+    _path: Path = PrivateAttr(Path())
+    _warnings: tuple[Problem, ...] = PrivateAttr(())
+
+    @property
+    def path(self) -> Path:
+        """The file that it came from; drive profiles beside it are found too."""
+        return self._path
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """What works but deserves a look."""
+        return self._warnings
+
+    def read_from(self, path: Path, warnings: Iterable[Problem] = ()) -> Robot:
+        """Note the file and what deserves a look in it; returns self."""
+        self._path, self._warnings = path, tuple(warnings)
+        return self
+
+    def wheel_radius_m(self, joint: str) -> float:
+        """A joint's own radius, else the base's."""
+        own = self.joint[joint].wheel_radius_m
+        return self.base.wheel_radius_m if own is None else own

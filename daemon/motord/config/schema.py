@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON Schema of the robot file: for editors (`motord schema`) and for the words of errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from motord.config.model import Robot
+from motord.config.toml_lines import Path
+
+Node = Mapping[str, Any]
+
+
+def robot_schema() -> dict[str, Any]:
+    """JSON Schema, draft 2020-12; each number's SI unit stands beside it as `unit`."""
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Robot.model_json_schema(),
+        "title": "motord robot file",
+    }
+    _drop_infinities(schema)
+    return schema
+
+
+def _drop_infinities(node: Any) -> None:
+    """JSON has no infinity; a default of it is told by the description."""
+    if isinstance(node, dict):
+        default = node.get("default")
+        if isinstance(default, float) and math.isinf(default):
+            del node["default"]
+        node = list(node.values())
+    if isinstance(node, list):
+        for child in node:
+            _drop_infinities(child)
+
+
+def describe(schema: Node, place: Iterable[str | int]) -> tuple[Path, Node, Node]:
+    """Follow pydantic's place of an error, which also holds the kinds of tables, into the schema.
+
+    Returns the path in the TOML file, the schema of what is there (empty: nothing is known there)
+    and that of the table around it.
+    """
+    path: Path = ()
+    node = around = _resolve(schema, schema)
+    for part in place:
+        if part in _kinds(node):
+            node = _resolve(schema, {"$ref": node["discriminator"]["mapping"][part]})
+        elif part != "[key]":
+            path, around = (*path, part), node
+            node = _resolve(schema, _child(node, part))
+    return path, node, around
+
+
+def _kinds(node: Node) -> Iterable[str]:
+    mapping: dict[str, str] = node.get("discriminator", {}).get("mapping", {})
+    return mapping
+
+
+def _child(node: Node, part: str | int) -> Node:
+    if isinstance(part, int):
+        items: Node = node.get("items", {})
+        return items
+    named: Node = node.get("properties", {})
+    found: Node = named.get(part) or next(iter(node.get("patternProperties", {}).values()), {})
+    return found
+
+
+def _resolve(schema: Node, node: Node) -> Node:
+    """The node itself, behind a reference or an "or nothing"."""
+    for option in node.get("anyOf", ()):
+        if option.get("type") != "null":
+            node = {**node, **option}
+    if "$ref" in node:
+        name = node["$ref"].removeprefix("#/$defs/")
+        node = {**schema["$defs"][name], **{key: node[key] for key in node if key != "$ref"}}
+    return node
+
+
+def choices(node: Node) -> list[str]:
+    """The words that may stand here; none where any may."""
+    if "const" in node:
+        return [node["const"]]
+    return list(node.get("enum", ())) or list(_kinds(node))
+
+
+def allowed(node: Node) -> str:
+    """`0.02 to 20 m`, `"left", "right"`, or nothing."""
+    unit = node.get("unit", "1")
+    suffix = "" if unit == "1" else f" {unit}"
+    low, high = node.get("minimum"), node.get("maximum")
+    if low is not None:
+        return f"{low:g} to {high:g}{suffix}" if high is not None else f"at least {low:g}{suffix}"
+    return ", ".join(f'"{choice}"' for choice in choices(node))

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a joint and its drive can do together: at the wheel, after the gear."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from motord.config.model import Joint, Robot
+from motord_hal.drives.load import find_profile
+from motord_hal.drives.profile import DriveProfile, Register
+
+Profiles = Mapping[str, DriveProfile]
+"""By the drive's name as the robot file writes it."""
+
+
+def profile_of(robot: Robot, drive: str) -> DriveProfile:
+    """The profile by name, or by path from the robot file's folder. Raises ProfileError."""
+    return find_profile(str(robot.path.parent / drive) if "/" in drive else drive)
+
+
+def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point is a duty and not a velocity."""
+    return profile.channels[joint.channel].duty_setpoint is not None
+
+
+def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point can say backward."""
+    channel = profile.channels[joint.channel]
+    setpoint = _setpoint(joint, profile)
+    negative = setpoint.minimum < 0 if setpoint.minimum is not None else setpoint.type.signed
+    return negative or channel.direction is not None
+
+
+def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
+    """The fastest that the set-point can ask for. A duty drive without `full_duty_rad_s` could
+    turn anyhow fast: infinity."""
+    setpoint = _setpoint(joint, profile)
+    if takes_duty(joint, profile):
+        return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
+    top = setpoint.raw_range[1] * setpoint.scale
+    if setpoint.maximum is not None:
+        top = min(top, setpoint.maximum)
+    return setpoint.to_si(1) / setpoint.scale * top / joint.gear_ratio
+
+
+def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, float]:
+    """The wheel's speeds, backward (<= 0) and forward, that motord may ask for."""
+    forward = drive_velocity_max_rad_s(joint, profile)
+    if joint.velocity_max_rad_s is not None:
+        forward = min(forward, joint.velocity_max_rad_s)
+    reversible = joint.reversible is not False and drive_can_reverse(joint, profile)
+    if not reversible:
+        return 0.0, forward
+    if takes_duty(joint, profile) and joint.full_duty_rad_s is not None:
+        return max(-forward, joint.full_duty_rad_s * joint.duty_min), forward
+    return -forward, forward
+
+
+def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
+    """Of the motor's shaft; 0: no counter."""
+    own = joint.counts_per_turn
+    return profile.counts_per_turn if own is None else own
+
+
+def _setpoint(joint: Joint, profile: DriveProfile) -> Register:
+    channel = profile.channels[joint.channel]
+    return profile.registers[channel.velocity_setpoint or channel.duty_setpoint or ""]
