@@ -1,0 +1,81 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+#include "exchange.h"
+
+#include <errno.h>
+#include <string.h>
+
+size_t exchange_bytes(void)
+{
+    return sizeof(exchange);
+}
+
+void exchange_init(exchange *x)
+{
+    memset(x, 0, sizeof *x);
+    mailbox_init(&x->command.box);
+    mailbox_init(&x->control.box);
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        mailbox_init(&x->feedback[joint].box);
+    }
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        mailbox_init(&x->setpoints[line].box);
+    }
+}
+
+void exchange_put_command(exchange *x, const twist_command *command)
+{
+    mailbox_put(&x->command.box, x->command.slot, command, sizeof *command);
+}
+
+int exchange_take_command(exchange *x, twist_command *out)
+{
+    return mailbox_take(&x->command.box, x->command.slot, out, sizeof *out);
+}
+
+void exchange_put_control(exchange *x, const core_control *control)
+{
+    mailbox_put(&x->control.box, x->control.slot, control, sizeof *control);
+}
+
+int exchange_take_control(exchange *x, core_control *out)
+{
+    return mailbox_take(&x->control.box, x->control.slot, out, sizeof *out);
+}
+
+int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback)
+{
+    if (joint >= JOINTS_MAX) {
+        return -EINVAL;
+    }
+    feedback_box *to = &x->feedback[joint];
+    mailbox_put(&to->box, to->slot, feedback, sizeof *feedback);
+    return 0;
+}
+
+int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out)
+{
+    if (joint >= JOINTS_MAX) {
+        return -EINVAL;
+    }
+    feedback_box *from = &x->feedback[joint];
+    return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}
+
+int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)
+{
+    if (line >= LINES_MAX) {
+        return -EINVAL;
+    }
+    setpoints_box *to = &x->setpoints[line];
+    mailbox_put(&to->box, to->slot, value, sizeof *value);
+    return 0;
+}
+
+int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out)
+{
+    if (line >= LINES_MAX) {
+        return -EINVAL;
+    }
+    setpoints_box *from = &x->setpoints[line];
+    return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}

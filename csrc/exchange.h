@@ -1,0 +1,36 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * exchange.h: the inside of api.h's exchange, for loop.c, which holds one in static storage. */
+#ifndef MOTORD_EXCHANGE_H
+#define MOTORD_EXCHANGE_H
+
+#include "mailbox.h"
+#include "rt.h"
+
+typedef struct {
+    mailbox box;
+    twist_command slot[MAILBOX_SLOTS];
+} command_box;
+
+typedef struct {
+    mailbox box;
+    core_control slot[MAILBOX_SLOTS];
+} control_box;
+
+typedef struct {
+    mailbox box;
+    joint_feedback slot[MAILBOX_SLOTS];
+} feedback_box;
+
+typedef struct {
+    mailbox box;
+    setpoints slot[MAILBOX_SLOTS];
+} setpoints_box;
+
+struct exchange {
+    command_box command;
+    control_box control;
+    feedback_box feedback[JOINTS_MAX];
+    setpoints_box setpoints[LINES_MAX];
+};
+
+#endif

@@ -1,0 +1,215 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * loop.c: the loop's life. The only file of csrc/ with globals: one loop a process, in static memory. */
+#include <errno.h>
+#include <fcntl.h>
+#include <semaphore.h>
+#include <sys/mman.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "loop.h"
+#include "schedule.h"
+
+enum life { LIFE_STOPPED, LIFE_STARTING, LIFE_RUNNING, LIFE_STOPPING };
+
+static loop_work work;
+static core_state rehearsal;
+static loop_grant grant;
+static loop_config config;
+static pthread_t thread;
+static sem_t ticking;            /* posted after the first tick */
+static int dma_latency_fd = -1;
+static _Atomic int life = LIFE_STOPPED;
+static _Atomic bool stop_asked;
+static pthread_once_t exchange_made = PTHREAD_ONCE_INIT;
+
+static const int64_t NS_PER_S = 1000000000;
+
+int64_t clock_now_ns(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * NS_PER_S + now.tv_nsec;
+}
+
+static void sleep_until(int64_t deadline_ns)
+{
+    struct timespec until = {.tv_sec = deadline_ns / NS_PER_S, .tv_nsec = deadline_ns % NS_PER_S};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR) {
+    }
+}
+
+static void *run(void *unused)
+{
+    (void)unused;
+    loop_thread_prepare(&config, &grant);
+    loop_rehearse(&work, &rehearsal);
+    int64_t deadline_ns = clock_now_ns();
+    while (!stop_asked) {
+        loop_tick(&work, clock_now_ns(), deadline_ns);
+        if (work.ticks == 1) {
+            (void)sem_post(&ticking);
+        }
+        work.overruns += schedule_next(&deadline_ns, work.period_ns, clock_now_ns());
+        sleep_until(deadline_ns);
+    }
+    loop_rest(&work, clock_now_ns());
+    return NULL;
+}
+
+static bool is_good(const loop_config *loop)
+{
+    return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
+           loop->page_fd >= -1 && loop->event_fd >= -1;
+}
+
+/* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */
+static int map_shared_page(int fd)
+{
+    work.shared_page = NULL;
+    if (fd < 0) {
+        return 0;
+    }
+    int error = posix_fallocate(fd, 0, PAGE_BYTES);
+    if (error != 0) {
+        return -error;
+    }
+    void *page = mmap(NULL, PAGE_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+    if (page == MAP_FAILED) {
+        return -errno;
+    }
+    work.shared_page = page;
+    return page_init(page);
+}
+
+static void hold_machine(void)
+{
+    grant.memory_lock_errno = 0;
+    grant.dma_latency_errno = 0;
+    if (config.lock_memory) {
+        loop_memory_lock(&grant);
+    }
+    if (config.hold_dma_latency) {
+        dma_latency_fd = loop_dma_latency_hold(&grant);
+    }
+}
+
+static void release_machine(void)
+{
+    if (dma_latency_fd >= 0) {
+        (void)close(dma_latency_fd);
+        dma_latency_fd = -1;
+    }
+    if (config.lock_memory && grant.memory_lock_errno == 0) {
+        (void)munlockall();
+    }
+    if (work.shared_page != NULL) {
+        (void)munmap(work.shared_page, PAGE_BYTES);
+        work.shared_page = NULL;
+    }
+    (void)sem_destroy(&ticking);
+}
+
+static int start(const loop_config *loop, const core_config *core)
+{
+    if (!is_good(loop)) {
+        return -EINVAL;
+    }
+    int error = loop_work_init(&work, loop, core);
+    if (error != 0) {
+        return error;
+    }
+    config = *loop;
+    stop_asked = false;
+    if (sem_init(&ticking, 0, 0) != 0) {
+        return -errno;
+    }
+    error = map_shared_page(loop->page_fd);
+    hold_machine();
+    if (error == 0) {
+        error = loop_thread_create(&thread, &config, &grant, run, NULL);
+    }
+    if (error != 0) {
+        release_machine();
+        return error;
+    }
+    while (sem_wait(&ticking) != 0) {   /* a signal: wait on, the first tick takes no longer for it */
+    }
+    return 0;
+}
+
+int loop_start(const loop_config *loop, const core_config *core)
+{
+    (void)loop_exchange();
+    int stopped = LIFE_STOPPED;
+    if (!atomic_compare_exchange_strong(&life, &stopped, LIFE_STARTING)) {
+        return -EBUSY;
+    }
+    int error = start(loop, core);
+    life = error == 0 ? LIFE_RUNNING : LIFE_STOPPED;
+    return error;
+}
+
+int loop_stop(void)
+{
+    int running = LIFE_RUNNING;
+    if (!atomic_compare_exchange_strong(&life, &running, LIFE_STOPPING)) {
+        return -ESRCH;
+    }
+    stop_asked = true;
+    int error = pthread_join(thread, NULL);
+    release_machine();
+    life = LIFE_STOPPED;
+    return -error;
+}
+
+static void make_exchange(void)
+{
+    exchange_init(&work.exchange);
+}
+
+exchange *loop_exchange(void)
+{
+    (void)pthread_once(&exchange_made, make_exchange);
+    return &work.exchange;
+}
+
+void loop_status_read(loop_status *out)
+{
+    *out = (loop_status){
+        .running = life == LIFE_RUNNING,
+        .policy = grant.policy,
+        .priority = grant.priority,
+        .scheduler_errno = grant.scheduler_errno,
+        .affinity_errno = grant.affinity_errno,
+        .memory_lock_errno = grant.memory_lock_errno,
+        .dma_latency_errno = grant.dma_latency_errno,
+        .ticks = work.ticks,
+        .overruns = work.overruns,
+        .page_faults = work.page_faults,
+        .tick_stamp_ns = work.tick_stamp_ns,
+    };
+}
+
+int loop_histogram_read(uint32_t kind, histogram *out)
+{
+    if (kind >= HISTOGRAM_KINDS) {
+        return -EINVAL;
+    }
+    histogram_copy(out, &work.histogram[kind]);
+    return 0;
+}
+
+int loop_histogram_clear(void)
+{
+    if (life != LIFE_RUNNING) {
+        return -ESRCH;
+    }
+    work.clear_histograms = true;
+    return 0;
+}
+
+int loop_state_read(robot_state *out)
+{
+    return page_read(work.page, out);
+}

@@ -1,0 +1,63 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * loop.h: what the loop's three files share. loop.c: its life, from start to stop; loop_tick.c: one tick;
+ * loop_thread.c: what the kernel has to grant. */
+#ifndef MOTORD_LOOP_H
+#define MOTORD_LOOP_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+#include "exchange.h"
+
+/* All that a tick touches, in one static block that is written before the first tick. */
+typedef struct {
+    exchange exchange;
+    _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES];   /* own: readable before, while and after the loop runs */
+    void *shared_page;                  /* the caller's, mapped; NULL: none */
+    int event_fd;
+    uint32_t notify_every_ticks;
+    histogram histogram[HISTOGRAM_KINDS];
+    core_state core;
+    core_input input;
+    setpoints out;
+    robot_state snapshot;
+    robot_state notified;               /* what the reader of event_fd was last woken for */
+    int64_t last_ns;                    /* the tick before; 0: none yet */
+    int64_t period_ns;
+    long page_fault_base;
+    _Atomic bool clear_histograms;
+    _Atomic uint64_t ticks;
+    _Atomic uint64_t overruns;
+    _Atomic uint64_t page_faults;
+    _Atomic int64_t tick_stamp_ns;
+} loop_work;
+
+/* Before the thread starts: everything to its beginning. 0 or -errno. */
+int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core);
+/* In the thread, before its first tick: runs the core on a state of its own, so that the code's pages are there. */
+void loop_rehearse(loop_work *work, core_state *scratch);
+void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
+/* The last words: set-points zero, not enabled. */
+void loop_rest(loop_work *work, int64_t now_ns);
+
+/* What the kernel granted, and why not where it did not. Written before loop_start returns. */
+typedef struct {
+    _Atomic int policy;
+    _Atomic int priority;
+    _Atomic int scheduler_errno;
+    _Atomic int affinity_errno;
+    _Atomic int memory_lock_errno;
+    _Atomic int dma_latency_errno;
+} loop_grant;
+
+enum { LOOP_STACK_BYTES = 512 * 1024, LOOP_STACK_PREFAULT_BYTES = 256 * 1024 };
+
+/* A thread with no signals, at the wished policy, or SCHED_OTHER when that is refused. 0 or -errno. */
+int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg);
+/* In the thread: name, affinity, timer slack, flush-to-zero, stack. */
+void loop_thread_prepare(const loop_config *loop, loop_grant *grant);
+void loop_memory_lock(loop_grant *grant);
+/* Descriptor to hold for as long as the CPU must not sleep deeply, or -1. */
+int loop_dma_latency_hold(loop_grant *grant);
+
+#endif

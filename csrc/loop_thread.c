@@ -1,0 +1,145 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is written down, not fatal: the loop
+ * then runs as well as it may, and says so. */
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/capability.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "loop.h"
+
+#if defined(__x86_64__)
+#include <xmmintrin.h>
+#endif
+
+/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use for 1e-308 m/s. */
+static void flush_denormals_to_zero(void)
+{
+#if defined(__x86_64__)
+    const unsigned int flush_to_zero = 1U << 15, denormals_are_zero = 1U << 6;   /* Intel SDM vol. 1, 10.2.3 */
+    _mm_setcsr(_mm_getcsr() | flush_to_zero | denormals_are_zero);
+#elif defined(__aarch64__)
+    uint64_t fpcr;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(fpcr));
+    __asm__ volatile("msr fpcr, %0" : : "r"(fpcr | (UINT64_C(1) << 24)));   /* FZ, Arm ARM C5.2.8 */
+#endif
+}
+
+static void prefault_stack(void)
+{
+    volatile uint8_t stack[LOOP_STACK_PREFAULT_BYTES];
+    for (size_t i = 0; i < sizeof stack; i += 1024) {
+        stack[i] = 1;
+    }
+}
+
+static int set_affinity(uint64_t cpu_mask)
+{
+    cpu_set_t set;
+    CPU_ZERO(&set);
+    for (size_t cpu = 0; cpu < 64; cpu++) {
+        if (cpu_mask >> cpu & 1) {
+            CPU_SET(cpu, &set);
+        }
+    }
+    return pthread_setaffinity_np(pthread_self(), sizeof set, &set);
+}
+
+void loop_thread_prepare(const loop_config *loop, loop_grant *grant)
+{
+    (void)pthread_setname_np(pthread_self(), "motord-loop");
+    (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);   /* SCHED_OTHER would be woken up to 50 us late */
+    grant->affinity_errno = loop->cpu_mask == 0 ? 0 : set_affinity(loop->cpu_mask);
+    flush_denormals_to_zero();
+    prefault_stack();
+}
+
+static int create_with_policy(pthread_t *thread, int policy, int priority, void *(*run)(void *), void *arg)
+{
+    struct sched_param param = {.sched_priority = priority};
+    pthread_attr_t attr;
+    int error = pthread_attr_init(&attr);
+    if (error != 0) {
+        return error;
+    }
+    error = pthread_attr_setstacksize(&attr, LOOP_STACK_BYTES);
+    if (error == 0) {
+        error = pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED);
+    }
+    if (error == 0) {
+        error = pthread_attr_setschedpolicy(&attr, policy);
+    }
+    if (error == 0) {
+        error = pthread_attr_setschedparam(&attr, &param);
+    }
+    if (error == 0) {
+        error = pthread_create(thread, &attr, run, arg);
+    }
+    (void)pthread_attr_destroy(&attr);
+    return error;
+}
+
+int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg)
+{
+    sigset_t all, before;
+    sigfillset(&all);
+    int error = pthread_sigmask(SIG_SETMASK, &all, &before);   /* the thread inherits it: signals are asyncio's */
+    if (error != 0) {
+        return -error;
+    }
+    grant->policy = loop->priority > 0 ? SCHED_FIFO : SCHED_OTHER;
+    grant->priority = loop->priority;
+    grant->scheduler_errno = 0;
+    error = create_with_policy(thread, grant->policy, loop->priority, run, arg);
+    if (error == EPERM && loop->priority > 0) {
+        grant->policy = SCHED_OTHER;
+        grant->priority = 0;
+        grant->scheduler_errno = error;
+        error = create_with_policy(thread, SCHED_OTHER, 0, run, arg);
+    }
+    (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
+    return -error;
+}
+
+static bool may_lock_without_limit(void)
+{
+    struct rlimit limit;
+    struct __user_cap_header_struct header = {.version = _LINUX_CAPABILITY_VERSION_3};
+    struct __user_cap_data_struct data[_LINUX_CAPABILITY_U32S_3] = {{0, 0, 0}};
+    if (getrlimit(RLIMIT_MEMLOCK, &limit) == 0 && limit.rlim_cur == RLIM_INFINITY) {
+        return true;
+    }
+    return syscall(SYS_capget, &header, data) == 0 && (data[0].effective & (1U << CAP_IPC_LOCK)) != 0;
+}
+
+/* Under a limit MCL_FUTURE would be granted now and then refuse memory to Python in the middle of a drive. */
+void loop_memory_lock(loop_grant *grant)
+{
+    if (!may_lock_without_limit()) {
+        grant->memory_lock_errno = ENOMEM;
+        return;
+    }
+    grant->memory_lock_errno = mlockall(MCL_CURRENT | MCL_FUTURE) == 0 ? 0 : errno;
+}
+
+/* Documentation/power/pm_qos_interface.rst of the kernel: a 32-bit number of microseconds, in force while open. */
+int loop_dma_latency_hold(loop_grant *grant)
+{
+    const int32_t latency_us = 0;
+    int fd = open("/dev/cpu_dma_latency", O_WRONLY | O_CLOEXEC);
+    if (fd >= 0 && write(fd, &latency_us, sizeof latency_us) == (ssize_t)sizeof latency_us) {
+        grant->dma_latency_errno = 0;
+        return fd;
+    }
+    grant->dma_latency_errno = errno;
+    if (fd >= 0) {
+        (void)close(fd);
+    }
+    return -1;
+}

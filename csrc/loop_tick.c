@@ -1,0 +1,179 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * loop_tick.c: one tick: take what is newest, run the core, hand on what it says. */
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "loop.h"
+#include "schedule.h"
+
+enum { PAGE_FAULT_EVERY_TICKS = 256, REHEARSAL_TICKS = 16 };
+
+int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core)
+{
+    int error = core_init(&work->core, core);
+    if (error != 0) {
+        return error;
+    }
+    error = page_init(work->page);
+    if (error != 0) {
+        return error;
+    }
+    exchange_init(&work->exchange);
+    for (uint32_t kind = 0; kind < HISTOGRAM_KINDS; kind++) {
+        histogram_clear(&work->histogram[kind]);
+    }
+    memset(&work->input, 0, sizeof work->input);
+    memset(&work->out, 0, sizeof work->out);
+    memset(&work->snapshot, 0, sizeof work->snapshot);
+    memset(&work->notified, 0, sizeof work->notified);
+    work->event_fd = loop->event_fd;
+    work->notify_every_ticks = loop->notify_every_ticks;
+    work->period_ns = schedule_period_ns(loop->rate_hz);
+    work->last_ns = 0;
+    work->page_fault_base = 0;
+    work->clear_histograms = false;
+    work->ticks = 0;
+    work->overruns = 0;
+    work->page_faults = 0;
+    work->tick_stamp_ns = 0;
+    return 0;
+}
+
+void loop_rehearse(loop_work *work, core_state *scratch)
+{
+    const core_config *config = &work->core.config;
+    core_input input;
+    memset(&input, 0, sizeof input);
+    (void)core_init(scratch, config);
+    input.control.limits = config->limits;
+    for (uint32_t i = 1; i <= REHEARSAL_TICKS; i++) {
+        input.now_ns = (int64_t)i * work->period_ns;
+        input.control.heartbeat_ns = input.now_ns;
+        input.control.armed = i > 2;
+        input.command.stamp_ns = input.now_ns;
+        input.command.expires_ns = input.now_ns + work->period_ns;
+        input.command.linear_m_s = i > 4 ? 0.1 : 0.0;
+        input.command.angular_rad_s = i > 4 ? 0.1 : 0.0;
+        for (uint32_t joint = 0; joint < config->joint_count; joint++) {
+            input.feedback[joint] = (joint_feedback){.stamp_ns = input.now_ns, .count = i, .velocity_rad_s = 0.1,
+                                                     .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN,
+                                                     .enabled = 1};
+        }
+        core_step(scratch, &input, (double)work->period_ns * 1e-9, &work->out, &work->snapshot);
+    }
+    memset(&work->out, 0, sizeof work->out);
+    memset(&work->snapshot, 0, sizeof work->snapshot);
+}
+
+/* Since the first tick. A system call, so not in every one. */
+static void count_page_faults(loop_work *work)
+{
+    struct rusage usage;
+    if (getrusage(RUSAGE_THREAD, &usage) != 0) {
+        return;
+    }
+    long faults = usage.ru_minflt + usage.ru_majflt;
+    if (work->ticks == 1) {
+        work->page_fault_base = faults;
+    }
+    work->page_faults = (uint64_t)(faults - work->page_fault_base);
+}
+
+static void clear_histograms_if_asked(loop_work *work)
+{
+    if (!work->clear_histograms) {
+        return;
+    }
+    work->clear_histograms = false;
+    for (uint32_t kind = 0; kind < HISTOGRAM_KINDS; kind++) {
+        histogram_clear(&work->histogram[kind]);
+    }
+}
+
+static void take_inputs(loop_work *work, int64_t now_ns)
+{
+    core_input *input = &work->input;
+    input->now_ns = now_ns;
+    exchange_take_control(&work->exchange, &input->control);
+    if (exchange_take_command(&work->exchange, &input->command) == 1) {
+        histogram_add(&work->histogram[HISTOGRAM_COMMAND], now_ns - input->command.stamp_ns);
+    }
+    for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {
+        exchange_take_feedback(&work->exchange, joint, &input->feedback[joint]);
+    }
+}
+
+static bool worth_a_word(const robot_state *now, const robot_state *before)
+{
+    return now->reasons != before->reasons || now->faults != before->faults || now->armed != before->armed ||
+           now->at_rest != before->at_rest;
+}
+
+static void notify(loop_work *work, bool always)
+{
+    const robot_state *now = &work->snapshot;
+    bool due = work->notify_every_ticks != 0 && work->ticks % work->notify_every_ticks == 0;
+    if (work->event_fd < 0 || !(always || due || worth_a_word(now, &work->notified))) {
+        return;
+    }
+    const uint64_t one = 1;
+    work->notified = *now;
+    /* Full means that the reader has been woken 2^64 - 2 times and has not looked: it is told already. */
+    if (write(work->event_fd, &one, sizeof one) < 0) {
+        return;
+    }
+}
+
+static void hand_on(loop_work *work)
+{
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        exchange_put_setpoints(&work->exchange, line, &work->out);
+    }
+    page_write(work->page, &work->snapshot);
+    if (work->shared_page != NULL) {
+        page_write(work->shared_page, &work->snapshot);
+    }
+}
+
+void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
+{
+    clear_histograms_if_asked(work);
+    take_inputs(work, now_ns);
+    int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
+    core_step(&work->core, &work->input, (double)dt_ns * 1e-9, &work->out, &work->snapshot);
+    hand_on(work);
+    work->last_ns = now_ns;
+    work->ticks++;
+    work->tick_stamp_ns = now_ns;
+    histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
+    notify(work, work->ticks == 1);
+    if (work->ticks == 1 || work->ticks % PAGE_FAULT_EVERY_TICKS == 0) {
+        count_page_faults(work);
+    }
+    histogram_add(&work->histogram[HISTOGRAM_STEP], clock_now_ns() - now_ns);
+}
+
+void loop_rest(loop_work *work, int64_t now_ns)
+{
+    robot_state *last = &work->snapshot;
+    memset(&work->out, 0, sizeof work->out);
+    work->out.stamp_ns = now_ns;
+    work->out.tick = ++last->tick;
+    work->out.joint_count = work->core.config.joint_count;
+    last->stamp_ns = now_ns;
+    last->armed = 0;
+    last->enabled = 0;
+    last->reasons |= REASON_NOT_ARMED;
+    last->setpoint_linear_m_s = 0;
+    last->setpoint_angular_rad_s = 0;
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        last->joint[joint].setpoint_rad_s = 0;
+        last->joint[joint].duty = 0;
+    }
+    hand_on(work);
+    notify(work, true);
+    count_page_faults(work);
+}
