@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One motor of a drive, between its registers and its wheel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from motord_hal.drives.profile import Channel, DriveProfile, FaultBit
+from motord_hal.sim.plant import Encoder, Wheel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """How a motor turns its wheel."""
+
+    wheel: Wheel
+    gear_ratio: float = 1.0
+    inverted: bool = False
+    full_duty_rad_s: float = 15.0
+    """Wheel speed at full duty, of drives whose set-point is a duty."""
+    counts_per_turn: int = 0
+    """Of this motor; 0: as the profile says."""
+
+    @property
+    def sign(self) -> float:
+        return -1.0 if self.inverted else 1.0
+
+    @property
+    def motor_per_wheel(self) -> float:
+        return self.sign * self.gear_ratio
+
+    @property
+    def shaft_rad(self) -> float:
+        return self.wheel.position_rad * self.motor_per_wheel
+
+    @property
+    def shaft_rad_s(self) -> float:
+        return self.wheel.velocity_rad_s * self.motor_per_wheel
+
+
+@dataclass(slots=True)
+class Motor:
+    """A channel at run time."""
+
+    channel: Channel
+    axis: Axis
+    encoder: Encoder | None
+    counter_start: int = 0
+    faults: list[FaultBit] = field(default_factory=list)
+    switched_on: bool = False
+    braking: bool = False
+
+    @property
+    def stopped_by_fault(self) -> bool:
+        return any(fault.severity == "fault" for fault in self.faults)
+
+    @property
+    def count(self) -> int | None:
+        """The position counter as it is now; None: it has none."""
+        return None if self.encoder is None else self.encoder.count(self.axis.shaft_rad)
+
+    def restart_counter(self) -> None:
+        if self.encoder is not None:
+            self.encoder.restart(self.axis.shaft_rad, self.counter_start)
+
+    def start_near_wrap(self, profile: DriveProfile) -> None:
+        """Let the counter start where a quarter turn forward wraps it."""
+        if self.encoder is None:
+            return
+        register = profile.registers[self.channel.position or ""]
+        bits = profile.counter_bits
+        signed = register.type.signed and bits == 16 * register.type.words
+        edge = 1 << (bits - 1) if signed else 1 << bits
+        quarter = (self.axis.counts_per_turn or profile.counts_per_turn) // 4
+        start = edge + quarter if self.axis.inverted else edge - quarter
+        self.counter_start = start % (1 << bits)
+        self.restart_counter()
+
+
+def new_motor(profile: DriveProfile, number: int, axis: Axis) -> Motor:
+    encoder = None
+    if profile.counter_bits:
+        counts_per_turn = axis.counts_per_turn or profile.counts_per_turn
+        encoder = Encoder(counts_per_turn, profile.counter_bits)
+    return Motor(profile.channels[number], axis, encoder)

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The other side of the simulator: start it as a process, ask it for the truth, hurt it."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from motord_hal.sim.server import LINE_BYTES_MAX
+
+REPLY_TIMEOUT_S = 5.0
+START_TIMEOUT_S = 20.0
+STOP_TIMEOUT_S = 5.0
+
+
+class ControlError(RuntimeError):
+    """The simulator refused, is gone, or did not answer in time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointTruth:
+    """What a wheel really does, forward positive."""
+
+    position_rad: float
+    velocity_rad_s: float
+    current_a: float
+    enabled: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTruth:
+    """What the robot really did since the start or the last reset_truth."""
+
+    time_s: float
+    """On the simulator's clock."""
+    x_m: float
+    y_m: float
+    heading_rad: float
+    """−π to π."""
+    distance_m: float
+    turned_rad: float
+    moved_max_m_s: float
+    """The fastest wheel at its rim."""
+    at_rest: bool
+    """All wheels, now."""
+    rest_since_s: float
+    """For how long."""
+    joints: dict[str, JointTruth]
+
+
+class SimControl:
+    """A client of the simulator's control socket. Every call ends within `timeout_s` or raises
+    ControlError."""
+
+    def __init__(self, path: Path | str, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+        self._buffer = b""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(os.fspath(path))
+        except OSError as error:
+            self._socket.close()
+            raise ControlError(f"no simulator at {path}: {error.strerror}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def call(self, method: str, **params: Any) -> Any:
+        """One request, its result."""
+        try:
+            line = json.dumps({"method": method, "params": params})
+            self._socket.sendall(line.encode() + b"\n")
+            reply = json.loads(self._read_line())
+        except OSError as error:
+            raise ControlError(f"{method}: the simulator does not answer: {error}") from error
+        if "error" in reply:
+            raise ControlError(f"{method}: {reply['error']}")
+        return reply["result"]
+
+    def _read_line(self) -> bytes:
+        while b"\n" not in self._buffer:
+            data = self._socket.recv(LINE_BYTES_MAX)
+            if not data:
+                raise ConnectionResetError("it closed the connection")
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line
+
+    def truth(self) -> RobotTruth:
+        """What the robot really did, and its wheels do now."""
+        result = self.call("truth")
+        joints = {name: JointTruth(**joint) for name, joint in result.pop("joints").items()}
+        return RobotTruth(**result, joints=joints)
+
+    def stats(self) -> dict[str, Any]:
+        """Counters of lines, units and faults."""
+        result: dict[str, Any] = self.call("stats")
+        return result
+
+    def reset_truth(self) -> None:
+        """The pose to the origin, distance, turn and fastest wheel to zero."""
+        self.call("reset_truth")
+
+    def inject(self, spec: str) -> None:
+        """Add a fault to the script; its times count from now."""
+        self.call("inject", spec=spec)
+
+    def clear_faults_script(self) -> None:
+        """Nothing goes wrong any more; what a drive has latched stays latched."""
+        self.call("clear_faults_script")
+
+    def pull(self, line: str | None = None) -> None:
+        """Unplug a line's adapter, or all."""
+        self.call("pull", line=line)
+
+    def plug(self, line: str | None = None) -> None:
+        """Plug it in again; the device file has another number then."""
+        self.call("plug", line=line)
+
+
+class Simulator:
+    """A running simulator process. As a context it is stopped at the end; it also stops when this
+    process goes away. `control` is connected to it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], hello: dict[str, Any]) -> None:
+        self.process = process
+        self.robot: str = hello["robot"]
+        self.ports: dict[str, str] = hello["ports"]
+        self.seed: int = hello["seed"]
+        self.control_path: str = hello["control"]
+        self.control = SimControl(self.control_path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        self.control.close()
+        _stop(self.process)
+
+
+def start_simulator(
+    robot: Path | str,
+    *,
+    faults: Iterable[str] = (),
+    seed: int | None = None,
+    link_dir: Path | str | None = None,
+    control: Path | str | None = None,
+    timeout_s: float = START_TIMEOUT_S,
+) -> Simulator:
+    """Start `motord simulate` and wait until its ports are there. Raises ControlError."""
+    command = [sys.executable, "-m", "motord", "simulate", os.fspath(robot), "--json"]
+    command += ["--stop-on-eof"]
+    for fault in faults:
+        command += ["--fault", fault]
+    options = {"--seed": seed, "--link-dir": link_dir, "--control": control}
+    for name, value in options.items():
+        command += [] if value is None else [name, str(value)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+    line = _first_line(process, timeout_s)
+    if not line.endswith(b"\n"):
+        _stop(process)
+        raise ControlError(f"the simulator did not start: {' '.join(command)}: see stderr")
+    return Simulator(process, json.loads(line))
+
+
+def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
+    """What came until the newline, the end or the deadline."""
+    assert process.stdout is not None
+    deadline_s = time.monotonic() + timeout_s
+    line = b""
+    while not line.endswith(b"\n"):
+        left_s = deadline_s - time.monotonic()
+        ready = select.select([process.stdout], [], [], max(0.0, left_s))[0]
+        data = process.stdout.read(1) if ready else b""
+        if not data:
+            break
+        line += data
+    return line
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(STOP_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated drive: what a profile says, done to motors.
+
+The profile's sequences give the control words their meaning: the drive is enabled when the writes
+of `arm` have been made in their order, and not any more after those of `disarm` or `quick_stop`.
+It is as strict as a real one: set-points stay where they were written, also through a disarming, so
+whoever enables it with an old set-point moves the motor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
+from motord_hal.modbus.codec import Function, Request
+from motord_hal.sim.axis import Axis, Motor, new_motor
+from motord_hal.sim.registers import ILLEGAL_FUNCTION, Refusal, RegisterFile
+from motord_hal.sim.reports import Reports
+
+
+@dataclass(slots=True)
+class DriveStats:
+    requests: int = 0
+    exceptions: int = 0
+    gap_violations: int = 0
+    """Requests that came before the silent interval was over."""
+    watchdog_bites: int = 0
+    reboots: int = 0
+
+
+class _Sequence:
+    """Recognises the writes of one sequence of the profile, in their order."""
+
+    def __init__(self, steps: tuple[Step, ...]) -> None:
+        self._writes = [(step.register, step.value) for step in steps if step.value is not None]
+        self._done = 0
+
+    def feed(self, name: str, raw: int) -> bool:
+        """True when this write completes it. Writes to other registers do not matter."""
+        if all(name != register for register, _ in self._writes):
+            return False
+        if self._writes[self._done] == (name, raw):
+            self._done += 1
+        else:
+            self._done = int(self._writes[0] == (name, raw))
+        if self._done < len(self._writes):
+            return False
+        self._done = 0
+        return True
+
+
+class SimulatedDrive:
+    """One unit on a line. `watchdog_s` gives a drive whose profile has no watchdog one."""
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        unit: int,
+        axes: Mapping[int, Axis],
+        *,
+        watchdog_s: float = 0.0,
+    ) -> None:
+        self.profile = profile
+        self.unit = unit
+        self.stats = DriveStats()
+        self.registers = RegisterFile(profile)
+        self._watchdog_s = watchdog_s
+        self._motors = {
+            number: new_motor(profile, number, axes[number]) for number in profile.channels
+        }
+        self._sequences = {
+            name: _Sequence(getattr(profile, name))
+            for name in ("arm", "disarm", "quick_stop", "clear_fault")
+        }
+        self._always_on = not any(step.value is not None for step in profile.arm)
+        self._switch(on=self._always_on)
+        self._heard_s = math.inf
+        self._off_until_s = -math.inf
+        Reports(profile, self.registers, self._motors, self.enabled)
+
+    # ------------------------------------------------------------------------------- state, read
+    @property
+    def functions(self) -> frozenset[int]:
+        """What the profile says that it speaks."""
+        return frozenset(
+            {Function.READ_HOLDING, Function.WRITE_SINGLE, self.profile.write_function}
+        )
+
+    @property
+    def on(self) -> bool:
+        """False while it reboots."""
+        return self._off_until_s == -math.inf
+
+    def enabled(self, channel: int) -> bool:
+        """Whether this channel's motor follows its set-point."""
+        motor = self._motors[channel]
+        return self.on and motor.switched_on and not motor.stopped_by_fault
+
+    def count(self, channel: int) -> int | None:
+        """The position counter as it is now; None: it has none."""
+        return self._motors[channel].count
+
+    # -------------------------------------------------------------------------------- the wire
+    def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
+        """Do what a request says; the words read. Raises Refusal."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        try:
+            return self._execute(request)
+        except Refusal:
+            self.stats.exceptions += 1
+            raise
+
+    def _execute(self, request: Request) -> tuple[int, ...]:
+        if request.function not in self.functions:
+            raise Refusal(ILLEGAL_FUNCTION, f"function {request.function}")
+        if request.function == Function.READ_HOLDING:
+            return self.registers.read(request.address, request.count)
+        written = self.registers.write(request.address, request.values)
+        for name, raw in written:
+            self._follow_sequences(name, raw)
+        self._apply()
+        return ()
+
+    def _follow_sequences(self, name: str, raw: int) -> None:
+        done = {key for key, sequence in self._sequences.items() if sequence.feed(name, raw)}
+        if "clear_fault" in done:
+            for motor in self._motors.values():
+                motor.faults.clear()
+        if self._always_on:
+            return
+        if "arm" in done:
+            self._switch(on=not any(motor.stopped_by_fault for motor in self._motors.values()))
+        if "quick_stop" in done:
+            self._brake()
+        elif "disarm" in done:
+            self._switch(on=False)
+
+    def _switch(self, *, on: bool) -> None:
+        for motor in self._motors.values():
+            motor.switched_on = on
+            motor.braking = False
+
+    # ---------------------------------------------------------------------------------- motors
+    def _brake(self) -> None:
+        """Quick stop: along the drive's own deceleration to rest, then without power."""
+        for number, motor in self._motors.items():
+            motor.braking = motor.braking or self.enabled(number)
+            motor.switched_on = self._always_on
+        if self._always_on:
+            self._zero_setpoints()
+
+    def _zero_setpoints(self) -> None:
+        for motor in self._motors.values():
+            setpoint = motor.channel.velocity_setpoint or motor.channel.duty_setpoint or ""
+            self.registers.put(setpoint, 0)
+            if motor.channel.direction is not None:
+                self.registers.put(motor.channel.direction.register, motor.channel.direction.rest)
+
+    def _apply(self) -> None:
+        for number, motor in self._motors.items():
+            wheel = motor.axis.wheel
+            if self.enabled(number):
+                motor.braking = False
+                self._follow_setpoint(motor)
+            elif motor.braking and wheel.velocity_rad_s != 0.0:
+                wheel.brake()
+            else:
+                motor.braking = False
+                wheel.coast()
+
+    def _follow_setpoint(self, motor: Motor) -> None:
+        channel, axis = motor.channel, motor.axis
+        name = channel.velocity_setpoint or channel.duty_setpoint or ""
+        value = self.profile.registers[name].to_si(self.registers.stored(name)) * self._way(channel)
+        if channel.velocity_setpoint is not None:
+            axis.wheel.turn(value / axis.motor_per_wheel)
+        else:
+            axis.wheel.push(value * axis.sign, axis.full_duty_rad_s)
+
+    def _way(self, channel: Channel) -> float:
+        if channel.direction is None:
+            return 1.0
+        way = self.registers.stored(channel.direction.register)
+        return {channel.direction.forward: 1.0, channel.direction.reverse: -1.0}.get(way, 0.0)
+
+    # ------------------------------------------------------------------------------------ time
+    def tick(self, now_s: float) -> None:
+        """Once a sub-step of the plant: the drive's own clock."""
+        if not self.on:
+            if now_s >= self._off_until_s:
+                self._power_up()
+            return
+        if self._watchdog_bites(now_s):
+            self.stats.watchdog_bites += 1
+            self._heard_s = math.inf
+            self._brake()
+            self._apply()
+        elif any(motor.braking for motor in self._motors.values()):
+            self._apply()
+
+    def _watchdog_bites(self, now_s: float) -> bool:
+        watchdog = self.profile.watchdog
+        limit_s = self._watchdog_s
+        if watchdog is not None:
+            register = self.profile.registers[watchdog.register]
+            limit_s = register.to_si(self.registers.stored(watchdog.register))
+        return limit_s > 0.0 and now_s - self._heard_s > limit_s
+
+    def reboot(self, now_s: float, for_s: float) -> None:
+        """Power fails for this long; then everything is as after power-up."""
+        self.stats.reboots += 1
+        self._off_until_s = now_s + for_s
+        self._switch(on=False)
+        self._apply()
+
+    def _power_up(self) -> None:
+        self._off_until_s = -math.inf
+        self._heard_s = math.inf
+        self.registers.power_up()
+        self._switch(on=self._always_on)
+        for motor in self._motors.values():
+            motor.faults.clear()
+            motor.restart_counter()
+        self._apply()
+
+    # ---------------------------------------------------------------------------------- faults
+    def find_fault(self, channel: int, bit: int | None, code: int | None) -> FaultBit:
+        """One of the profile's faults. ValueError where it has no such fault."""
+        for fault in self.profile.faults:
+            motor = self._motors.get(channel)
+            if (fault.bit, fault.code) == (bit, code) and motor and motor.channel.fault:
+                return fault
+        what = f"code {code}" if bit is None else f"bit {bit}"
+        raise ValueError(
+            f"{self.profile.name} (unit {self.unit}) has no fault {what} on channel {channel}"
+        )
+
+    def raise_fault(self, channel: int, bit: int | None = None, code: int | None = None) -> None:
+        """Latch one of the profile's faults. ValueError where it has no such fault."""
+        fault, motor = self.find_fault(channel, bit, code), self._motors[channel]
+        if fault not in motor.faults:
+            motor.faults.append(fault)
+        if motor.stopped_by_fault:
+            motor.switched_on = self._always_on
+        self._apply()
+
+    def start_near_wrap(self) -> None:
+        """Set the counters so that a quarter turn forward wraps them, now and at each power-up."""
+        for motor in self._motors.values():
+            motor.start_near_wrap(self.profile)

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The register file of a simulated drive: words by address, access rights, ranges, live values.
+
+Refusals are Modbus exceptions (MODBUS Application Protocol V1.1b3, section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from motord_hal.drives.profile import DriveProfile, Register
+
+ILLEGAL_FUNCTION = 1
+ILLEGAL_ADDRESS = 2
+ILLEGAL_VALUE = 3
+
+
+class Refusal(Exception):
+    """The drive answers with this exception code."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def raw_of(register: Register, value: float) -> int:
+    """Raw value of a physical one as a drive reports it: what does not fit is clipped, what has no
+    sign in the register loses it."""
+    low, high = register.raw_range
+    if register.mask is not None:
+        bits = register.mask.bit_count()
+        low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if low else (0, (1 << bits) - 1)
+    raw = register.from_si(value if low else abs(value))
+    return max(low, min(high, raw))
+
+
+class RegisterFile:
+    """What a drive's profile lists, as words. A live register is computed when it is read."""
+
+    def __init__(self, profile: DriveProfile) -> None:
+        self._profile = profile
+        self._words: dict[int, int] = {}
+        self._live: dict[str, Callable[[], int]] = {}
+        self._at: dict[int, list[Register]] = {}
+        for register in profile.registers.values():
+            for offset in range(register.type.words):
+                self._at.setdefault(register.address + offset, []).append(register)
+        self.power_up()
+
+    def power_up(self) -> None:
+        """All registers at their defaults."""
+        self._words = dict.fromkeys(self._at, 0)
+        for register in self._profile.registers.values():
+            self._store(register, register.default)
+
+    def make_live(self, name: str, value: Callable[[], int]) -> None:
+        """Raw value of this register comes from `value` from now on."""
+        self._live[name] = value
+
+    def stored(self, name: str) -> int:
+        """Raw value that was written last or stood there at power-up, signed as the register is."""
+        register = self._profile.registers[name]
+        words = (self._words[register.address + i] for i in range(register.type.words))
+        return register.decode(tuple(words))
+
+    def put(self, name: str, raw: int) -> None:
+        """The drive itself changes a register."""
+        self._store(self._profile.registers[name], raw)
+
+    def read(self, address: int, count: int) -> tuple[int, ...]:
+        """Words for a reply. Raises Refusal."""
+        self._check_count(count)
+        words = {}
+        for at in range(address, address + count):
+            readable = [register for register in self._at.get(at, ()) if "r" in register.access]
+            if not readable:
+                raise Refusal(ILLEGAL_ADDRESS, f"{at:#06x} cannot be read")
+            words[at] = self._words[at]
+            for register in readable:
+                words[at] = self._live_word(register, at, words[at])
+        return tuple(words.values())
+
+    def _live_word(self, register: Register, at: int, word: int) -> int:
+        live = self._live.get(register.name)
+        if live is None:
+            return word
+        raw = live()
+        if register.mask is None:
+            return register.encode(raw)[at - register.address]
+        return word & ~register.mask | raw * (register.mask & -register.mask) & register.mask
+
+    def write(self, address: int, words: tuple[int, ...]) -> list[tuple[str, int]]:
+        """Store the words and say which registers got which raw values, in the order of their
+        addresses; nothing is stored when one of them is refused."""
+        self._check_count(len(words))
+        values = []
+        at = address
+        while at < address + len(words):
+            register = self._writable(at)
+            own = words[at - address : at - address + register.type.words]
+            if len(own) != register.type.words:
+                raise Refusal(ILLEGAL_VALUE, f"half of {register.name}")
+            values.append((register.name, self._in_range(register, register.decode(own))))
+            at += register.type.words
+        for name, raw in values:
+            self.put(name, raw)
+        return values
+
+    def _check_count(self, count: int) -> None:
+        if not 1 <= count <= self._profile.max_registers:
+            raise Refusal(ILLEGAL_VALUE, f"{count} registers in one request")
+
+    def _writable(self, at: int) -> Register:
+        for register in self._at.get(at, ()):
+            if register.address == at and "w" in register.access:
+                return register
+        raise Refusal(ILLEGAL_ADDRESS, f"{at:#06x} cannot be written")
+
+    @staticmethod
+    def _in_range(register: Register, raw: int) -> int:
+        value = raw * register.scale
+        low, high = register.minimum, register.maximum
+        if (low is not None and value < low) or (high is not None and value > high):
+            raise Refusal(ILLEGAL_VALUE, f"{register.name}: {value:g} {register.unit}")
+        return raw
+
+    def _store(self, register: Register, raw: int) -> None:
+        for offset, word in enumerate(register.encode(raw)):
+            self._words[register.address + offset] = word

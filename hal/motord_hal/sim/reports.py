@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulated drive says of itself: the registers whose values come from its motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.sim.axis import Motor
+from motord_hal.sim.registers import RegisterFile, raw_of
+
+SUPPLY_V = 24.0
+"""Of drives whose profile gives no default for the bus voltage."""
+SUPPLY_OHM = 0.1
+"""A lead-acid pair with its wiring: the voltage sags by this much for each ampere."""
+
+
+class Reports:
+    """Binds the live registers of one drive."""
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        registers: RegisterFile,
+        motors: Mapping[int, Motor],
+        enabled: Callable[[int], bool],
+    ) -> None:
+        self._profile = profile
+        self._registers = registers
+        self._motors = motors
+        self._enabled = enabled
+        for motor in motors.values():
+            self._bind_motor(motor)
+        self._bind(profile.bus_voltage, self._supply_v)
+        for name in self._watched() | {motor.channel.fault for motor in motors.values()}:
+            if name is not None:
+                self._bind_word(name)
+
+    def _bind(self, name: str | None, value: Callable[[], float]) -> None:
+        if name is not None:
+            register = self._profile.registers[name]
+            self._registers.make_live(name, lambda: raw_of(register, value()))
+
+    def _bind_word(self, name: str) -> None:
+        self._registers.make_live(name, lambda: self._status(name))
+
+    def _bind_motor(self, motor: Motor) -> None:
+        axis, channel = motor.axis, motor.channel
+        self._bind(channel.velocity, lambda: axis.shaft_rad_s)
+        self._bind(channel.current, lambda: axis.wheel.current_a * axis.sign)
+        self._bind(channel.temperature, lambda: axis.wheel.winding_c)
+        if channel.position is not None:
+            name = channel.position
+            self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
+
+    def _signed(self, name: str, word: int) -> int:
+        _, high = self._profile.registers[name].raw_range
+        return word if word <= high else word - self._span(name)
+
+    def _span(self, name: str) -> int:
+        return 1 << 16 * self._profile.registers[name].type.words
+
+    def _supply_v(self) -> float:
+        register = self._profile.registers[self._profile.bus_voltage or ""]
+        full_v = register.to_si(register.default) or SUPPLY_V
+        drawn_a = sum(abs(motor.axis.wheel.current_a) for motor in self._motors.values())
+        return full_v - SUPPLY_OHM * drawn_a
+
+    # -------------------------------------------------------------------------------- status words
+    def _watched(self) -> set[str | None]:
+        """The registers that tell whether a sequence has come to its end."""
+        steps = (step for steps, _ in self._ends() for step in steps)
+        watched: set[str | None] = {step.register for step in steps if step.value is None}
+        return watched | ({self._profile.enabled.register} if self._profile.enabled else set())
+
+    def _ends(self) -> list[tuple[tuple[Step, ...], bool]]:
+        """The sequences, and whether what each of them wants is so."""
+        profile = self._profile
+        enabled = [self._enabled(number) for number in self._motors]
+        faultless = not any(motor.faults for motor in self._motors.values())
+        return [
+            (profile.arm, all(enabled)),
+            (profile.disarm, not any(enabled)),
+            (profile.quick_stop, not any(enabled)),
+            (profile.clear_fault, faultless),
+        ]
+
+    def _status(self, name: str) -> int:
+        """A word for which those of the profile's conditions hold that are true. A register that
+        is written too (a control word that reads back what is in force) keeps what was written as
+        far as that agrees."""
+        word = self._registers.stored(name) % self._span(name)
+        if any(motor.channel.fault == name for motor in self._motors.values()):
+            word = self._faults(name)
+        conditions = [
+            (step.mask, step.equals or 0, true)
+            for steps, true in self._ends()
+            for step in steps
+            if step.value is None and step.register == name
+        ]
+        enabled = self._profile.enabled
+        if enabled is not None and enabled.register == name:
+            all_enabled = all(self._enabled(number) for number in self._motors)
+            conditions.append((enabled.mask, enabled.equals, all_enabled))
+        for mask, equals, true in sorted(conditions, key=lambda condition: condition[2]):
+            word = _with_condition(word, mask % self._span(name), equals, true=true)
+        return self._signed(name, word)
+
+    def _faults(self, name: str) -> int:
+        word = 0
+        for motor in self._motors.values():
+            for fault in motor.faults if motor.channel.fault == name else ():
+                word = fault.code if fault.code is not None else word | 1 << (fault.bit or 0)
+        return word
+
+
+def _with_condition(word: int, mask: int, equals: int, *, true: bool) -> int:
+    """The nearest word for which (word & mask) == equals is true, or is not."""
+    if true:
+        return word & ~mask | equals
+    if word & mask != equals:
+        return word
+    return word & ~mask | (0 if equals else mask & -mask)

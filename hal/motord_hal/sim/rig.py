@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole simulated robot: lines, drives, wheels and ground, a fault script, a control socket.
+
+One thread waits in select(), which has microseconds where poll() and epoll have milliseconds. All
+that happens is a function of the requests and of the time handed to `work`, so a test may drive the
+clock by hand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import select
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.sim.axis import Axis
+from motord_hal.sim.drive import SimulatedDrive
+from motord_hal.sim.faults import Fault, FaultError, FaultScript
+from motord_hal.sim.line import SimulatedLine
+from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
+from motord_hal.sim.server import ControlServer
+
+WAIT_MAX_S = 0.02
+"""Longest sleep: bounds how much physics has to be caught up at once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelSpec:
+    """What the ground has to know of a joint."""
+
+    side: str
+    """"left" | "right"."""
+    wheel_radius_m: float
+    full_duty_rad_s: float = 15.0
+    """Wheel speed at full duty, of drives whose set-point is a duty."""
+    counts_per_turn: int = 0
+    """Of this motor's encoder; 0: as the profile says."""
+    model: WheelModel = field(default_factory=WheelModel)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigSpec:
+    robot: str
+    track_m: float
+    """Effective distance of the sides (skid: with the slip factor in it)."""
+    lines: tuple[LineSpec, ...]
+    wheels: Mapping[str, WheelSpec]
+    """By joint name."""
+    seed: int = 0
+    faults: tuple[str, ...] = ()
+    slip_variance_m2_per_m: float = 0.0
+    watchdog_s: float = 0.0
+    """A watchdog for drives whose profile has none; 0: none, as in life."""
+
+
+class Rig:
+    """Raises FaultError for a fault that is none. Close it, or use it as a context."""
+
+    def __init__(
+        self, spec: RigSpec, *, link_dir: Path | None = None, control: Path | None = None
+    ) -> None:
+        self.spec = spec
+        self._own_dir: tempfile.TemporaryDirectory[str] | None = None
+        if link_dir is None:
+            self._own_dir = tempfile.TemporaryDirectory(prefix="motord-sim-")
+            link_dir = Path(self._own_dir.name)
+        link_dir.mkdir(parents=True, exist_ok=True)
+        self.script = FaultScript(spec.seed)
+        self.plant = self._make_plant()
+        self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
+        self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
+        self._replug_s: dict[str, float] = {}
+        for text in spec.faults:
+            self.inject(text)
+        self.server = ControlServer(control or link_dir / "control.sock", self._methods())
+        for line in self.lines.values():
+            line.plug()
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.server.close()
+        for line in self.lines.values():
+            line.pull()
+        if self._own_dir is not None:
+            self._own_dir.cleanup()
+
+    # ------------------------------------------------------------------------------------ building
+    def _make_plant(self) -> Plant:
+        wheels = {}
+        for line in self.spec.lines:
+            for joint in line.joints:
+                for number in joint.profile.channels:
+                    wheels[_free_name(line, joint.unit, number)] = Wheel(WheelModel())
+            for joint in line.joints:
+                del wheels[_free_name(line, joint.unit, joint.channel)]
+                wheels[joint.name] = Wheel(self.spec.wheels[joint.name].model)
+        contacts = {
+            name: Contact(side=wheel.side, wheel_radius_m=wheel.wheel_radius_m)
+            for name, wheel in self.spec.wheels.items()
+        }
+        return Plant(
+            wheels,
+            contacts,
+            self.spec.track_m,
+            slip_variance_m2_per_m=self.spec.slip_variance_m2_per_m,
+            seed=self.spec.seed,
+        )
+
+    def _make_line(self, line: LineSpec, link_dir: Path) -> SimulatedLine:
+        units: dict[int, list[JointSpec]] = {}
+        for joint in line.joints:
+            units.setdefault(joint.unit, []).append(joint)
+        drives = {}
+        for unit, joints in units.items():
+            profile = joints[0].profile
+            axes = {
+                number: Axis(wheel=self.plant.wheels[name])
+                for number in profile.channels
+                if (name := _free_name(line, unit, number)) in self.plant.wheels
+            }
+            axes |= {joint.channel: self._axis(joint) for joint in joints}
+            watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
+            drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
+        return SimulatedLine(line, drives, self.script, link_dir / line.name)
+
+    def _axis(self, joint: JointSpec) -> Axis:
+        wheel = self.spec.wheels[joint.name]
+        return Axis(
+            wheel=self.plant.wheels[joint.name],
+            gear_ratio=joint.gear_ratio,
+            inverted=joint.inverted,
+            full_duty_rad_s=wheel.full_duty_rad_s,
+            counts_per_turn=wheel.counts_per_turn,
+        )
+
+    # ------------------------------------------------------------------------------------- running
+    def run(self, stopped: Callable[[], bool], until_fd_ends: int | None = None) -> None:
+        """Be the robot, in real time, until `stopped()` or until that file descriptor ends."""
+        began_s = time.monotonic() - self.plant.time_s
+        watched = [] if until_fd_ends is None else [until_fd_ends]
+        while not stopped():
+            now_s = time.monotonic() - began_s
+            ready = set(self._wait(min(self.due_s() - now_s, WAIT_MAX_S), watched))
+            self.work(time.monotonic() - began_s)
+            self.server.work(ready)
+            if ready & set(watched) and not _readable(watched[0]):
+                return
+
+    def _wait(self, timeout_s: float, watched: list[int]) -> list[int]:
+        now_s = self.plant.time_s
+        ports = [fd for line in self.lines.values() if (fd := line.fileno_at(now_s)) is not None]
+        files = [*ports, *self.server.filenos(), *watched]
+        return select.select(files, [], [], max(0.0, timeout_s))[0]
+
+    def due_s(self) -> float:
+        """When something happens next without a request."""
+        return min((line.due_s() for line in self.lines.values()), default=math.inf)
+
+    def work(self, now_s: float) -> None:
+        """Bring everything to now_s (since the start); time that goes backward does nothing."""
+        self._advance(now_s)
+        for line in self.lines.values():
+            line.work(now_s)
+
+    def _advance(self, now_s: float) -> None:
+        while self.plant.time_s + SUBSTEP_S <= now_s:
+            self.plant.substep()
+            for drive in self._drives:
+                drive.tick(self.plant.time_s)
+            self._do_due(self.plant.time_s)
+
+    def _do_due(self, now_s: float) -> None:
+        for fault in self.script.due(now_s):
+            self._happen(fault, now_s)
+        for name in [name for name, at_s in self._replug_s.items() if now_s >= at_s]:
+            del self._replug_s[name]
+            self.lines[name].plug()
+
+    # -------------------------------------------------------------------------------------- faults
+    def inject(self, text: str) -> None:
+        """Add a fault to the script, its times counted from now. Raises FaultError."""
+        fault = self.script.add(text, self.plant.time_s)
+        try:
+            self._check(fault)
+        except ValueError as error:
+            self.script.faults.remove(fault)
+            raise FaultError(f'"{text}": {error}') from error
+
+    def _check(self, fault: Fault) -> None:
+        drives = self._concerned(fault)
+        if not drives:
+            raise ValueError(f"no unit {fault.values['unit']:g} here")
+        if fault.kind == "fault":
+            for drive in drives:
+                drive.find_fault(*_which(fault))
+
+    def _concerned(self, fault: Fault) -> list[SimulatedDrive]:
+        unit = fault.values.get("unit")
+        return [drive for drive in self._drives if unit in (None, drive.unit)]
+
+    def _happen(self, fault: Fault, now_s: float) -> None:
+        if fault.kind == "unplug":
+            self.pull()
+            self._replug_s = dict.fromkeys(self.lines, now_s + fault.values["for_s"])
+        for drive in self._concerned(fault):
+            match fault.kind:
+                case "reboot":
+                    drive.reboot(now_s, fault.values["for_s"])
+                case "fault":
+                    drive.raise_fault(*_which(fault))
+                case "encoder-wrap":
+                    drive.start_near_wrap()
+
+    def pull(self, line: str | None = None) -> None:
+        """Pull the plug of one line, or of all."""
+        for name in [line] if line else list(self.lines):
+            self._line(name).pull()
+
+    def plug(self, line: str | None = None) -> None:
+        for name in [line] if line else list(self.lines):
+            self._line(name).plug()
+
+    def _line(self, name: str) -> SimulatedLine:
+        if name not in self.lines:
+            raise ValueError(f'no line "{name}"; known: {", ".join(self.lines)}')
+        return self.lines[name]
+
+    # ------------------------------------------------------------------------------ control socket
+    def ports(self) -> dict[str, str]:
+        return {name: str(line.link) for name, line in self.lines.items()}
+
+    def truth(self) -> dict[str, Any]:
+        plant = self.plant
+        return {
+            "time_s": plant.time_s,
+            **dataclasses.asdict(plant.truth),
+            "at_rest": plant.at_rest,
+            "rest_since_s": plant.rest_s,
+            "joints": {
+                joint.name: {
+                    "position_rad": plant.wheels[joint.name].position_rad,
+                    "velocity_rad_s": plant.wheels[joint.name].velocity_rad_s,
+                    "current_a": plant.wheels[joint.name].current_a,
+                    "enabled": line.drives[joint.unit].enabled(joint.channel),
+                }
+                for line in self.lines.values()
+                for joint in line.spec.joints
+            },
+        }
+
+    def stats(self) -> dict[str, Any]:
+        return {
+            "seed": self.script.seed,
+            "lines": {
+                name: {
+                    **dataclasses.asdict(line.counters),
+                    "units": {
+                        str(unit): dataclasses.asdict(drive.stats)
+                        for unit, drive in line.drives.items()
+                    },
+                }
+                for name, line in self.lines.items()
+            },
+            "faults": [{"spec": fault.text, "fired": fault.fired} for fault in self.script.faults],
+        }
+
+    def _methods(self) -> dict[str, Callable[[Mapping[str, Any]], Any]]:
+        return {
+            "truth": lambda _: self.truth(),
+            "stats": lambda _: self.stats(),
+            "reset_truth": lambda _: self.plant.reset_truth(),
+            "inject": lambda params: self.inject(params["spec"]),
+            "clear_faults_script": lambda _: self.script.clear(),
+            "pull": lambda params: self.pull(params.get("line")),
+            "plug": lambda params: self.plug(params.get("line")),
+        }
+
+
+def _free_name(line: LineSpec, unit: int, channel: int) -> str:
+    """Of a motor that no joint uses: it turns in the air."""
+    return f"{line.name} unit {unit} channel {channel}"
+
+
+def _which(fault: Fault) -> tuple[int, int | None, int | None]:
+    """Channel, bit and code of a drive's fault."""
+    values = fault.values
+    bit, code = values.get("bit"), values.get("code")
+    whole = [None if value is None else int(value) for value in (bit, code)]
+    return int(values["channel"]), whole[0], whole[1]
+
+
+def _readable(fd: int) -> bool:
+    """Whether bytes came; False at the end of the file."""
+    return bool(os.read(fd, 4096))
