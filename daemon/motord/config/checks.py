@@ -1,61 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the parts of a robot file, and between it and the drives' profiles.
-
-Each rule yields findings. A finding stands on paths: it is said at the first one, and it is not
-said when any of them is wrong in itself.
-"""
+"""Asks the rules, and finds the drives' profiles for them."""
 
 from __future__ import annotations
 
-import itertools
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-
-from motord.config.model import Joint, Robot, SkidBase
+from motord.config.drive_rules import DRIVE_RULES
+from motord.config.finding import Finding
+from motord.config.model import Robot
 from motord.config.problems import nearest
-from motord.config.toml_lines import Path
-from motord.config.wheels import (
-    Profiles,
-    counts_per_turn,
-    drive_can_reverse,
-    drive_velocity_max_rad_s,
-    profile_of,
-    takes_duty,
-    velocity_range_rad_s,
-)
-from motord.config.wire import cycle_limit_hz
-from motord.config.wiring import line_specs
+from motord.config.robot_rules import ROBOT_RULES
+from motord.config.wheels import Profiles, profile_of
 from motord_hal.drives.load import list_profiles
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.errors import ProfileError
 
-JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
-LINES_MAX = 4
 _REFERENCES = (("line",), ("drive",), ("channel",))
-_ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """An error, or a warning about what works but deserves a look."""
-
-    paths: tuple[Path, ...]
-    text: str
-    warning: bool = False
 
 
 def findings(robot: Robot) -> list[Finding]:
     """Everything that does not fit together. Rules that need drives are asked about the joints that
     have a line, a drive and a channel."""
-    found = [hit for rule in _ROBOT_RULES for hit in rule(robot)]
+    found = [hit for rule in ROBOT_RULES for hit in rule(robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
     lost = {path[1] for path, *_ in (hit.paths for hit in found) if path[2:] in _REFERENCES}
     joints = {name: joint for name, joint in robot.joint.items() if name not in lost}
     if joints:
         rest = robot.model_copy(update={"joint": joints})
-        found += [hit for rule in _DRIVE_RULES for hit in rule(rest, profiles)]
+        found += [hit for rule in DRIVE_RULES for hit in rule(rest, profiles)]
     return found
 
 
@@ -83,243 +54,3 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
             text = f'drive "{joint.drive}" has no channel {joint.channel} (it has {has})'
             wrong.append(Finding((("joint", name, "channel"), path), text))
     return profiles, wrong
-
-
-# ------------------------------------------------------------------------ rules about the robot alone
-
-
-def _joint_count(robot: Robot) -> Iterator[Finding]:
-    sides = tuple(("joint", name, "side") for name in robot.joint)
-    count = len(robot.joint)
-    if not JOINTS_MIN <= count <= JOINTS_MAX:
-        text = f"{count} joints are too {'few' if count < JOINTS_MIN else 'many'}"
-        yield Finding((("joint",),), f"{text} ({JOINTS_MIN} to {JOINTS_MAX})")
-    for side in ("left", "right"):
-        if count and all(joint.side != side for joint in robot.joint.values()):
-            yield Finding((("joint",), *sides), f'no joint is on the {side} (side = "{side}")')
-
-
-def _known_lines(robot: Robot) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        if joint.line not in robot.line:
-            meant = nearest(joint.line, robot.line)
-            hint = f'did you mean "{meant}"?' if meant else f"known: {', '.join(robot.line)}"
-            text = f'there is no line "{joint.line}" ({hint})'
-            yield Finding((("joint", name, "line"),), text)
-
-
-def _line_count(robot: Robot) -> Iterator[Finding]:
-    if not 1 <= len(robot.line) <= LINES_MAX:
-        yield Finding((("line",),), f"{len(robot.line)} lines (1 to {LINES_MAX})")
-    for name in robot.line:
-        if all(joint.line != name for joint in robot.joint.values()):
-            uses = tuple(("joint", joint, "line") for joint in robot.joint)
-            yield Finding((("line", name), *uses), "no joint is on this line", warning=True)
-
-
-def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
-    for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
-        if first.port == second.port:
-            paths = (("line", other, "port"), ("line", one, "port"))
-            yield Finding(paths, f'line "{one}" has this port already')
-
-
-def _slip_factor(robot: Robot) -> Iterator[Finding]:
-    if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
-        text = "a skid base without track_slip_factor turns less than it is told (1.5 is usual)"
-        yield Finding((("base", "track_slip_factor"),), text, warning=True)
-
-
-# ---------------------------------------------------------------------- rules about joints and drives
-
-
-def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        if (first.line, first.unit) != (second.line, second.unit):
-            continue
-        where = f'unit {first.unit} on line "{first.line}"'
-        paths = tuple(
-            ("joint", joint, key) for joint in (other, one) for key in ("unit", "line", "channel")
-        )
-        if first.drive != second.drive:
-            path: Path = ("joint", other, "drive")
-            yield Finding((path, *paths), f'{where} is a "{first.drive}" for joint {one}')
-        elif first.channel == second.channel:
-            key = "channel" if len(profiles[first.drive].channels) > 1 else "unit"
-            path = ("joint", other, key)
-            text = f"{where} channel {first.channel} is taken by joint {one}"
-            yield Finding((path, *paths), text)
-
-
-def _mounting(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Motors that face each other turn opposite ways; motors on one side turn the same way."""
-    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        paths = tuple(("joint", joint, key) for joint in (other, one) for key in ("inverted", "side"))
-        same_drive = (first.line, first.unit) == (second.line, second.unit)
-        if first.side == second.side:
-            if first.drive == second.drive and first.inverted != second.inverted:
-                text = f"joint {one} on the same side is {_turned(first)}: do they work together?"
-                yield Finding(paths, text, warning=True)
-        elif same_drive and first.inverted == second.inverted:
-            text = (
-                f"joint {one} on the other side of the same drive is {_turned(first)} too: motors "
-                "that face each other need one inverted"
-            )
-            yield Finding(paths, text, warning=True)
-
-
-def _turned(joint: Joint) -> str:
-    return "inverted" if joint.inverted else "not inverted"
-
-
-def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        profile = profiles[joint.drive]
-        path = ("joint", name, "velocity_max_rad_s")
-        keys = ("gear_ratio", "full_duty_rad_s", "duty_max", "drive", "channel")
-        on = (path, *(("joint", name, key) for key in keys))
-        most = drive_velocity_max_rad_s(joint, profile)
-        wish = joint.velocity_max_rad_s
-        if wish is not None and wish > most * (1 + _ROUNDING):
-            text = f'{wish:g} rad/s is more than drive "{joint.drive}" can (at most {most:.4g} rad/s)'
-            yield Finding(on, text)
-
-
-def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    keys = ("duty_dead_band", "duty_min", "duty_max", "duty_slew_per_s", "full_duty_rad_s")
-    for name, joint in robot.joint.items():
-        drive: Path = ("joint", name, "drive")
-        if takes_duty(joint, profiles[joint.drive]):
-            if joint.full_duty_rad_s is None:
-                text = f'is missing: drive "{joint.drive}" takes a duty, and the speed at duty 1 is'
-                path = ("joint", name, "full_duty_rad_s")
-                yield Finding((path, drive), f"{text} not known (0.01 to 10000 rad/s)")
-            elif joint.duty_dead_band >= joint.duty_max:
-                paths = (("joint", name, "duty_dead_band"), ("joint", name, "duty_max"))
-                yield Finding(paths, "the dead band leaves nothing below duty_max")
-            continue
-        for key in keys:
-            if key in joint.model_fields_set:
-                text = f'is not used: drive "{joint.drive}" takes a velocity'
-                yield Finding((("joint", name, key), drive), text, warning=True)
-
-
-def _reverse(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        if joint.reversible and not drive_can_reverse(joint, profiles[joint.drive]):
-            paths = (("joint", name, "reversible"), ("joint", name, "drive"))
-            yield Finding(paths, f'drive "{joint.drive}" cannot turn backward')
-
-
-def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        profile = profiles[joint.drive]
-        path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
-        if counts_per_turn(joint, profile) and not profile.counter_bits:
-            yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
-        elif not counts_per_turn(joint, profile):
-            measures = profile.channels[joint.channel].velocity is not None
-            source = "the measured speed" if measures else "what the wheel was told"
-            text = f"without a position counter: odometry comes from {source}, and is less exact"
-            yield Finding((drive, path), text, warning=True)
-
-
-def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Limits that the wheels cannot serve are no error: the core scales the twist down."""
-    joints = robot.joint.items()
-    ranges = {name: velocity_range_rad_s(joint, profiles[joint.drive]) for name, joint in joints}
-    radius = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    forward_m_s = min(ranges[name][1] * radius[name] for name in ranges)
-    spot_m_s = min(min(ranges[name][1], -ranges[name][0]) * radius[name] for name in ranges)
-    on_spot_rad_s = 2 * spot_m_s / robot.base.effective_track_m
-    wheels = tuple(("joint", name, "velocity_max_rad_s") for name in ranges)
-    if robot.limits.linear_m_s > forward_m_s * (1 + _ROUNDING):
-        text = f"{robot.limits.linear_m_s:g} m/s is never reached: the wheels do {forward_m_s:.4g} m/s"
-        yield Finding((("limits", "linear_m_s"), *wheels), text, warning=True)
-    path: Path = ("limits", "angular_rad_s")
-    if spot_m_s == 0:
-        text = "wheels that cannot turn backward cannot turn this base on the spot"
-        yield Finding((path, *wheels), text, warning=True)
-    elif robot.limits.angular_rad_s > on_spot_rad_s * (1 + _ROUNDING):
-        said = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
-        text = f"{said}: the wheels do {on_spot_rad_s:.4g} rad/s"
-        yield Finding((path, *wheels), text, warning=True)
-
-
-# ------------------------------------------------------------------------- rules about lines and times
-
-
-def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    seen = set()
-    for name, joint in robot.joint.items():
-        profile, line = profiles[joint.drive], robot.line[joint.line]
-        factory = (profile.baudrate, profile.parity, profile.stop_bits)
-        ours = (line.baudrate, line.parity, line.stop_bits)
-        if factory != ours and (joint.line, joint.drive) not in seen:
-            seen.add((joint.line, joint.drive))
-            words = "{} baud, parity {}, {} stop bit(s)"
-            text = (
-                f'drive "{joint.drive}" leaves the factory with {words.format(*factory)}; this line '
-                f"has {words.format(*ours)}: has the drive been set up so?"
-            )
-            paths = (("line", joint.line, "baudrate"), ("joint", name, "drive"))
-            yield Finding(paths, text, warning=True)
-
-
-def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    safety = robot.safety
-    for spec in line_specs(robot, profiles):
-        if not spec.joints:
-            continue
-        path = ("line", spec.name, "cycle_hz")
-        most_hz = cycle_limit_hz(spec)
-        on = (path, ("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
-        if spec.cycle_hz > most_hz * (1 + _ROUNDING):
-            text = f"{spec.cycle_hz:g} Hz is more than the wire carries: about {most_hz:.3g} Hz"
-            yield Finding(on, text, warning=True)
-        cycle_s = 1 / min(spec.cycle_hz, most_hz)
-        for key in ("feedback_timeout_s", "drive_watchdog_s"):
-            value = getattr(safety, key)
-            if value < 2 * cycle_s:
-                cycles = f'two cycles of line "{spec.name}" (at least {2 * cycle_s:.3g} s)'
-                paths = (("safety", key), *on)
-                yield Finding(paths, f"{value:g} s is shorter than {cycles}")
-
-
-def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    path = ("safety", "drive_watchdog_s")
-    wanted = robot.safety.drive_watchdog_s
-    users: dict[str, list[str]] = defaultdict(list)
-    for name, joint in robot.joint.items():
-        users[joint.drive].append(name)
-    for drive, joints in users.items():
-        watchdog = profiles[drive].watchdog
-        at = ("joint", joints[0], "drive")
-        if watchdog is None:
-            note = profiles[drive].watchdog_note
-            text = f'drive "{drive}" has no communication watchdog: {note}'
-            yield Finding((at,), text, warning=True)
-        elif not watchdog.minimum_s <= wanted <= watchdog.maximum_s:
-            span = f"{watchdog.minimum_s:g} to {watchdog.maximum_s:g} s"
-            yield Finding((path, at), f'{wanted:g} s is out of range for drive "{drive}" ({span})')
-
-
-_ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
-    _joint_count,
-    _known_lines,
-    _line_count,
-    _one_port_a_line,
-    _slip_factor,
-)
-_DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
-    _one_joint_a_channel,
-    _mounting,
-    _velocity,
-    _duty,
-    _reverse,
-    _counter,
-    _reach,
-    _serial,
-    _times,
-    _watchdogs,
-)

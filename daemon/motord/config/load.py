@@ -11,8 +11,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from motord.config.checks import Finding, findings
+from motord.config.checks import findings
 from motord.config.explain import Complaint, explain, mended, touched
+from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.problems import ConfigError, Problem, dotted
 from motord.config.toml_lines import Path, line_of, lines_of

@@ -61,7 +61,7 @@ class Loop(Section):
 
     rate_hz: float = number("ticks a second", 10, 20000, "Hz", 1000.0)
     priority: int = number("SCHED_FIFO priority; 0: ordinary scheduling", 0, 99, "1", 80)
-    cpu: tuple[Annotated[int, Field(ge=0, le=63)], ...] = Field((), strict=False)
+    cpu: tuple[Annotated[int, Field(ge=0, le=63)], ...] = Field(default=(), strict=False)
     """CPUs the loop may run on, each 0 to 63; none: all of them."""
     lock_memory: bool = True
     """Keep the daemon's memory from being paged out."""
@@ -198,7 +198,9 @@ class RtuLine(Section):
     stop_bits: int = number("stop bits", 1, 2, "1", 1)
     engine: Literal["auto", "asyncio"] = "auto"
     """Who does the cyclic exchange."""
-    cycle_hz: float = number("exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0)
+    cycle_hz: float = number(
+        "exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0
+    )
     gap_s: float | None = number(
         "silence between frames; the drive's or the standard's where it is not given (Modbus over "
         "serial line V1.02, 2.5.1.1)",
@@ -246,7 +248,11 @@ class Joint(Section):
         "greatest rise of the duty; inf: no limit", 0.01, None, "1/s", math.inf
     )
     full_duty_rad_s: float | None = number(
-        "the wheel's speed at duty 1: a drive that takes a duty needs it", 0.01, 10000, "rad/s", None
+        "the wheel's speed at duty 1: a drive that takes a duty needs it",
+        0.01,
+        10000,
+        "rad/s",
+        None,
     )
     tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
     reply_timeout_s: float | None = number(
@@ -263,7 +269,9 @@ class SocketInput(Section):
 
     kind: Literal["socket"]
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
-    lease_s: float = number("a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3)
+    lease_s: float = number(
+        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
+    )
 
 
 class Publish(Section):
@@ -282,7 +290,7 @@ class UdpPublish(Publish):
     """A datagram of JSON for each sample."""
 
     kind: Literal["udp"]
-    host: str = Field("127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", min_length=1)
     """Where to; this machine unless something else is said."""
     port: int = number("UDP port", 1, 65535, "1", 9870)
 
@@ -303,9 +311,9 @@ class Robot(Section):
     input: dict[Name, SocketInput] = Field(
         default_factory=lambda: {"socket": SocketInput(kind="socket")}
     )
-    publish: dict[
-        Name, Annotated[StdoutPublish | UdpPublish, Field(discriminator="kind")]
-    ] = Field(default_factory=dict)
+    publish: dict[Name, Annotated[StdoutPublish | UdpPublish, Field(discriminator="kind")]] = Field(
+        default_factory=dict
+    )
 
     _path: Path = PrivateAttr(Path())
     _warnings: tuple[Problem, ...] = PrivateAttr(())

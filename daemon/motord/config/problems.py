@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Printed as `file:line: key: problem`. Line 0: no line (an option, a file that is not there)."""
+    """Printed as `file:line: key: problem`. Line 0: no line (an option, a missing file)."""
 
     file: str
     line: int
@@ -20,6 +20,10 @@ class Problem:
     def __str__(self) -> str:
         where = f"{self.file}:{self.line}" if self.line else self.file
         return f"{where}: {self.key}: {self.text}" if self.key else f"{where}: {self.text}"
+
+    def as_warning(self) -> Problem:
+        """The same, marked for a reader."""
+        return replace(self, text=f"warning: {self.text}")
 
 
 class ConfigError(ValueError):

@@ -45,16 +45,17 @@ def describe(schema: Node, place: Iterable[str | int]) -> tuple[Path, Node, Node
     path: Path = ()
     node = around = _resolve(schema, schema)
     for part in place:
-        if part in _kinds(node):
-            node = _resolve(schema, {"$ref": node["discriminator"]["mapping"][part]})
+        kinds = _kinds(node)
+        if part in kinds:
+            node = _resolve(schema, {"$ref": kinds[str(part)]})
         elif part != "[key]":
             path, around = (*path, part), node
             node = _resolve(schema, _child(node, part))
     return path, node, around
 
 
-def _kinds(node: Node) -> Iterable[str]:
-    mapping: dict[str, str] = node.get("discriminator", {}).get("mapping", {})
+def _kinds(node: Node) -> Mapping[str | int, str]:
+    mapping: Mapping[str | int, str] = node.get("discriminator", {}).get("mapping", {})
     return mapping
 
 
@@ -82,7 +83,7 @@ def choices(node: Node) -> list[str]:
     """The words that may stand here; none where any may."""
     if "const" in node:
         return [node["const"]]
-    return list(node.get("enum", ())) or list(_kinds(node))
+    return list(node.get("enum", ())) or [str(kind) for kind in _kinds(node)]
 
 
 def allowed(node: Node) -> str:

@@ -67,10 +67,10 @@ class _Reader:
     def key(self, start: Path, *, is_array: bool = False) -> Path:
         path = start
         while self.tokens[-1][0] not in ("=", "]"):
-            token, line = self.tokens.pop()
-            if token == ".":
+            word, line = self.tokens.pop()
+            if word == ".":
                 continue
-            path = (*path, next(iter(tomllib.loads(f"{token} = 0"))))
+            path = (*path, next(iter(tomllib.loads(f"{word} = 0"))))
             if is_array and self.tokens[-1][0] == "]":
                 self.last[path] = self.last.get(path, -1) + 1
             if not start and path in self.last:
@@ -85,13 +85,13 @@ class _Reader:
         self.value(path)
 
     def value(self, path: Path) -> None:
-        token, _ = self.tokens.pop()
-        if token == "{":
+        word, _ = self.tokens.pop()
+        if word == "{":
             while self.tokens[-1][0] != "}":
                 self.pair(path)
                 self.skip(",", "\n")
             self.tokens.pop()
-        elif token == "[":
+        elif word == "[":
             self.skip("\n")
             index = 0
             while self.tokens[-1][0] != "]":

@@ -16,9 +16,7 @@ def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
     )
 
 
-def _line_spec(
-    robot: Robot, profiles: Profiles, index: int, name: str, line: RtuLine
-) -> LineSpec:
+def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: RtuLine) -> LineSpec:
     joints = tuple(
         _joint_spec(profiles, place, joint_name, joint)
         for place, (joint_name, joint) in enumerate(robot.joint.items())

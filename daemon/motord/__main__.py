@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord`, and `python -m motord`."""
+
+from __future__ import annotations
+
+from motord.cli import cli
+
+
+def main() -> None:
+    """Run the command line; exits the process."""
+    cli(prog_name="motord")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the parts of a robot file."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.model import Robot, SkidBase
+from motord.config.problems import nearest
+
+JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
+LINES_MAX = 4
+
+
+def _joint_count(robot: Robot) -> Iterator[Finding]:
+    sides = tuple(("joint", name, "side") for name in robot.joint)
+    count = len(robot.joint)
+    if not JOINTS_MIN <= count <= JOINTS_MAX:
+        text = f"{count} joints are too {'few' if count < JOINTS_MIN else 'many'}"
+        yield Finding((("joint",),), f"{text} ({JOINTS_MIN} to {JOINTS_MAX})")
+    for side in ("left", "right"):
+        if count and all(joint.side != side for joint in robot.joint.values()):
+            yield Finding((("joint",), *sides), f'no joint is on the {side} (side = "{side}")')
+
+
+def _known_lines(robot: Robot) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        if joint.line not in robot.line:
+            meant = nearest(joint.line, robot.line)
+            hint = f'did you mean "{meant}"?' if meant else f"known: {', '.join(robot.line)}"
+            text = f'there is no line "{joint.line}" ({hint})'
+            yield Finding((("joint", name, "line"),), text)
+
+
+def _line_count(robot: Robot) -> Iterator[Finding]:
+    if not 1 <= len(robot.line) <= LINES_MAX:
+        yield Finding((("line",),), f"{len(robot.line)} lines (1 to {LINES_MAX})")
+    for name in robot.line:
+        if all(joint.line != name for joint in robot.joint.values()):
+            uses = tuple(("joint", joint, "line") for joint in robot.joint)
+            yield Finding((("line", name), *uses), "no joint is on this line", warning=True)
+
+
+def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
+        if first.port == second.port:
+            paths = (("line", other, "port"), ("line", one, "port"))
+            yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _slip_factor(robot: Robot) -> Iterator[Finding]:
+    if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
+        text = "a skid base without track_slip_factor turns less than it is told (1.5 is usual)"
+        yield Finding((("base", "track_slip_factor"),), text, warning=True)
+
+
+ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
+    _joint_count,
+    _known_lines,
+    _line_count,
+    _one_port_a_line,
+    _slip_factor,
+)
