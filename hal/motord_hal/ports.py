@@ -16,6 +16,9 @@ from typing import Protocol
 
 from motord_hal.drives.profile import DriveProfile
 
+SETPOINT_TIMEOUT_S = 0.1
+"""A line takes set-points older than this for none: it stops and disarms its drives."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointSpec:
@@ -85,6 +88,7 @@ class EventKind(enum.StrEnum):
     DRIVE_BACK = "drive_back"
     DRIVE_FAULT = "drive_fault"
     DRIVE_FAULT_GONE = "drive_fault_gone"
+    DRIVE_WARNING = "drive_warning"
 
 
 @dataclass(frozen=True, slots=True)

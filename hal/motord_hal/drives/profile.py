@@ -85,7 +85,8 @@ class Register:
             in_unit = max(in_unit, self.minimum)
         if self.maximum is not None:
             in_unit = min(in_unit, self.maximum)
-        return round(in_unit / self.scale)
+        low, high = self.raw_range
+        return min(max(round(in_unit / self.scale), low), high)
 
     def decode(self, words: tuple[int, ...]) -> int:
         """Raw value from the words as they stood on the wire."""

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive on the line: what it is told each cycle, what it says, whether it is still there."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+
+from motord_hal.clock import now_s
+from motord_hal.drives.profile import Step
+from motord_hal.errors import BadReply, DriveFault, HalError, NoReply, Refused
+from motord_hal.modbus.codec import Request
+from motord_hal.modbus.faults import FaultWatch, Say
+from motord_hal.modbus.guard import Answer
+from motord_hal.modbus.job import Job, configure_steps
+from motord_hal.modbus.link import Link
+from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, DrivePlan, ReadRange
+from motord_hal.ports import DriveState, EventKind
+from motord_hal.retry import Backoff
+from motord_hal.rt import Exchange
+
+PROBE_FIRST_S = 0.1
+PROBE_LIMIT_S = 2.0
+STOPPING_WITHIN_S = 1.0
+"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
+REST_VELOCITY_RAD_S = 0.1
+
+Wanted = Mapping[int, tuple[float, float]]
+"""Joint index → (wheel rad/s, duty); empty: everything zero."""
+
+
+class Drive:
+    """State of one unit. All its methods run in the line's one task."""
+
+    def __init__(
+        self, plan: DrivePlan, link: Link, exchange: Exchange, watchdog_s: float, say: Say
+    ) -> None:
+        self.plan = plan
+        self.state = DriveState.UNKNOWN
+        self.jobs: deque[Job] = deque()
+        self.names = tuple(joint.name for joint in plan.joints)
+        self.tries = max(joint.tries for joint in plan.joints)
+        self.was_enabled = False
+        """Set-points were enabled since it was armed: the next disable takes its power."""
+        self.probe_at_s = 0.0
+        self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
+        self._link = link
+        self._exchange = exchange
+        self._watchdog_s = watchdog_s
+        self._say = say
+        self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
+        self._values: dict[str, int] = {}
+        self._stamps_ns: dict[str, int] = {}
+        self._stamp_ns = 0
+        self._ways: dict[str, int] = {}
+        self._last_ways: dict[str, int] = {}
+        self._failures = 0
+        self._epoch = 0
+        self._cycles = 0
+        self._said_quiet = False
+        self._power_off_by_s: float | None = None
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.names)} (unit {self.plan.unit})"
+
+    # ------------------------------------------------------------------------------------ talking
+    async def _ask(self, request: Request) -> Answer:
+        given = [j.reply_timeout_s for j in self.plan.joints if j.reply_timeout_s is not None]
+        turnaround_s = self.plan.profile.turnaround_s
+        default_s = self._link.client.reply_deadline_s(request, turnaround_s)
+        answer = await self._link.ask(request, max(given, default=default_s))
+        self._stamp_ns = answer.stamp_ns
+        return answer
+
+    async def _read(self, what: ReadRange) -> None:
+        answer = await self._ask(what.request(self.plan.unit))
+        values = what.decode(answer.values)
+        self._values.update(values)
+        self._stamps_ns.update(dict.fromkeys(values, answer.stamp_ns))
+
+    async def _write(self, raw: Mapping[str, int]) -> None:
+        for request in self.plan.writes(raw):
+            await self._ask(request)
+
+    # ----------------------------------------------------------------------------- the cyclic part
+    async def cycle(self, wanted: Callable[[], Wanted]) -> None:
+        """Set-points out, feedback in. Failures are counted, not raised; PortError passes."""
+        try:
+            await self._write_setpoints(wanted())
+            for fast in self.plan.fast:
+                await self._read(fast)
+            self._publish()
+            if (extra := self._due_extra()) is not None:
+                await self._read(extra)
+        except (NoReply, BadReply, Refused) as error:
+            self._failed(error)
+        else:
+            self._failures = 0
+            self._cycles += 1
+
+    async def _write_setpoints(self, wanted: Wanted) -> None:
+        raw = self.plan.setpoints(wanted)
+        await self._write(raw)
+        if self.state is not DriveState.ARMED:
+            return
+        for register, way in self.plan.directions(wanted, raw).items():
+            if self._ways.pop(register, None) != way:
+                await self._write({register: way})
+            self._ways[register] = way
+            if way != self.plan.rests[register]:
+                self._last_ways[register] = way
+
+    def _due_extra(self) -> ReadRange | None:
+        """One range that may wait; first of all the one that says whether the drive is enabled."""
+        extra, said = self.plan.extra, self.plan.profile.enabled
+        if said is not None and said.register not in self._values:
+            return next(r for r in extra if any(x.name == said.register for x in r.registers))
+        if not extra or self._cycles % EXTRA_EVERY_CYCLES:
+            return None
+        return extra[self._cycles // EXTRA_EVERY_CYCLES % len(extra)]
+
+    def _publish(self) -> None:
+        enabled, moving = None, False
+        for joint in self.plan.joints:
+            reading = self.plan.reading(joint, self._values, self._last_ways)
+            channel = self.plan.channel(joint)
+            measured = channel.position or channel.velocity or ""
+            faults = self.faults[joint.name]
+            faults.update(reading.fault_word)
+            self._exchange.put_feedback(
+                joint.index,
+                stamp_ns=self._stamps_ns.get(measured, self._stamp_ns),
+                count=reading.count,
+                velocity_rad_s=reading.velocity_rad_s,
+                current_a=reading.current_a,
+                voltage_v=reading.voltage_v,
+                temperature_c=reading.temperature_c,
+                epoch=self._epoch,
+                enabled=reading.enabled,
+                drive_faults=faults.stopping,
+            )
+            enabled = reading.enabled
+            moving |= not abs(reading.velocity_rad_s) < REST_VELOCITY_RAD_S
+        if self.state is DriveState.ARMED and enabled is False:
+            text = f"{self} is not enabled any more: set up again, disarmed"
+            self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self.configure(text)
+        if self._power_off_by_s is not None and (not moving or now_s() > self._power_off_by_s):
+            self._power_off_by_s = None
+            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    # ---------------------------------------------------------------------------- the acyclic part
+    def submit(self, job: Job) -> Job:
+        """Queue a job; an urgent one goes ahead of the others."""
+        if job.urgent:
+            self.jobs.appendleft(job)
+        else:
+            self.jobs.append(job)
+        return job
+
+    def configure(self, why: str) -> None:
+        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
+        self._forget(NoReply(why))
+        self.state = DriveState.UNKNOWN
+        self.submit(Job("configure", configure_steps(self.plan.profile, self._watchdog_s)))
+
+    def _forget(self, error: HalError) -> None:
+        while self.jobs:
+            self.jobs.popleft().fail(error)
+        self._values.clear()
+        self._stamps_ns.clear()
+        self._ways.clear()
+        self._failures = 0
+        self._power_off_by_s = None
+
+    def lose(self, error: HalError) -> None:
+        """The port is gone: nothing is known of the drive."""
+        self._forget(error)
+        self.state = DriveState.UNKNOWN
+
+    async def slot(self) -> None:
+        """One exchange of the first job. Failures are counted, not raised; PortError passes."""
+        job = self.jobs[0]
+        if job.done.done():  # whoever wanted it has gone
+            self._drop(job)
+            return
+        try:
+            if job.step is not None:
+                await self._step(job, job.step)
+            if job not in self.jobs:
+                return  # withdrawn meanwhile: it must not arm
+            if job.step is None:
+                self._drop(job)
+                self._finished(job)
+        except (NoReply, BadReply) as error:
+            job.failures += 1
+            if job.name == "configure":
+                self._failed(error)
+            elif job.failures >= self.tries:
+                self._job_failed(job, error)
+        except (Refused, DriveFault) as error:
+            self._job_failed(job, error)
+
+    def _drop(self, job: Job) -> None:
+        if job in self.jobs:
+            self.jobs.remove(job)
+
+    def _job_failed(self, job: Job, error: HalError) -> None:
+        self._drop(job)
+        job.fail(error)
+        if job.name == "configure":
+            self._go_quiet(error)
+
+    async def _step(self, job: Job, step: Step) -> None:
+        if step.value is not None:
+            await self._write({step.register: step.value})
+            self._forget_enabled()
+            self._ways.pop(step.register, None)
+            job.advance()
+            return
+        register = self.plan.profile.registers[step.register]
+        await self._read(ReadRange(register.address, register.type.words, (register,)))
+        raw = self._values[step.register]
+        if raw & step.mask == step.equals:
+            job.advance()
+        elif job.wait_until_s is None:
+            job.wait_until_s = now_s() + step.within_s
+        elif now_s() > job.wait_until_s:
+            raise DriveFault(
+                f"{self}: {job.name}: {step.register} is {raw:#x} after {step.within_s:g} s, "
+                f"not {step.equals or 0:#x}"
+            )
+
+    def _forget_enabled(self) -> None:
+        """A step may have changed it: unknown until it is read again."""
+        if self.plan.profile.enabled is not None:
+            self._values.pop(self.plan.profile.enabled.register, None)
+
+    def _finished(self, job: Job) -> None:
+        if job.name == "configure":
+            self._configured()
+        elif job.name == "arm":
+            self.state, self.was_enabled = DriveState.ARMED, False
+        job.finish()
+
+    def _configured(self) -> None:
+        self.state = DriveState.READY
+        self._epoch += 1
+        self._cycles = 0
+        self._failures = 0
+        self._backoff.reset()
+        if self._said_quiet:
+            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
+        else:
+            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
+        self._said_quiet = False
+
+    # -------------------------------------------------------------------------------- not answering
+    def _failed(self, error: HalError) -> None:
+        self._failures += 1
+        if self._failures >= self.tries:
+            self._go_quiet(error)
+
+    def _go_quiet(self, error: HalError) -> None:
+        self._forget(error)
+        self.state = DriveState.QUIET
+        self.probe_at_s = now_s() + self._backoff.next_s()
+        if not self._said_quiet:
+            self._said_quiet = True
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
+
+    async def probe(self) -> None:
+        """Ask a quiet drive once whether it is back; PortError passes."""
+        self.probe_at_s = now_s() + self._backoff.next_s()
+        try:
+            if ranges := (*self.plan.fast, *self.plan.extra):
+                await self._read(ranges[0])
+            else:
+                await self._write(self.plan.setpoints({}))
+        except (NoReply, BadReply, Refused):
+            return
+        self.configure(f"{self} is being configured")
+
+    # ----------------------------------------------------------------------------------- stopping
+    async def quick_stop(self) -> None:
+        """Stop now, ahead of everything else; the power goes off when the wheel is at rest."""
+        self._disarmed()
+        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
+        await self._write_now("quick_stop", self.plan.profile.quick_stop)
+
+    async def power_off(self) -> None:
+        """Power off now, ahead of everything else; the next cycle writes zeros."""
+        self._disarmed()
+        self._power_off_by_s = None
+        await self._write_now("disarm", self.plan.profile.disarm)
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._power_off_by_s is not None
+
+    def stand_down(self) -> Job:
+        """Zero from now on, power off with the next slot."""
+        self._disarmed()
+        return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    def _disarmed(self) -> None:
+        """From now on every set-point of this drive is zero."""
+        if self.state is DriveState.ARMED:
+            self.state = DriveState.READY
+        for job in [job for job in self.jobs if job.name == "arm"]:
+            self._drop(job)
+            job.fail(HalError(f"{self}: stopped while it was being armed"))
+        self._ways.clear()
+        self._forget_enabled()
+
+    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
+        """All writes at once, without waiting for slots; what is not answered becomes a job."""
+        for number, step in enumerate(steps):
+            if step.value is None:
+                continue
+            try:
+                await self._write({step.register: step.value})
+            except (NoReply, BadReply, Refused) as error:
+                self._failed(error)
+                if self.state is not DriveState.QUIET:
+                    self.submit(Job(name, steps[number:], urgent=True))
+                return

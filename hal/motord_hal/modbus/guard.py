@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""pymodbus behind a guard that believes nothing.
+
+pymodbus 3.16 gives a late reply to the next request, takes short replies, wrong functions and
+wrong echoes for answers, loses a good reply behind a glitch byte and keeps no silent interval. So:
+
+- the framer is armed with the one request that is out; only a frame that `codec.parse_reply` takes
+  for the answer to exactly this request is let through, wherever in the bytes it begins;
+- nothing is sent before the line was silent for the gap of the standard, counted from the last
+  byte seen in either direction (MODBUS over Serial Line V1.02, 2.5.1.1);
+- a unit that failed to answer is left alone for one more reply time, so that its late reply falls
+  into the silence and not into the next request;
+- a broadcast is followed by the turn-around delay of the standard (2.4.1).
+
+What a drive answers later than that, RTU cannot tell from an answer to the next equal request.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import termios
+from dataclasses import dataclass
+
+from pymodbus.client import AsyncModbusSerialClient
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU, ModbusPDU
+from serial import SerialException
+
+from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.errors import BadReply, NoReply, PortError, Refused
+from motord_hal.modbus.codec import (
+    BROADCAST_UNIT,
+    EXCEPTION_BYTES,
+    EXCEPTION_TEXT,
+    FrameError,
+    Function,
+    Reply,
+    Request,
+    build_request,
+    character_bits,
+    frame_time_s,
+    parse_reply,
+    reply_bytes,
+    silent_interval_s,
+)
+
+SCHEDULING_ALLOWANCE_S = 0.02
+"""Added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's latency
+timer as delivered), and the event loop may be late by some milliseconds."""
+BROADCAST_TURNAROUND_S = 0.1
+"""Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
+NEVER_SILENT_S = 0.25
+"""A line on which bytes come for so long, unasked, has another master or a broken transceiver."""
+_PARITY = {"none": "N", "even": "E", "odd": "O"}
+
+# One failing try is no line in the log: the line says once when a drive goes quiet.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+class StrictFramer(FramerRTU):
+    """Lets the answer to the armed request through and nothing else."""
+
+    def __init__(self) -> None:
+        super().__init__(DecodePDU(is_server=False))
+        self._request: Request | None = None
+        self.reply: Reply | None = None
+        self.accepted_s = 0.0
+        self.refused = ""
+        """Why the bytes that came are no answer; empty when none came."""
+
+    def arm(self, request: Request) -> None:
+        self._request, self.reply, self.refused = request, None, ""
+
+    def disarm(self) -> None:
+        self._request = None
+
+    def handleFrame(  # noqa: N802  # pymodbus's name
+        self, data: bytes, exp_devid: int, exp_tid: int
+    ) -> tuple[int, ModbusPDU | None]:
+        """Called by pymodbus with all bytes not yet used; returns how many are used up."""
+        del exp_devid, exp_tid  # the armed request says more
+        request = self._request
+        if request is None or request.unit == BROADCAST_UNIT:
+            return len(data), None
+        due = reply_bytes(request)
+        for begin in range(len(data)):
+            for size in {due, EXCEPTION_BYTES}:
+                frame = data[begin : begin + size]
+                if len(frame) == size and (pdu := self._accept(request, frame)) is not None:
+                    self.disarm()
+                    return len(data), pdu
+        # Anything but a tail that may still grow into the answer is garbage.
+        return max(0, len(data) - max(due, EXCEPTION_BYTES) + 1), None
+
+    def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
+        try:
+            self.reply = parse_reply(request, frame)
+        except FrameError as error:
+            self.refused = str(error)
+            return None
+        self.accepted_s = now_s()
+        pdu = self.decoder.decode(frame[1:-2])
+        if pdu is not None:
+            pdu.dev_id = request.unit
+        return pdu
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A reply and when: `stamp_ns` is the middle of the exchange, `round_trip_s` all of it."""
+
+    values: tuple[int, ...]
+    stamp_ns: int
+    round_trip_s: float
+
+
+class GuardedClient:
+    """One serial port, one request in flight."""
+
+    def __init__(
+        self, port: str, baudrate: int, parity: str, stop_bits: int, gap_s: float | None
+    ) -> None:
+        self.port = port
+        self._serial = (baudrate, parity, stop_bits)
+        bits = character_bits(parity, stop_bits)
+        self.gap_s = silent_interval_s(baudrate, bits) if gap_s is None else gap_s
+        self._client: AsyncModbusSerialClient | None = None
+        self._framer = StrictFramer()
+        self._lock = asyncio.Lock()
+        self._last_byte_s = 0.0
+        self._sent_s = 0.0
+        self._line_quiet_until_s = 0.0
+        self._unit_quiet_until_s: dict[int, float] = {}
+
+    def wire_time_s(self, size_bytes: int) -> float:
+        return frame_time_s(size_bytes, *self._serial)
+
+    def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
+        """From the request's last byte: turn-around, the reply on the wire, the allowance."""
+        return turnaround_s + self.wire_time_s(reply_bytes(request)) + SCHEDULING_ALLOWANCE_S
+
+    @property
+    def connected(self) -> bool:
+        return self._client is not None and self._client.connected
+
+    async def open(self) -> None:
+        """Open the port for ourselves alone. Raises PortError."""
+        self.close()
+        baudrate, parity, stop_bits = self._serial
+        client = AsyncModbusSerialClient(
+            self.port,
+            baudrate=baudrate,
+            parity=_PARITY[parity],
+            stopbits=stop_bits,
+            timeout=10.0,  # never met: every request has a deadline of its own, far below
+            retries=0,
+            reconnect_delay=0,
+            trace_packet=self._trace_packet,
+        )
+        client.ctx.framer = self._framer
+        try:
+            connected = await client.connect()
+        except (ValueError, termios.error) as error:
+            raise PortError(f"{self.port} does not take {baudrate} baud: {error}") from error
+        if not connected:
+            raise PortError(f"{self.port} cannot be opened: {self._why()}")
+        self._client = client
+        self._last_byte_s = now_s()
+        self._unit_quiet_until_s.clear()
+
+    def _why(self) -> str:
+        try:
+            os.close(os.open(self.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+        except OSError as error:
+            return error.strerror or str(error)
+        return "another program has it open, or it is no serial port"
+
+    def close(self) -> None:
+        """Let the port go; nothing happens when it is not open."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def _trace_packet(self, sending: bool, data: bytes) -> bytes:
+        self._last_byte_s = now_s()
+        if sending:
+            self._sent_s = self._last_byte_s
+            self._last_byte_s += self.wire_time_s(len(data))
+        return data
+
+    async def exchange(self, request: Request, within_s: float) -> Answer:
+        """Send and return the answer, `within_s` after the request's last byte.
+
+        Raises NoReply, BadReply, Refused, PortError. A broadcast answers at once with nothing.
+        """
+        async with self._lock:
+            await self._wait_for_silence(request.unit)
+            self._framer.arm(request)
+            answered = False
+            try:
+                await self._transmit(request, within_s)
+                answered = self._framer.reply is not None
+            finally:
+                self._framer.disarm()
+                if not answered:
+                    self._leave_alone(request, within_s)
+            return self._answer(request)
+
+    async def _transmit(self, request: Request, within_s: float) -> None:
+        """Let pymodbus talk. What came of it is in the framer, so its own verdict is not needed;
+        only a cancellation must not get lost in it."""
+        task = asyncio.current_task()
+        cancels = task.cancelling() if task else 0
+        limit_s = self.wire_time_s(len(build_request(request))) + within_s
+        self._sent_s = now_s()
+        try:
+            async with asyncio.timeout(limit_s):
+                await self._send(request)
+        except (TimeoutError, ModbusException, SerialException):
+            if task and task.cancelling() > cancels:
+                raise asyncio.CancelledError from None
+
+    async def _send(self, request: Request) -> None:
+        client = self._client
+        if client is None or not client.connected:
+            raise PortError(f"{self.port} is not open")
+        alone = request.unit == BROADCAST_UNIT
+        match request.function:
+            case Function.READ_HOLDING:
+                await client.read_holding_registers(
+                    request.address, count=request.count, device_id=request.unit
+                )
+            case Function.WRITE_SINGLE:
+                await client.write_register(
+                    request.address,
+                    request.values[0],
+                    device_id=request.unit,
+                    no_response_expected=alone,
+                )
+            case Function.WRITE_MULTIPLE:
+                await client.write_registers(
+                    request.address,
+                    list(request.values),
+                    device_id=request.unit,
+                    no_response_expected=alone,
+                )
+            case _:
+                raise NotImplementedError(f"{request.function.name} is not used by any drive")
+
+    def _answer(self, request: Request) -> Answer:
+        reply = self._framer.reply
+        end_s = self._framer.accepted_s if reply else now_s()
+        round_trip_s = end_s - self._sent_s
+        stamp_ns = round((self._sent_s + end_s) * 0.5e9)
+        what = f"{self.port} unit {request.unit}, {request.function.name} {request.address:#06x}"
+        if request.unit == BROADCAST_UNIT:
+            return Answer((), stamp_ns, round_trip_s)
+        if reply is None:
+            if not self.connected:
+                raise PortError(f"{self.port} went away")
+            if self._framer.refused:
+                raise BadReply(f"{what}: {self._framer.refused}")
+            raise NoReply(f"{what}: nothing within {round_trip_s * 1e3:.1f} ms")
+        if reply.exception:
+            text = EXCEPTION_TEXT.get(reply.exception, "unknown exception")
+            raise Refused(f"{what}: {text} (exception {reply.exception})", reply.exception)
+        return Answer(reply.values, stamp_ns, round_trip_s)
+
+    def _leave_alone(self, request: Request, within_s: float) -> None:
+        """After a failure or a cancellation: silence for one more reply time of this unit."""
+        now = now_s()
+        sent = self._sent_s + self.wire_time_s(len(build_request(request)))
+        if request.unit == BROADCAST_UNIT:
+            self._line_quiet_until_s = max(now, sent) + BROADCAST_TURNAROUND_S
+        else:
+            self._unit_quiet_until_s[request.unit] = max(now, sent + within_s) + within_s
+
+    async def _wait_for_silence(self, unit: int) -> None:
+        """Until the line was silent for the gap and nobody is to be left alone."""
+        asked_s = self._unit_quiet_until_s.get(unit, 0.0)
+        quiet_s = max(self._line_quiet_until_s, asked_s)
+        give_up_s = max(now_s(), quiet_s) + NEVER_SILENT_S
+        while True:
+            self._drain()
+            free_s = max(self._last_byte_s + self.gap_s, quiet_s)
+            now = now_s()
+            if now >= free_s:
+                return
+            if now > give_up_s:
+                raise BadReply(f"{self.port} is never silent: another master, or noise")
+            await sleep_until_s(free_s)
+
+    def _drain(self) -> None:
+        """Throw away what nobody asked for, and note when it came. Raises PortError."""
+        transport = self._client.ctx.transport if self._client else None
+        port = getattr(transport, "sync_serial", None)
+        if port is None:
+            raise PortError(f"{self.port} is not open")
+        try:
+            if port.read(4096):
+                self._last_byte_s = now_s()
+        except SerialException as error:
+            self.close()
+            raise PortError(f"{self.port} went away: {error}") from error

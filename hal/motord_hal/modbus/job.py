@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sequence of steps that a drive works off in acyclic slots: one exchange a slot."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.errors import HalError
+
+VERIFY_WITHIN_S = 0.5
+"""How long a value that was written may take until it reads back."""
+
+
+class Job:
+    """Steps, how far they are, and the future of whoever waits for the end."""
+
+    def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
+        self.name = name
+        self.steps = tuple(steps)
+        self.urgent = urgent
+        self.failures = 0
+        self.done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.wait_until_s: float | None = None
+        """Deadline of the wait that is the current step; None: it has not begun."""
+        self._index = 0
+
+    @property
+    def step(self) -> Step | None:
+        """The current step; None when all are done."""
+        return self.steps[self._index] if self._index < len(self.steps) else None
+
+    def advance(self) -> None:
+        self._index += 1
+        self.failures = 0
+        self.wait_until_s = None
+
+    def finish(self) -> None:
+        if not self.done.done():
+            self.done.set_result(None)
+
+    def fail(self, error: HalError) -> None:
+        if not self.done.done():
+            self.done.set_exception(error)
+            self.done.exception()  # whoever started it may not wait for it
+
+    def limit_s(self, slot_s: float, tries: int) -> float:
+        """How long it may take at worst, when a slot comes every `slot_s`."""
+        return sum(step.within_s + slot_s * (tries + 1) for step in self.steps) + slot_s
+
+
+def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
+    """The profile's own steps, then its watchdog written and read back."""
+    watchdog = profile.watchdog
+    if watchdog is None:
+        return profile.configure
+    seconds = min(max(watchdog_s, watchdog.minimum_s), watchdog.maximum_s)
+    raw = profile.registers[watchdog.register].from_si(seconds)
+    write = Step(register=watchdog.register, value=raw)
+    verify = Step(register=watchdog.register, equals=raw, within_s=VERIFY_WITHIN_S)
+    return (*profile.configure, write, verify)
+
+
+def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:
+    """The profile's own steps, then a look whether the faults are gone (warnings may stay)."""
+    warnings = sum(
+        1 << fault.bit
+        for fault in profile.faults
+        if fault.severity == "warning" and fault.bit is not None
+    )
+    verify = tuple(
+        Step(
+            register=channel.fault,
+            mask=0xFFFFFFFF & ~warnings,
+            equals=0,
+            within_s=VERIFY_WITHIN_S,
+        )
+        for channel in profile.channels.values()
+        if channel.fault
+    )
+    return (*profile.clear_fault, *verify)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cyclic table of one drive, built once from its profile: which registers are read in which
+requests, how set-points become requests, and how long it all takes on the wire. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from motord_hal.drives.profile import Channel, DriveProfile, Register
+from motord_hal.modbus.codec import Function, Request, build_request, reply_bytes
+from motord_hal.ports import JointSpec
+
+EXTRA_EVERY_CYCLES = 4
+"""Current, voltage, temperature and the like: one range of them every so many cycles."""
+_REQUEST_OVERHEAD_BYTES = 13
+"""A read request (8) and what a reply carries beside its words (5)."""
+
+WireTime = Callable[[int], float]
+"""Frame length in bytes → seconds on the wire."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRange:
+    """Adjacent registers that one request reads."""
+
+    address: int
+    count: int
+    registers: tuple[Register, ...]
+
+    def request(self, unit: int) -> Request:
+        return Request(unit, Function.READ_HOLDING, self.address, count=self.count)
+
+    def decode(self, words: tuple[int, ...]) -> dict[str, int]:
+        """Register name → raw value."""
+        return {
+            register.name: register.decode(
+                words[register.address - self.address :][: register.type.words]
+            )
+            for register in self.registers
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
+
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    enabled: bool | None
+    fault_word: int
+
+
+class DrivePlan:
+    """One unit with one or more joints on its channels."""
+
+    def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
+        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
+        self.profile: DriveProfile = self.joints[0].profile
+        self.unit = self.joints[0].unit
+        self._gap_s = gap_s
+        self._wire_time_s = wire_time_s
+        fast, slow = self._wanted()
+        ranges = self._merge([*fast, *slow])
+        names = {register.name for register in fast}
+        self.fast = tuple(r for r in ranges if any(x.name in names for x in r.registers))
+        self.extra = tuple(r for r in ranges if r not in self.fast)
+        ways = (self.channel(joint).direction for joint in self.joints)
+        self.rests = {way.register: way.rest for way in ways if way is not None}
+        """Direction register → the value that means neither way."""
+
+    def channel(self, joint: JointSpec) -> Channel:
+        return self.profile.channels[joint.channel]
+
+    def _wanted(self) -> tuple[list[Register], list[Register]]:
+        """Registers of every cycle, and those that may wait."""
+        fast, slow = [], [self.profile.bus_voltage]
+        for joint in self.joints:
+            channel = self.channel(joint)
+            fast += [channel.position, channel.velocity, channel.fault]
+            slow += [channel.current, channel.temperature]
+        if self.profile.enabled:
+            slow.insert(0, self.profile.enabled.register)
+        known = self.profile.registers
+        return (
+            [known[name] for name in dict.fromkeys(fast) if name],
+            [known[name] for name in dict.fromkeys(slow) if name],
+        )
+
+    def _merge(self, wanted: list[Register]) -> list[ReadRange]:
+        """Few requests: a hole of known registers is read along where that is faster."""
+        ranges: list[list[Register]] = []
+        for register in sorted(wanted, key=lambda r: r.address):
+            if ranges and self._joins(ranges[-1], register):
+                ranges[-1].append(register)
+            else:
+                ranges.append([register])
+        return [
+            ReadRange(group[0].address, _end(group[-1]) - group[0].address, tuple(group))
+            for group in ranges
+        ]
+
+    def _joins(self, group: list[Register], register: Register) -> bool:
+        hole = range(_end(group[-1]), register.address)
+        readable = {
+            address
+            for known in self.profile.registers.values()
+            if "r" in known.access
+            for address in range(known.address, _end(known))
+        }
+        request_s = self._wire_time_s(_REQUEST_OVERHEAD_BYTES) + 2 * self._gap_s
+        return (
+            all(address in readable for address in hole)
+            and _end(register) - group[0].address <= self.profile.max_registers
+            and self._wire_time_s(2 * len(hole)) < request_s
+        )
+
+    def writes(self, raw: Mapping[str, int]) -> list[Request]:
+        """Requests that write these registers: adjacent ones together where the drive takes 16."""
+        requests: list[Request] = []
+        words: list[int] = []
+        begin = 0
+        for register in sorted((self.profile.registers[n] for n in raw), key=lambda r: r.address):
+            new = register.encode(raw[register.name])
+            together = self.profile.write_function == 16 and begin + len(words) == register.address
+            if words and together and len(words) + len(new) <= self.profile.max_registers:
+                words += new
+            else:
+                requests += self._write(begin, words)
+                begin, words = register.address, list(new)
+        return requests + self._write(begin, words)
+
+    def _write(self, address: int, words: list[int]) -> list[Request]:
+        if not words:
+            return []
+        if self.profile.write_function == 16 or len(words) > 1:
+            return [Request(self.unit, Function.WRITE_MULTIPLE, address, values=tuple(words))]
+        return [Request(self.unit, Function.WRITE_SINGLE, address, values=tuple(words))]
+
+    def setpoints(self, wanted: Mapping[int, tuple[float, float]]) -> dict[str, int]:
+        """Register → raw for the set-points; joint index → (wheel rad/s, duty). What is missing,
+        NaN or infinite is zero. Directions are left to `directions`."""
+        raw = {}
+        for joint in self.joints:
+            channel = self.channel(joint)
+            sign = -1.0 if joint.inverted else 1.0
+            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
+            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
+            if name is None:
+                name, value = channel.duty_setpoint, duty * sign
+            assert name is not None  # check.py: exactly one of the two is there
+            if not math.isfinite(value):
+                value = 0.0
+            if channel.direction is not None:
+                value = abs(value)
+            raw[name] = self.profile.registers[name].from_si(value)
+        return raw
+
+    def directions(
+        self, wanted: Mapping[int, tuple[float, float]], raw: Mapping[str, int]
+    ) -> dict[str, int]:
+        """Direction register → raw for the same set-points; rest where the magnitude is zero."""
+        ways = {}
+        for joint in self.joints:
+            channel = self.channel(joint)
+            if channel.direction is None:
+                continue
+            name = channel.velocity_setpoint or channel.duty_setpoint or ""
+            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
+            value = velocity_rad_s if channel.velocity_setpoint else duty
+            forward = (value > 0) != joint.inverted
+            way = channel.direction.forward if forward else channel.direction.reverse
+            ways[channel.direction.register] = way if raw[name] else channel.direction.rest
+        return ways
+
+    def reading(
+        self, joint: JointSpec, values: Mapping[str, int], last_ways: Mapping[str, int]
+    ) -> Reading:
+        """What the raw values say of a joint; `last_ways` signs a velocity that has no sign."""
+        channel = self.channel(joint)
+        sign = -1.0 if joint.inverted else 1.0
+        velocity = self._si(channel.velocity, values) / joint.gear_ratio * sign
+        way = channel.direction
+        if way is not None and channel.velocity is not None:
+            signed = self.profile.registers[channel.velocity].type.signed
+            if not signed and last_ways.get(way.register) == way.reverse:
+                velocity = -velocity
+        mask = (1 << self.profile.counter_bits) - 1
+        return Reading(
+            count=values.get(channel.position or "", 0) & mask,
+            velocity_rad_s=velocity,
+            current_a=self._si(channel.current, values),
+            voltage_v=self._si(self.profile.bus_voltage, values),
+            temperature_c=self._si(channel.temperature, values),
+            enabled=self.enabled(values),
+            fault_word=values.get(channel.fault or "", 0),
+        )
+
+    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
+        if name is None or name not in values:
+            return math.nan
+        return self.profile.registers[name].to_si(values[name])
+
+    def enabled(self, values: Mapping[str, int]) -> bool | None:
+        """None: the drive cannot say, or has not been asked yet."""
+        said = self.profile.enabled
+        if said is None or said.register not in values:
+            return None
+        return values[said.register] & said.mask == said.equals
+
+    def cycle_time_s(self) -> float:
+        """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive
+        must let pass before it answers), set-points and fast ranges always, an extra one now and
+        then."""
+        zero = self.setpoints({})
+        requests = [*self.writes(zero), *(r.request(self.unit) for r in self.fast)]
+        time_s = sum(self._exchange_time_s(request) for request in requests)
+        if self.extra:
+            extra_s = sum(self._exchange_time_s(r.request(self.unit)) for r in self.extra)
+            time_s += extra_s / len(self.extra) / EXTRA_EVERY_CYCLES
+        return time_s
+
+    def _exchange_time_s(self, request: Request) -> float:
+        size = len(build_request(request)) + reply_bytes(request)
+        return self._wire_time_s(size) + 2 * self._gap_s
+
+
+def _end(register: Register) -> int:
+    return register.address + register.type.words

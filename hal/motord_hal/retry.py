@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When to try again. Pure: it counts, somebody else waits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class Backoff:
+    """Waiting times that double from `first_s` up to `limit_s`."""
+
+    first_s: float
+    limit_s: float
+    _next_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.first_s <= self.limit_s < float("inf"):
+            raise ValueError(f"first {self.first_s} s, limit {self.limit_s} s: 0 < first <= limit")
+        self._next_s = self.first_s
+
+    def next_s(self) -> float:
+        """How long to wait before the next try; each call doubles the one after it."""
+        wait_s = self._next_s
+        self._next_s = min(2 * wait_s, self.limit_s)
+        return wait_s
+
+    def reset(self) -> None:
+        """It worked: begin again at `first_s`."""
+        self._next_s = self.first_s
