@@ -279,14 +279,27 @@ void odometry_reset(odometry_state *state, const core_config *config);
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const double *setpoint_rad_s);
 
+/* A command as far as limits and wheels let it go; kept, because commands change more rarely than ticks. */
+typedef struct {
+    double wanted_linear_m_s;
+    double wanted_angular_rad_s;
+    double linear_m_s;
+    double angular_rad_s;
+    double saturation;
+    uint32_t reasons;
+    uint32_t known;             /* 0: limits have changed since */
+} core_goal;
+
 typedef struct {
     core_config config;
     base_limits limits;         /* in force */
+    core_goal goal;
     limit_state linear;
     limit_state angular;
     double duty[JOINTS_MAX];
     double setpoint_rad_s[JOINTS_MAX];
     odometry_state odometry;
+    robot_state snapshot;       /* of the last tick */
     uint64_t tick;
     uint32_t armed;
     uint32_t armed_seen;        /* control.armed of the tick before: arming wants an edge */
@@ -295,6 +308,8 @@ typedef struct {
     uint32_t faults;
     uint32_t holding;           /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
     uint32_t commanded;         /* a fresh command has come since arming */
+    uint32_t silent;            /* a joint was stale in the last tick */
+    uint32_t slow;              /* no wheel that is heard turned faster than rest_velocity_rad_s */
     uint32_t at_rest;           /* after the last tick */
     int64_t armed_ns;           /* the tick that armed */
     int64_t zero_since_ns;      /* holding: the tick from which on the set-points have been zero; 0: they are not */
@@ -386,7 +401,8 @@ enum {
     HISTOGRAM_KINDS = 3
 };
 
-exchange *loop_exchange(void);                         /* static, ready before loop_start */
+exchange *loop_exchange(void);                         /* static, ready at once; loop_start empties it, so nobody may
+                                                          be using it then */
 int loop_start(const loop_config *loop, const core_config *core);   /* 0; -EINVAL, -EBUSY, -errno of what cannot be done without */
 int loop_stop(void);                                   /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);

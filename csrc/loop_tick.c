@@ -98,7 +98,7 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     core_input *input = &work->input;
     input->now_ns = now_ns;
     exchange_take_control(&work->exchange, &input->control);
-    if (exchange_take_command(&work->exchange, &input->command) == 1) {
+    if (exchange_take_command(&work->exchange, &input->command) == 1 && input->command.stamp_ns > 0) {
         histogram_add(&work->histogram[HISTOGRAM_COMMAND], now_ns - input->command.stamp_ns);
     }
     for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {

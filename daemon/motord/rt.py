@@ -1,0 +1,402 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The daemon's door to the C core: its configuration, the real-time loop, the state page.
+
+Names and units are those of csrc/api.h, which holds the meaning of each field. All times are
+CLOCK_MONOTONIC in nanoseconds. Nothing here waits for longer than one period of the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import errno
+import os
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from _motord_rt import ffi, lib
+
+from motord import grants
+from motord.page_file import PageFile, PageInUse
+from motord.rt_types import (
+    AxisLimits,
+    BaseLimits,
+    Control,
+    CoreConfig,
+    JointConfig,
+    LoopSettings,
+    LoopStatus,
+    Percentiles,
+    PwmConfig,
+)
+from motord.snapshot import JointSnapshot, Snapshot
+
+__all__ = [
+    "AxisLimits",
+    "BaseLimits",
+    "PwmConfig",
+    "JointConfig",
+    "CoreConfig",
+    "StopAction",
+    "ConfigRefused",
+    "limits_problem",
+    "Reason",
+    "Fault",
+    "HistogramKind",
+    "Percentiles",
+    "LoopSettings",
+    "LoopStatus",
+    "Control",
+    "Loop",
+    "PageInUse",
+]
+
+_ENABLED_UNKNOWN = 2
+_POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
+
+
+class StopAction(enum.IntEnum):
+    RAMP = lib.STOP_RAMP
+    BRAKE = lib.STOP_BRAKE
+    HOLD = lib.STOP_HOLD
+    COAST = lib.STOP_COAST
+
+
+class ConfigRefused(ValueError):
+    """The core will not run with this. `field`: the first bad one, as `joint[1].wheel_radius_m`."""
+
+    def __init__(self, field: str) -> None:
+        super().__init__(f"the core refuses {field}: out of range or not finite")
+        self.field = field
+
+
+def limits_problem(limits: BaseLimits) -> str | None:
+    """The first field that is out of range, as `linear.velocity_u_s`; None: all are good."""
+    return _named(lib.base_limits_check, ffi.new("base_limits *", limits))
+
+
+def _named(check: Any, value: object) -> str | None:
+    name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+    bad = check(value, name)
+    return None if bad == ffi.NULL else ffi.string(bad).decode("ascii")
+
+
+def _core_config(config: CoreConfig) -> Any:
+    if not len(config["joint"]) == config["joint_count"] <= lib.JOINTS_MAX:
+        raise ConfigRefused("joint_count")
+    raw = ffi.new("core_config *", config)
+    if bad := _named(lib.core_config_check, raw):
+        raise ConfigRefused(bad)
+    return raw
+
+
+class Reason(enum.IntFlag):
+    """Why the set-point of this tick is not what was asked for."""
+
+    LINEAR_VELOCITY = lib.REASON_LINEAR_VELOCITY
+    LINEAR_ACCELERATION = lib.REASON_LINEAR_ACCELERATION
+    LINEAR_DECELERATION = lib.REASON_LINEAR_DECELERATION
+    LINEAR_JERK = lib.REASON_LINEAR_JERK
+    ANGULAR_VELOCITY = lib.REASON_ANGULAR_VELOCITY
+    ANGULAR_ACCELERATION = lib.REASON_ANGULAR_ACCELERATION
+    ANGULAR_DECELERATION = lib.REASON_ANGULAR_DECELERATION
+    ANGULAR_JERK = lib.REASON_ANGULAR_JERK
+    WHEEL_SATURATED = lib.REASON_WHEEL_SATURATED
+    DUTY_CLAMPED = lib.REASON_DUTY_CLAMPED
+    DUTY_SLEW = lib.REASON_DUTY_SLEW
+    NOT_ARMED = lib.REASON_NOT_ARMED
+    STOP_REQUESTED = lib.REASON_STOP_REQUESTED
+    COMMAND_STALE = lib.REASON_COMMAND_STALE
+    COMMAND_NOT_FINITE = lib.REASON_COMMAND_NOT_FINITE
+    FAULT = lib.REASON_FAULT
+
+    def words(self) -> list[str]:
+        """`command_stale`, ... by the bits' order."""
+        return _words(self)
+
+
+class Fault(enum.IntFlag):
+    """What is latched until a reset."""
+
+    ESTOP = lib.FAULT_ESTOP
+    HEARTBEAT_LOST = lib.FAULT_HEARTBEAT_LOST
+    FEEDBACK_STALE = lib.FAULT_FEEDBACK_STALE
+    DRIVE = lib.FAULT_DRIVE
+    DRIVE_DISABLED = lib.FAULT_DRIVE_DISABLED
+    TIME_STEP = lib.FAULT_TIME_STEP
+    EXTERNAL = lib.FAULT_EXTERNAL
+    STATE = lib.FAULT_STATE
+
+    def words(self) -> list[str]:
+        """`feedback_stale`, ... by the bits' order."""
+        return _words(self)
+
+
+def _words(flags: enum.IntFlag) -> list[str]:
+    return [flag.name.lower() for flag in flags if flag.name]
+
+
+class HistogramKind(enum.IntEnum):
+    LATENESS = lib.HISTOGRAM_LATENESS
+    """Wake-up after its deadline."""
+    STEP = lib.HISTOGRAM_STEP
+    """The tick's own work."""
+    COMMAND = lib.HISTOGRAM_COMMAND
+    """From a command's stamp to the first tick that used it."""
+
+
+@dataclass(slots=True)
+class _Buffers:
+    """Made once, so that the border is crossed without a new allocation in C's types."""
+
+    command: Any = field(default_factory=lambda: ffi.new("twist_command *"))
+    control: Any = field(default_factory=lambda: ffi.new("core_control *"))
+    state: Any = field(default_factory=lambda: ffi.new("robot_state *"))
+    status: Any = field(default_factory=lambda: ffi.new("loop_status *"))
+    histogram: Any = field(default_factory=lambda: ffi.new("histogram *"))
+
+
+class Loop:
+    """The real-time loop of this process: one at a time, from one Python thread.
+
+    A context manager; or `start` and `stop`, as often as wanted. With `page_name` the state page
+    lies at /dev/shm/motord-NAME while it runs (docs/state-page.md).
+    """
+
+    def __init__(
+        self, core: CoreConfig, settings: LoopSettings, page_name: str | None = None
+    ) -> None:
+        """Raises ConfigRefused for what the core refuses, ValueError for a CPU beyond 0..63."""
+        if any(not 0 <= number <= 63 for number in settings.cpu):
+            raise ValueError(f"cpu {settings.cpu}: each is 0..63")
+        self._core = _core_config(core)
+        self._limits = core["limits"]
+        self._settings = settings
+        self._page_name = page_name
+        self._buffers = _Buffers()
+        self._exchange = lib.loop_exchange()
+        self._sequence = 0
+        self._event_fd = -1
+        self._release = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Returns after the first tick, disarmed. Nobody may be using the exchange meanwhile: it is
+        emptied.
+
+        Raises RuntimeError when a loop runs in this process already, PageInUse when another daemon
+        owns the page, ValueError for settings out of range, OSError for what cannot be done
+        without.
+        """
+        with contextlib.ExitStack() as unless_started:
+            page_fd = -1
+            if self._page_name is not None:
+                page = PageFile.open(self._page_name)
+                unless_started.callback(page.close)
+                page_fd = page.fd
+            event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            unless_started.callback(os.close, event_fd)
+            code = lib.loop_start(self._loop_config(page_fd, event_fd), self._core)
+            if code == -errno.EBUSY:
+                raise RuntimeError("a loop runs in this process already")
+            if code == -errno.EINVAL:
+                raise ValueError(f"the loop refuses {self._settings}")
+            _raise_for(code, "loop_start")
+            self._event_fd = event_fd
+            self._release = unless_started.pop_all()
+        self._buffers.control[0] = {"limits": self._limits}
+        self.beat()
+
+    def _loop_config(self, page_fd: int, event_fd: int) -> Any:
+        settings = self._settings
+        every = round(settings.rate_hz / settings.notify_hz) if settings.notify_hz > 0 else 0
+        return ffi.new(
+            "loop_config *",
+            {
+                "rate_hz": settings.rate_hz,
+                "priority": settings.priority,
+                "notify_every_ticks": max(every, 1) if settings.notify_hz > 0 else 0,
+                "cpu_mask": sum(1 << number for number in set(settings.cpu)),
+                "page_fd": page_fd,
+                "event_fd": event_fd,
+                "lock_memory": settings.lock_memory,
+                "hold_dma_latency": settings.hold_dma_latency,
+            },
+        )
+
+    def stop(self) -> None:
+        """The last set-points are zero and not enabled; takes a period at most.
+
+        Not running: nothing to do. Take the reader off `fileno()` before.
+        """
+        if self._event_fd < 0:
+            return
+        self._event_fd = -1
+        with self._release:
+            _raise_for(lib.loop_stop(), "loop_stop")
+
+    def put_command(
+        self, linear_m_s: float, angular_rad_s: float, expires_ns: int, stamp_ns: int | None = None
+    ) -> None:
+        """A wish of the source in command; `stamp_ns` None: now. NaN and infinities: rest."""
+        self._sequence += 1
+        raw = self._buffers.command
+        raw.stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
+        raw.expires_ns = expires_ns
+        raw.sequence = self._sequence
+        raw.linear_m_s = linear_m_s
+        raw.angular_rad_s = angular_rad_s
+        lib.exchange_put_command(self._exchange, raw)
+
+    def put_control(self, control: Control) -> None:
+        """The daemon's wishes, and a heartbeat with them."""
+        raw = self._buffers.control
+        raw.armed = control.armed
+        raw.stop = control.stop
+        raw.estop = control.estop
+        raw.fault = control.fault
+        raw.reset_count = control.reset_count
+        raw.odometry_reset_count = control.odometry_reset_count
+        raw.machine_state = control.machine_state
+        raw.owner = control.owner
+        raw.limits = control.limits
+        self.beat()
+
+    def beat(self) -> None:
+        """A heartbeat of asyncio, with the wishes of before. From a task, never from a thread."""
+        raw = self._buffers.control
+        raw.heartbeat_ns = lib.clock_now_ns()
+        lib.exchange_put_control(self._exchange, raw)
+
+    def fileno(self) -> int:
+        """Readable every `notify_hz` and when reasons, faults, armed or at_rest change, until
+        `drain`."""
+        if self._event_fd < 0:
+            raise ValueError("the loop does not run")
+        return self._event_fd
+
+    def drain(self) -> int:
+        """How many notifications came since the last time; makes `fileno()` not readable."""
+        with contextlib.suppress(BlockingIOError):
+            return os.eventfd_read(self.fileno())
+        return 0
+
+    def read_state(self) -> Snapshot:
+        """The newest tick's; after `stop` the last one's. Raises OSError before the first start."""
+        _raise_for(lib.loop_state_read(self._buffers.state), "loop_state_read")
+        return _snapshot(self._buffers.state)
+
+    def status(self) -> LoopStatus:
+        """What the kernel granted, and the counters; after `stop` the last ones."""
+        raw = self._buffers.status
+        lib.loop_status_read(raw)
+        refused = grants.Refused(
+            scheduler=raw.scheduler_errno,
+            affinity=raw.affinity_errno,
+            memory_lock=raw.memory_lock_errno,
+            dma_latency=raw.dma_latency_errno,
+        )
+        settings = self._settings
+        return LoopStatus(
+            running=raw.running != 0,
+            policy=_POLICIES[raw.policy],
+            priority=raw.priority,
+            ticks=raw.ticks,
+            overruns=raw.overruns,
+            page_faults=raw.page_faults,
+            tick_stamp_ns=raw.tick_stamp_ns,
+            refusals=grants.sentences(refused, priority=settings.priority, cpu=settings.cpu),
+        )
+
+    def percentiles(self, kind: HistogramKind) -> Percentiles:
+        """Of all samples since start or `clear_histograms`; all zero when there is none."""
+        raw = self._read_histogram(kind)
+        p50_ns, p99_ns, p99_9_ns, max_ns = (
+            lib.histogram_percentile_ns(raw, fraction) for fraction in (0.5, 0.99, 0.999, 1.0)
+        )
+        return Percentiles(raw.samples, p50_ns, p99_ns, p99_9_ns, max_ns)
+
+    def buckets(self, kind: HistogramKind) -> list[tuple[int, int]]:
+        """(smallest value in ns, samples) of each bucket that holds any: for plots."""
+        counts = self._read_histogram(kind).bucket
+        return [
+            (lib.histogram_bucket_floor_ns(index), count)
+            for index, count in enumerate(counts)
+            if count
+        ]
+
+    def clear_histograms(self) -> None:
+        """Done by the loop at its next tick. Raises OSError when it does not run."""
+        _raise_for(lib.loop_histogram_clear(), "loop_histogram_clear")
+
+    def _read_histogram(self, kind: HistogramKind) -> Any:
+        _raise_for(lib.loop_histogram_read(kind, self._buffers.histogram), "loop_histogram_read")
+        return self._buffers.histogram
+
+
+def _raise_for(code: int, what: str) -> None:
+    if code < 0:
+        raise OSError(-code, f"{what}: {os.strerror(-code)}")
+
+
+def _snapshot(raw: Any) -> Snapshot:
+    return Snapshot(
+        stamp_ns=raw.stamp_ns,
+        tick=raw.tick,
+        machine_state=raw.machine_state,
+        owner=raw.owner,
+        reasons=tuple(Reason(raw.reasons).words()),
+        faults=tuple(Fault(raw.faults).words()),
+        armed=raw.armed != 0,
+        enabled=raw.enabled != 0,
+        at_rest=raw.at_rest != 0,
+        odometry_degraded=raw.odometry_degraded != 0,
+        odometry_epoch=raw.odometry_epoch,
+        dt_s=raw.dt_s,
+        command_age_s=raw.command_age_s,
+        wanted_linear_m_s=raw.wanted_linear_m_s,
+        wanted_angular_rad_s=raw.wanted_angular_rad_s,
+        setpoint_linear_m_s=raw.setpoint_linear_m_s,
+        setpoint_angular_rad_s=raw.setpoint_angular_rad_s,
+        saturation=raw.saturation,
+        odometry_stamp_ns=raw.odometry_stamp_ns,
+        x_m=raw.x_m,
+        y_m=raw.y_m,
+        heading_rad=raw.heading_rad,
+        distance_m=raw.distance_m,
+        turned_rad=raw.turned_rad,
+        linear_m_s=raw.linear_m_s,
+        angular_rad_s=raw.angular_rad_s,
+        pose_covariance=tuple(raw.pose_covariance),
+        twist_covariance=tuple(raw.twist_covariance),
+        joints=tuple(_joint(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
+    )
+
+
+def _joint(raw: Any) -> JointSnapshot:
+    return JointSnapshot(
+        position_rad=raw.position_rad,
+        velocity_rad_s=raw.velocity_rad_s,
+        setpoint_rad_s=raw.setpoint_rad_s,
+        duty=raw.duty,
+        current_a=raw.current_a,
+        voltage_v=raw.voltage_v,
+        temperature_c=raw.temperature_c,
+        feedback_age_s=raw.feedback_age_s,
+        drive_faults=raw.drive_faults,
+        enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
+        stale=raw.stale != 0,
+        jumps=raw.jumps,
+    )

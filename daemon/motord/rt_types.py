@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes into the real-time loop and what it says of itself, as plain values.
+
+The TypedDicts mirror the structs of csrc/api.h field by field, which holds their meanings and
+ranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+
+class AxisLimits(TypedDict):
+    """u = m on the linear axis, rad on the angular one. Jerk may be infinite: no limit."""
+
+    velocity_u_s: float
+    acceleration_u_s2: float
+    deceleration_u_s2: float
+    jerk_u_s3: float
+
+
+class BaseLimits(TypedDict):
+    linear: AxisLimits
+    angular: AxisLimits
+
+
+class PwmConfig(TypedDict):
+    dead_band: float
+    duty_min: float
+    duty_max: float
+    slew_per_s: float
+    full_duty_rad_s: float
+
+
+class JointConfig(TypedDict):
+    side: float
+    wheel_radius_m: float
+    velocity_min_rad_s: float
+    velocity_max_rad_s: float
+    rad_per_count: float
+    counter_bits: int
+    line: int
+    pwm: PwmConfig
+
+
+class CoreConfig(TypedDict):
+    joint_count: int
+    track_m: float
+    limits: BaseLimits
+    command_timeout_s: float
+    feedback_timeout_s: float
+    heartbeat_timeout_s: float
+    rest_velocity_rad_s: float
+    on_timeout: int
+    """A StopAction, as the two below."""
+    on_fault: int
+    on_estop: int
+    distance_variance_m2_per_m: float
+    turn_variance_rad2_per_rad: float
+    pose_variance_floor_m2: float
+    heading_variance_floor_rad2: float
+    twist_variance_floor_m2_s2: float
+    twist_variance_floor_rad2_s2: float
+    joint: list[JointConfig]
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Never told too low: the upper edge of a bucket that is at most 1/16 of its value wide."""
+
+    samples: int
+    p50_ns: int
+    p99_ns: int
+    p99_9_ns: int
+    max_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """How the loop's thread is to run."""
+
+    rate_hz: float
+    priority: int
+    """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
+    cpu: tuple[int, ...] = ()
+    """Empty: any."""
+    notify_hz: float = 50.0
+    """0: woken for changes only."""
+    lock_memory: bool = True
+    hold_dma_latency: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopStatus:
+    """How it does run. `refusals`: a sentence for each thing that the kernel did not grant."""
+
+    running: bool
+    policy: str
+    priority: int
+    ticks: int
+    overruns: int
+    page_faults: int
+    tick_stamp_ns: int
+    refusals: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Control:
+    """The daemon's wishes, as levels and counters: `core_control` without the heartbeat."""
+
+    armed: bool = False
+    stop: bool = False
+    estop: bool = False
+    fault: bool = False
+    reset_count: int = 0
+    odometry_reset_count: int = 0
+    machine_state: int = 0
+    owner: int = 0
+    limits: BaseLimits

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line's door to the C core: the clock, and the mailboxes between lines and loop.
+
+Newest wins in each mailbox; a put never waits, and a take gives the newest value whether it is new
+or not. The meaning of each field is in csrc/api.h.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from _motord_rt import ffi, lib
+
+JOINTS_MAX: int = lib.JOINTS_MAX
+LINES_MAX: int = lib.LINES_MAX
+
+_U32 = 0xFFFF_FFFF
+_U64 = 0xFFFF_FFFF_FFFF_FFFF
+_ENABLED_UNKNOWN = 2
+_ALIGNMENT_BYTES = 64
+
+
+def now_ns() -> int:
+    """CLOCK_MONOTONIC in nanoseconds: the clock of every stamp in motord."""
+    return int(lib.clock_now_ns())
+
+
+@dataclass(frozen=True, slots=True)
+class JointSetpoint:
+    """What one wheel is to do: its speed, and the same wish as a duty in -1..1."""
+
+    velocity_rad_s: float
+    duty: float
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoints:
+    """What all wheels are to do; `joints` by the joint's index in the core.
+
+    Never written: stamp 0, not enabled, no joints. Who takes it has to look at `stamp_ns`: a loop
+    that died leaves its last word behind.
+    """
+
+    stamp_ns: int
+    tick: int
+    enabled: bool
+    joints: tuple[JointSetpoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """What a drive said last. NaN: it does not say. `enabled` None: it cannot say."""
+
+    stamp_ns: int
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    epoch: int
+    enabled: bool | None
+    drive_faults: int
+
+
+class Exchange:
+    """The mailboxes, from one thread: the buffers that values pass through belong to the object.
+
+    A mailbox has one writer and one reader. Bad indices raise IndexError.
+    """
+
+    def __init__(self, handle: object, memory: object = None) -> None:
+        """Use `of_loop` or `private`. `memory` is kept alive with the object."""
+        self._exchange = handle
+        self._memory = memory
+        self._setpoints = ffi.new("setpoints *")
+        self._feedback = ffi.new("joint_feedback *")
+
+    @classmethod
+    def of_loop(cls) -> Exchange:
+        """The one that the loop of this process reads and writes."""
+        return cls(lib.loop_exchange())
+
+    @classmethod
+    def private(cls) -> Exchange:
+        """One of its own, empty, for tests and tools."""
+        memory = ffi.new("uint8_t[]", lib.exchange_bytes() + _ALIGNMENT_BYTES)
+        address = int(ffi.cast("uintptr_t", memory))
+        aligned = -(-address // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
+        handle = ffi.cast("exchange *", aligned)
+        lib.exchange_init(handle)
+        return cls(handle, memory)
+
+    def take_setpoints(self, line: int) -> Setpoints:
+        """The line's side: the newest set-points of all joints."""
+        raw = self._setpoints
+        _check(lib.exchange_take_setpoints(self._exchange, line, raw), "line", line)
+        joints = (raw.joint[i] for i in range(min(raw.joint_count, JOINTS_MAX)))
+        return Setpoints(
+            stamp_ns=raw.stamp_ns,
+            tick=raw.tick,
+            enabled=raw.enabled != 0,
+            joints=tuple(JointSetpoint(joint.velocity_rad_s, joint.duty) for joint in joints),
+        )
+
+    def put_setpoints(self, line: int, value: Setpoints) -> None:
+        """The loop's side, for tests and tools. At most JOINTS_MAX joints, else ValueError."""
+        if len(value.joints) > JOINTS_MAX:
+            raise ValueError(f"{len(value.joints)} joints, at most {JOINTS_MAX}")
+        raw = self._setpoints
+        raw.stamp_ns = value.stamp_ns
+        raw.tick = value.tick
+        raw.enabled = value.enabled
+        raw.joint_count = len(value.joints)
+        for place, joint in zip(raw.joint, value.joints, strict=False):
+            place.velocity_rad_s = joint.velocity_rad_s
+            place.duty = joint.duty
+        _check(lib.exchange_put_setpoints(self._exchange, line, raw), "line", line)
+
+    def put_feedback(
+        self,
+        joint: int,
+        *,
+        stamp_ns: int,
+        count: int,
+        velocity_rad_s: float = math.nan,
+        current_a: float = math.nan,
+        voltage_v: float = math.nan,
+        temperature_c: float = math.nan,
+        epoch: int,
+        enabled: bool | None,
+        drive_faults: int,
+    ) -> None:
+        """The line's side. Whole numbers wrap at their width in C: a counter may be negative."""
+        raw = self._feedback
+        raw.stamp_ns = stamp_ns
+        raw.count = count & _U64
+        raw.velocity_rad_s = velocity_rad_s
+        raw.current_a = current_a
+        raw.voltage_v = voltage_v
+        raw.temperature_c = temperature_c
+        raw.epoch = epoch & _U32
+        raw.enabled = _ENABLED_UNKNOWN if enabled is None else int(enabled)
+        raw.drive_faults = drive_faults & _U32
+        _check(lib.exchange_put_feedback(self._exchange, joint, raw), "joint", joint)
+
+    def take_feedback(self, joint: int) -> Feedback:
+        """The loop's side, for tests and tools."""
+        raw = self._feedback
+        _check(lib.exchange_take_feedback(self._exchange, joint, raw), "joint", joint)
+        return Feedback(
+            stamp_ns=raw.stamp_ns,
+            count=raw.count,
+            velocity_rad_s=raw.velocity_rad_s,
+            current_a=raw.current_a,
+            voltage_v=raw.voltage_v,
+            temperature_c=raw.temperature_c,
+            epoch=raw.epoch,
+            enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
+            drive_faults=raw.drive_faults,
+        )
+
+
+def _check(code: int, what: str, index: int) -> None:
+    if code < 0:
+        raise IndexError(f"no {what} {index} in the exchange")
