@@ -98,10 +98,6 @@ static const char *bad_base_field(const core_config *config)
     return first_bad(config, CONFIG_RULES, COUNT(CONFIG_RULES));
 }
 
-bool base_limits_good(const base_limits *limits)
-{
-    return first_bad(limits, LIMIT_RULES, COUNT(LIMIT_RULES)) == NULL;
-}
 
 const char *base_limits_check(const base_limits *limits, char *name)
 {

@@ -5,8 +5,38 @@
 
 #include "rt.h"
 
-/* base_limits_check without the name: cheap enough for every tick */
-bool base_limits_good(const base_limits *limits);
+/* What one tick knows beside its state. */
+typedef struct {
+    const core_input *input;
+    double dt_s;                /* 0: what came was no time step */
+    double wanted_linear_m_s;
+    double wanted_angular_rad_s;
+    double command_age_s;
+    double saturation;
+    double checksum;            /* of all that has been computed with: not finite when one of it is not */
+    uint32_t reasons;
+    bool command_fresh;
+    bool command_zero;
+    bool heartbeat_fresh;
+    bool any_stale;
+    bool any_new;
+    bool drive_fault;
+    bool drive_disabled;
+    bool moving;                /* a set-point is not zero */
+    uint32_t stale[JOINTS_MAX];
+} tick;
+
+/* Reads the input and decides who may move: control, faults, arming. */
+void watch(core_state *state, const core_input *input, double dt_s, tick *t);
+/* Latches faults; armed no more, what is under way ends by the stop action of the robot file. */
+void watch_latch(core_state *state, uint32_t faults);
+/* The e-stop's action replaces any other that is under way, and nothing replaces it. */
+stop_action watch_fault_action(const core_state *state);
+
+/* What this tick tells; the rest of the snapshot is as it was. */
+void snapshot_write(core_state *state, const tick *t);
+/* What new feedback tells. */
+void snapshot_write_feedback(core_state *state, const tick *t);
 
 /* An angle in -pi..pi. */
 double angle_wrap(double angle_rad);

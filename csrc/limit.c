@@ -9,6 +9,7 @@
  */
 #include "core.h"
 
+#include <float.h>
 #include <math.h>
 
 /* The largest acceleration that can still be let go, by `step` each step, before `gap` is used up; `gap` is
@@ -28,11 +29,12 @@ static limited rest(limit_state *state)
     return (limited){0};
 }
 
-/* The steps between here and `goal`, which lies on the same side of zero as the velocity, or at zero. */
+/* One step towards `goal`, which lies on the same side of zero as the velocity, or at zero. */
 static uint32_t approach(limit_state *state, const axis_limits *limits, double goal_u_s, double dt_s, bool urgent)
 {
-    double away_u_s = goal_u_s - state->velocity_u_s;
-    bool rising = fabs(goal_u_s) > fabs(state->velocity_u_s);
+    double from_u_s = state->velocity_u_s;
+    double away_u_s = goal_u_s - from_u_s;
+    bool rising = fabs(goal_u_s) > fabs(from_u_s);
     double bound_u_s2 = rising ? limits->acceleration_u_s2 : limits->deceleration_u_s2;
     uint32_t reason = rising ? REASON_LINEAR_ACCELERATION : REASON_LINEAR_DECELERATION;
     double sign = away_u_s < 0.0 ? -1.0 : 1.0;
@@ -55,32 +57,42 @@ static uint32_t approach(limit_state *state, const axis_limits *limits, double g
         state->velocity_u_s = goal_u_s;
         return 0;
     }
-    state->acceleration_u_s2 = sign * bound_u_s2;
-    state->velocity_u_s += sign * bound_u_s2 * dt_s;
+    double next_u_s = from_u_s + sign * bound_u_s2 * dt_s;
     /* away is rounded, so a last step could pass the goal by a rounding */
-    if ((goal_u_s - state->velocity_u_s) * sign < 0.0)
-        state->velocity_u_s = goal_u_s;
+    if ((goal_u_s - next_u_s) * sign < 0.0)
+        next_u_s = goal_u_s;
+    state->acceleration_u_s2 = sign * bound_u_s2;
+    state->velocity_u_s = next_u_s;
     return reason;
 }
 
 limited limit_step(limit_state *state, const axis_limits *limits, double want_u_s, double dt_s, bool urgent)
 {
-    if (!isfinite(state->velocity_u_s) || !isfinite(state->acceleration_u_s2) || !(dt_s > 0.0) || !isfinite(dt_s))
+    double from_u_s = state->velocity_u_s;
+    if (!(fabs(from_u_s) + fabs(state->acceleration_u_s2) <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX))
         return rest(state);
     uint32_t reasons = 0;
-    double target_u_s = isfinite(want_u_s) ? want_u_s + 0.0 : 0.0; /* + 0.0: no negative zero */
+    double target_u_s = want_u_s + 0.0; /* no negative zero */
     if (!(fabs(target_u_s) <= limits->velocity_u_s)) {
-        target_u_s = copysign(limits->velocity_u_s, target_u_s);
-        reasons = REASON_LINEAR_VELOCITY;
+        if (!isfinite(want_u_s)) {
+            target_u_s = 0.0;
+        } else {
+            target_u_s = copysign(limits->velocity_u_s, want_u_s);
+            reasons = REASON_LINEAR_VELOCITY;
+        }
     }
-    if (state->velocity_u_s * target_u_s < 0.0) {
+    if (target_u_s == from_u_s) {
+        state->acceleration_u_s2 = 0.0;
+        return (limited){target_u_s, reasons};
+    }
+    if (from_u_s * target_u_s < 0.0) {
         /* through zero: stop with the deceleration, then start with the acceleration */
         uint32_t reason = approach(state, limits, 0.0, dt_s, urgent);
         reasons |= reason != 0 ? reason : (uint32_t)REASON_LINEAR_DECELERATION;
     } else {
         reasons |= approach(state, limits, target_u_s, dt_s, urgent);
     }
-    if (!isfinite(state->velocity_u_s) || !isfinite(state->acceleration_u_s2))
+    if (!(fabs(state->velocity_u_s) <= DBL_MAX))
         return rest(state);
     return (limited){state->velocity_u_s, reasons};
 }

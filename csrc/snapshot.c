@@ -1,0 +1,93 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * snapshot.c: what the core tells. The snapshot is kept in the state and handed out as a copy, so that a tick
+ * writes only what it changed.
+ */
+#include "core.h"
+
+/* a measure as it is, NaN for what no sensor measures (infinity) */
+static double measured(double value)
+{
+    return value + (value - value);
+}
+
+static void write_joint(const core_state *state, const tick *t, uint32_t j, joint_state *to)
+{
+    const joint_feedback *feedback = &t->input->feedback[j];
+    const joint_odometry *odometry = &state->odometry.joint[j];
+    to->position_rad = odometry->position_rad;
+    to->velocity_rad_s = odometry->velocity_rad_s;
+    to->current_a = measured(feedback->current_a);
+    to->voltage_v = measured(feedback->voltage_v);
+    to->temperature_c = measured(feedback->temperature_c);
+    to->drive_faults = feedback->drive_faults;
+    to->enabled = feedback->enabled;
+    to->stale = t->stale[j];
+    to->jumps = odometry->jumps;
+}
+
+void snapshot_write_feedback(core_state *state, const tick *t)
+{
+    const odometry_state *from = &state->odometry;
+    robot_state *to = &state->snapshot;
+    to->odometry_degraded = from->degraded;
+    to->odometry_epoch = from->epoch;
+    to->odometry_stamp_ns = from->stamp_ns;
+    to->x_m = from->x_m;
+    to->y_m = from->y_m;
+    to->heading_rad = from->heading_rad;
+    to->distance_m = from->distance_m;
+    to->turned_rad = from->turned_rad;
+    to->linear_m_s = from->linear_m_s;
+    to->angular_rad_s = from->angular_rad_s;
+    for (int i = 0; i < 6; i++)
+        to->pose_covariance[i] = from->pose_covariance[i];
+    for (int i = 0; i < 3; i++)
+        to->twist_covariance[i] = from->twist_covariance[i];
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        write_joint(state, t, j, &to->joint[j]);
+}
+
+static uint32_t all_reasons(const core_state *state, const tick *t)
+{
+    uint32_t reasons = t->reasons;
+    if (!state->armed)
+        reasons |= REASON_NOT_ARMED;
+    if (t->input->control.stop)
+        reasons |= REASON_STOP_REQUESTED;
+    if (state->faults != 0)
+        reasons |= REASON_FAULT;
+    return reasons;
+}
+
+void snapshot_write(core_state *state, const tick *t)
+{
+    robot_state *to = &state->snapshot;
+    to->stamp_ns = t->input->now_ns;
+    to->tick = state->tick;
+    to->machine_state = t->input->control.machine_state;
+    to->owner = t->input->control.owner;
+    to->reasons = all_reasons(state, t);
+    to->faults = state->faults;
+    to->armed = state->armed;
+    to->enabled = state->armed | state->holding;
+    to->at_rest = state->at_rest;
+    to->dt_s = t->dt_s;
+    to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
+    to->wanted_linear_m_s = t->wanted_linear_m_s;
+    to->wanted_angular_rad_s = t->wanted_angular_rad_s;
+    to->setpoint_linear_m_s = state->linear.velocity_u_s;
+    to->setpoint_angular_rad_s = state->angular.velocity_u_s;
+    to->saturation = t->saturation;
+    uint32_t count = state->config.joint_count;
+    for (uint32_t j = 0; j < count; j++) {
+        to->joint[j].setpoint_rad_s = state->setpoint_rad_s[j];
+        to->joint[j].duty = state->duty[j];
+    }
+}
+
+/* every byte is a field, so that no padding carries what was in memory before */
+_Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
+_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 16, "padding in setpoints");
+_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80,
+               "padding in robot_state");

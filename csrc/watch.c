@@ -1,0 +1,202 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * watch.c: who may move. Ages of what was heard, faults and their latch, arming. Each comparison that lets
+ * something move is written so that NaN does not pass it.
+ */
+#include "core.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+static const int64_t FUTURE_NS = 10000000; /* a stamp may be this much ahead of the tick: it was written meanwhile */
+static const double LEAST_WISH = 1e-9;     /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
+
+static bool finite_number(double value)
+{
+    return fabs(value) <= DBL_MAX;
+}
+
+/* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
+static double age_s(int64_t now_ns, int64_t stamp_ns)
+{
+    return stamp_ns > 0 ? (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9 : INFINITY;
+}
+
+/* The width of fresh(): from FUTURE_NS ahead of now to the timeout behind it. */
+static uint64_t window_ns(double timeout_s)
+{
+    return (uint64_t)((int64_t)(timeout_s * 1e9 + 0.5) + FUTURE_NS);
+}
+
+static bool fresh(int64_t now_ns, int64_t stamp_ns, uint64_t within_ns)
+{
+    return stamp_ns > 0 && (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)FUTURE_NS <= within_ns;
+}
+
+static void read_command(const core_state *state, tick *t)
+{
+    const twist_command *command = &t->input->command;
+    int64_t now_ns = t->input->now_ns;
+    double linear_m_s = 0.0, angular_rad_s = 0.0;
+    t->command_zero = true;
+    t->command_age_s = age_s(now_ns, command->stamp_ns);
+    t->command_fresh = now_ns <= command->expires_ns
+        && fresh(now_ns, command->stamp_ns, window_ns(state->config.command_timeout_s));
+    if (!t->command_fresh) {
+        t->reasons |= REASON_COMMAND_STALE;
+    } else if (!finite_number(command->linear_m_s) || !finite_number(command->angular_rad_s)) {
+        t->reasons |= REASON_COMMAND_NOT_FINITE;
+        t->command_zero = false; /* who sends this shall not arm */
+    } else {
+        if (fabs(command->linear_m_s) >= LEAST_WISH)
+            linear_m_s = command->linear_m_s;
+        if (fabs(command->angular_rad_s) >= LEAST_WISH)
+            angular_rad_s = command->angular_rad_s;
+        t->command_zero = linear_m_s == 0.0 && angular_rad_s == 0.0;
+    }
+    t->wanted_linear_m_s = linear_m_s;
+    t->wanted_angular_rad_s = angular_rad_s;
+}
+
+static void read_feedback(core_state *state, tick *t)
+{
+    int64_t now_ns = t->input->now_ns;
+    uint64_t within_ns = window_ns(state->config.feedback_timeout_s);
+    uint32_t count = state->config.joint_count, faults = 0, silent = 0;
+    uint64_t news = 0;
+    bool disabled = false;
+    for (uint32_t j = 0; j < count; j++) {
+        const joint_feedback *feedback = &t->input->feedback[j];
+        int64_t stamp_ns = feedback->stamp_ns;
+        uint32_t stale = !fresh(now_ns, stamp_ns, within_ns);
+        double since_s = age_s(now_ns, stamp_ns);
+        state->snapshot.joint[j].feedback_age_s = since_s > 0.0 ? since_s : 0.0;
+        t->stale[j] = stale;
+        silent |= stale;
+        news |= (uint64_t)stamp_ns ^ (uint64_t)state->odometry.joint[j].stamp_ns;
+        faults |= feedback->drive_faults;
+        if (feedback->enabled == 0 && stamp_ns > state->armed_ns)
+            disabled = true;
+    }
+    t->any_stale = silent != 0;
+    t->any_new = news != 0;
+    t->drive_disabled = disabled;
+    t->drive_fault = faults != 0;
+}
+
+/* Everything this tick will decide by, read once. */
+static void look(core_state *state, const core_input *input, double dt_s, tick *t)
+{
+    t->input = input;
+    t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
+    t->saturation = 1.0;
+    t->reasons = 0;
+    t->moving = false;
+    t->checksum = state->linear.velocity_u_s + state->linear.acceleration_u_s2
+        + state->angular.velocity_u_s + state->angular.acceleration_u_s2;
+    t->heartbeat_fresh =
+        fresh(input->now_ns, input->control.heartbeat_ns, window_ns(state->config.heartbeat_timeout_s));
+    read_command(state, t);
+    read_feedback(state, t);
+}
+
+/* Faults go only when their causes are gone and nothing moves or wants to. A reset never arms. */
+static void reset(core_state *state, const tick *t)
+{
+    const core_control *control = &t->input->control;
+    bool cause = control->estop || control->fault || t->any_stale || t->drive_fault;
+    if (cause || !t->command_zero || !state->at_rest)
+        return;
+    state->faults = 0;
+    state->holding = 0;
+}
+
+static void obey(core_state *state, const tick *t)
+{
+    const core_control *control = &t->input->control;
+    if (control->reset_count != state->reset_seen) {
+        state->reset_seen = control->reset_count;
+        reset(state, t);
+    }
+    if (control->odometry_reset_count != state->odometry_reset_seen) {
+        state->odometry_reset_seen = control->odometry_reset_count;
+        odometry_reset(&state->odometry, &state->config);
+        snapshot_write_feedback(state, t);
+    }
+    char name[FIELD_NAME_BYTES];
+    if (memcmp(&control->limits, &state->limits, sizeof state->limits) != 0
+        && base_limits_check(&control->limits, name) == NULL) {
+        state->limits = control->limits;
+        state->goal.known = 0;
+    }
+}
+
+static uint32_t causes(const core_state *state, const tick *t)
+{
+    uint32_t found = 0;
+    if (t->input->control.estop)
+        found |= FAULT_ESTOP;
+    if (t->input->control.fault)
+        found |= FAULT_EXTERNAL;
+    if (t->dt_s == 0.0)
+        found |= FAULT_TIME_STEP;
+    if (!state->armed)
+        return found;
+    if (!t->heartbeat_fresh)
+        found |= FAULT_HEARTBEAT_LOST;
+    if (t->any_stale)
+        found |= FAULT_FEEDBACK_STALE;
+    if (t->drive_fault)
+        found |= FAULT_DRIVE;
+    if (t->drive_disabled)
+        found |= FAULT_DRIVE_DISABLED;
+    return found;
+}
+
+stop_action watch_fault_action(const core_state *state)
+{
+    return state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
+}
+
+void watch_latch(core_state *state, uint32_t faults)
+{
+    state->faults |= faults;
+    if (state->faults == 0)
+        return;
+    if (state->armed) {
+        state->armed = 0;
+        state->holding = 1;
+        state->zero_since_ns = 0;
+    }
+    if (watch_fault_action(state) == STOP_COAST)
+        state->holding = 0;
+}
+
+static void arm_or_disarm(core_state *state, const tick *t)
+{
+    const core_control *control = &t->input->control;
+    bool edge = control->armed && !state->armed_seen;
+    state->armed_seen = control->armed;
+    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && t->heartbeat_fresh && t->command_zero
+        && !control->stop) {
+        state->armed = 1;
+        state->armed_ns = t->input->now_ns;
+        state->commanded = 0;
+    }
+    if (!control->armed)
+        state->armed = 0;
+    /* a base armed before its first command has nothing to coast from */
+    bool lapsed = control->stop || (!t->command_fresh && state->commanded);
+    if (lapsed && state->config.on_timeout == STOP_COAST)
+        state->armed = 0;
+    state->commanded |= t->command_fresh;
+}
+
+void watch(core_state *state, const core_input *input, double dt_s, tick *t)
+{
+    look(state, input, dt_s, t);
+    obey(state, t);
+    watch_latch(state, causes(state, t));
+    arm_or_disarm(state, t);
+}
