@@ -47,6 +47,7 @@ class LineCounters:
     unanswered: int = 0
     """Requests for units that are not on this line, have no power or are silenced."""
     replies: int = 0
+    bytes_sent: int = 0
     gap_violations: int = 0
     plugged: int = 0
 
@@ -225,10 +226,9 @@ class SimulatedLine:
             self._wire_free_s = max(self._wire_free_s, now_s)
             self._replies.popleft()
 
-    @staticmethod
-    def _put(fd: int, data: bytes) -> None:
+    def _put(self, fd: int, data: bytes) -> None:
         if data:
             try:
-                os.write(fd, data)
+                self.counters.bytes_sent += os.write(fd, data)
             except BlockingIOError:
                 return  # nobody reads: the bytes are lost, as in a UART's full buffer

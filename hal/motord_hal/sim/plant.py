@@ -26,6 +26,9 @@ AMBIENT_C = 25.0
 THERMAL_TIME_S = 300.0
 HEATING_C_S_A2 = 0.002
 """A winding of about 60 °C above ambient at a steady 10 A, as small hub motors are rated."""
+STANDSTILL_RAD_S = 0.02
+"""Slower than this with a set-point of zero, the speed loop lets go of its integral, which would
+balance the friction and creep for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +141,7 @@ class Wheel:
         torque = feed_forward + gain * error + self._integral_n_m
         if abs(torque) < model.torque_max_n_m:
             self._integral_n_m += gain * error * dt_s / model.integral_time_s
-        if self._reference_rad_s == 0.0 and self.velocity_rad_s == 0.0:
+        if self._reference_rad_s == 0.0 and abs(self.velocity_rad_s) < STANDSTILL_RAD_S:
             self._integral_n_m = 0.0
         return torque
 

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator's fault script: its grammar, and that a seed decides everything."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord_hal.modbus.codec import (
+    FrameError,
+    Function,
+    Request,
+    build_exception,
+    build_reply,
+    parse_request,
+    sealed,
+)
+from motord_hal.sim.faults import KINDS, FaultError, FaultScript, parse_fault
+
+READ = Request(1, Function.READ_HOLDING, 0x100, 3)
+REPLY = build_reply(READ, (1, 2, 3))
+
+
+def script(*texts, seed=1):
+    made = FaultScript(seed)
+    for text in texts:
+        made.add(text)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("dorp:p=0.1", "did you mean drop"),
+        ("", 'no fault ""'),
+        ("drop:q=1", 'no key "q"'),
+        ("delay:mss=3", "did you mean ms"),
+        ("drop:p=1.5", "not in 0 to 1"),
+        ("drop:p=nan", "not in 0 to 1"),
+        ("drop:from_s=inf", "not in 0 to"),
+        ("drop:p=much", "expected a number"),
+        ("drop:p", "p needs a value"),
+        ("drop:nth=2.5", "not a whole number"),
+        ("drop:p=0.5,nth=2", "either p or nth"),
+        ("silence:from_s=2", "silence needs for_s"),
+        ("fault:at_s=1", "either bit= or code="),
+        ("fault:bit=1,code=1", "either bit= or code="),
+    ],
+)
+def test_a_wrong_entry_says_what_is_wrong_with_it(text, says):
+    with pytest.raises(FaultError) as caught:
+        parse_fault(text)
+    assert says in str(caught.value)
+    assert f'"{text}"' in str(caught.value)
+
+
+@given(st.text(max_size=30) | st.from_regex(r"(drop|fault|delay):[a-z_]+=[-+0-9.enaif]*"))
+def test_any_text_is_a_fault_or_a_fault_error(text):
+    try:
+        kind, values = parse_fault(text)
+    except FaultError:
+        return
+    for name, value in values.items():
+        assert KINDS[kind][name].low <= value <= KINDS[kind][name].high
+
+
+def test_defaults_are_filled_in():
+    assert parse_fault("delay") == ("delay", {"ms": 50.0})
+    assert parse_fault("reboot: unit = 2") == ("reboot", {"at_s": 0.0, "for_s": 0.5, "unit": 2.0})
+
+
+def test_nth_counts_the_replies_it_could_have_hit():
+    made = script("drop:nth=3,unit=1")
+    other = bytes([2]) + REPLY[1:]
+    hits = [made.spoil(frame, 0.0).frame == b"" for frame in (REPLY, other, REPLY, REPLY) * 3]
+    assert [place for place, hit in enumerate(hits) if hit] == [3, 7, 11]
+
+
+def test_a_probability_comes_from_the_seed():
+    def hits(seed):
+        made = script("drop:p=0.3", seed=seed)
+        return [made.spoil(REPLY, 0.0).frame == b"" for _ in range(200)]
+
+    assert hits(1) == hits(1)
+    assert hits(1) != hits(2)
+    assert 20 < sum(hits(1)) < 100
+
+
+def test_an_entry_more_does_not_change_what_the_first_one_does():
+    alone = script("drop:p=0.3")
+    both = script("drop:p=0.3", "delay:p=0.5")
+    assert [alone.spoil(REPLY, 0.0).frame for _ in range(100)] == [
+        both.spoil(REPLY, 0.0).frame for _ in range(100)
+    ]
+
+
+def test_a_time_window_opens_and_closes():
+    made = script("drop:from_s=2,for_s=1")
+    dropped = [made.spoil(REPLY, now_s).frame == b"" for now_s in (1.9, 2.0, 2.9, 3.0)]
+    assert dropped == [False, True, True, False]
+
+
+def test_times_of_an_entry_count_from_when_it_was_added():
+    made = FaultScript(1)
+    made.add("reboot:at_s=3", now_s=10.0)
+    assert not list(made.due(12.9))
+    assert [fault.kind for fault in made.due(13.0)] == ["reboot"]
+    assert not list(made.due(14.0))
+
+
+def test_silence_is_of_one_unit_and_has_an_end():
+    made = script("silence:unit=2,from_s=1,for_s=1")
+    asked = [(2, 0.5), (2, 1.5), (1, 1.5), (2, 2.5)]
+    assert [made.silent(unit, now_s) for unit, now_s in asked] == [False, True, False, False]
+
+
+def test_a_cleared_script_does_nothing_more():
+    made = script("drop")
+    made.clear()
+    assert made.spoil(REPLY, 0.0).frame == REPLY
+
+
+def test_each_spoiling_leaves_its_mark():
+    torn = script("tear:after_bytes=4").spoil(REPLY, 0.0).frame
+    assert torn == REPLY[:4]
+    corrupt = script("corrupt").spoil(REPLY, 0.0).frame
+    assert len(corrupt) == len(REPLY)
+    assert not sealed(corrupt)
+    glitch = script("glitch").spoil(REPLY, 0.0).frame
+    assert glitch == b"\x00" + REPLY
+    foreign = script("wrong-unit").spoil(REPLY, 0.0).frame
+    assert sealed(foreign)
+    assert foreign[0] != 1
+    assert foreign[1:-2] == REPLY[1:-2]
+    refused = script("exception:code=6").spoil(REPLY, 0.0).frame
+    assert refused == build_exception(1, 3, 6)
+    assert script("late").spoil(REPLY, 0.0).held
+    delayed = script("delay:ms=40", "delay:ms=2").spoil(REPLY, 0.0)
+    assert (delayed.frame, delayed.delay_s) == (REPLY, pytest.approx(0.042))
+
+
+def test_a_corrupt_frame_is_never_a_good_one():
+    made = script("corrupt")
+    for _ in range(300):
+        with pytest.raises(FrameError):
+            parse_request(made.spoil(REPLY, 0.0).frame)
