@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The daemon's state machine: a table, two guards and one pure function.
+
+Nothing here acts. The caller does what an event stands for and then takes the step, so that a state
+is only ever shown when it is true.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+class State(enum.StrEnum):
+    """In the order of their numbers on the state page: append, never insert."""
+
+    OFF = "off"
+    CONFIGURING = "configuring"
+    IDLE = "idle"
+    ARMED = "armed"
+    MOVING = "moving"
+    STOPPING = "stopping"
+    FAULT = "fault"
+    ESTOP = "estop"
+
+    @property
+    def number(self) -> int:
+        """The state as the state page shows it."""
+        return tuple(State).index(self)
+
+    @property
+    def live(self) -> bool:
+        """The drives are under power because somebody armed."""
+        return self in (State.ARMED, State.MOVING, State.STOPPING)
+
+
+class Event(enum.StrEnum):
+    """What was asked for (ARM to SHUTDOWN), and what was seen."""
+
+    ARM = "arm"
+    """Every drive is enabled and the core has armed."""
+    DISARM = "disarm"
+    """Come to rest, to take the power off."""
+    STOP = "stop"
+    """Come to rest, stay armed."""
+    ESTOP = "estop"
+    RESET = "reset"
+    SHUTDOWN = "shutdown"
+    """The drives are off and the loop ends."""
+    START = "start"
+    """The loop runs, the lines are being opened."""
+    READY = "ready"
+    """Every line has configured every drive."""
+    LOST = "lost"
+    """A line or a drive is not ready any more."""
+    MOVED = "moved"
+    RESTED = "rested"
+    STOPPED = "stopped"
+    """At rest after STOP."""
+    DISARMED = "disarmed"
+    """The power is off."""
+    FAULT = "fault"
+    """The core has latched a fault, or a live line was lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why not, and what to do about it: one sentence for a person."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What the guards of ARM and RESET look at."""
+
+    unready_lines: tuple[str, ...] = ()
+    stale_joints: tuple[str, ...] = ()
+    drive_faults: tuple[str, ...] = ()
+    """`joint: words` for each joint whose drive reports a fault."""
+    commanding: str | None = None
+    """Owner of a lease that asks for motion."""
+    at_rest: bool = True
+
+
+_SAME = {state: state for state in State}
+_LIVE_TO_STOPPING = {state: State.STOPPING for state in State if state.live}
+_NOT_OFF = "the daemon is not running yet"
+_CONFIGURING = "the drives are not ready yet: motord status says which line is waiting for what"
+_LATCHED = "a fault is latched: look at motord status, remove the cause, then motord reset"
+_ESTOPPED = "the emergency stop is latched: see that it is safe, then motord reset"
+
+_Row = Mapping[State, State | Refusal]
+_ROWS: dict[Event, _Row] = {
+    Event.ARM: {
+        State.OFF: Refusal(_NOT_OFF),
+        State.CONFIGURING: Refusal(_CONFIGURING),
+        State.IDLE: State.ARMED,
+        State.ARMED: State.ARMED,
+        State.MOVING: State.MOVING,
+        State.STOPPING: Refusal("the robot is stopping: wait until it is at rest"),
+        State.FAULT: Refusal(_LATCHED),
+        State.ESTOP: Refusal(_ESTOPPED),
+    },
+    Event.DISARM: _SAME | _LIVE_TO_STOPPING,
+    Event.STOP: _SAME | _LIVE_TO_STOPPING,
+    Event.ESTOP: dict.fromkeys(State, State.ESTOP),
+    Event.RESET: {
+        State.OFF: Refusal(_NOT_OFF),
+        State.CONFIGURING: Refusal(_CONFIGURING),
+        State.IDLE: State.IDLE,
+        State.ARMED: Refusal("nothing is latched, and the robot is armed: disarm it first"),
+        State.MOVING: Refusal("nothing is latched, and the robot moves: stop and disarm first"),
+        State.STOPPING: Refusal("the robot is stopping: wait until it is at rest"),
+        State.FAULT: State.IDLE,
+        State.ESTOP: State.IDLE,
+    },
+    Event.SHUTDOWN: dict.fromkeys(State, State.OFF),
+    Event.START: _SAME | {State.OFF: State.CONFIGURING},
+    Event.READY: _SAME | {State.CONFIGURING: State.IDLE},
+    Event.LOST: _SAME | {State.IDLE: State.CONFIGURING},
+    Event.MOVED: _SAME | {State.ARMED: State.MOVING},
+    Event.RESTED: _SAME | {State.MOVING: State.ARMED},
+    Event.STOPPED: _SAME | {State.STOPPING: State.ARMED},
+    Event.DISARMED: _SAME | {state: State.IDLE for state in State if state.live},
+    Event.FAULT: dict.fromkeys(State, State.FAULT) | {State.ESTOP: State.ESTOP},
+}
+# Every pair is decided: a state, or why not.
+TABLE: dict[tuple[State, Event], State | Refusal] = {
+    (state, event): target for event, row in _ROWS.items() for state, target in row.items()
+}
+
+
+def step(state: State, event: Event, facts: Facts) -> State | Refusal:
+    """Where `event` leads from `state`, or why it may not happen. Pure."""
+    target = TABLE[state, event]
+    if isinstance(target, Refusal):
+        return target
+    if event is Event.ARM and target is not state:
+        return _arm_refusal(facts) or target
+    if event is Event.RESET:
+        return _reset_refusal(facts) or target
+    return target
+
+
+def _arm_refusal(facts: Facts) -> Refusal | None:
+    """Arming needs every drive ready, heard and without a fault, and nobody asking for motion."""
+    if facts.drive_faults:
+        return Refusal(f"a drive reports a fault ({_list(facts.drive_faults)}): motord reset")
+    return _presence_refusal(facts) or _command_refusal(facts)
+
+
+def _reset_refusal(facts: Facts) -> Refusal | None:
+    """A drive's own fault is no hindrance: clearing it is part of the reset."""
+    if not facts.at_rest:
+        return Refusal("the wheels still turn: wait until the robot is at rest")
+    return _presence_refusal(facts) or _command_refusal(facts)
+
+
+def _presence_refusal(facts: Facts) -> Refusal | None:
+    if facts.unready_lines:
+        lines = _list(facts.unready_lines)
+        return Refusal(f"not ready: {lines}; look at cable, power and port, then try again")
+    if facts.stale_joints:
+        joints = _list(facts.stale_joints)
+        return Refusal(f"no fresh feedback of {joints}; look at cable and power, then try again")
+    return None
+
+
+def _command_refusal(facts: Facts) -> Refusal | None:
+    if facts.commanding is not None:
+        return Refusal(f"{facts.commanding} asks for motion: it has to send zero, or to end, first")
+    return None
+
+
+def _list(words: tuple[str, ...]) -> str:
+    return ", ".join(words)
