@@ -24,7 +24,7 @@ class Notifier:
             return False
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-                sender.setblocking(False)  # a full queue may not hold up the daemon
+                sender.settimeout(0.0)  # a full queue may not hold up the daemon
                 sender.sendto(text.encode(), self._address)
         except OSError:
             return False
