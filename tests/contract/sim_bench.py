@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated robot whose clock the test turns by hand, and a raw master on its pty."""
+
+import contextlib
+import os
+import select
+
+from motord_hal.drives.load import find_profile
+from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
+from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
+
+ARRIVAL_DEADLINE_S = 10.0
+"""For bytes to pass the kernel's side of a pty: at once, or the test fails."""
+CHARACTER_S = 10 / 115200
+
+
+def can_reverse(profile):
+    channel = profile.channels[1]
+    setpoint = profile.registers[channel.velocity_setpoint or channel.duty_setpoint]
+    return setpoint.type.signed or channel.direction is not None
+
+
+def joints_of(profile, gear_ratio=1.0):
+    """A left and a right joint: on one drive where it has two channels, else on two units. The
+    right motor faces the other way where it can."""
+    paired = len(profile.channels) > 1
+    return tuple(
+        JointSpec(
+            index=index,
+            name=name,
+            profile=profile,
+            unit=1 if paired else index + 1,
+            channel=index + 1 if paired else 1,
+            gear_ratio=gear_ratio,
+            inverted=name == "right" and can_reverse(profile),
+        )
+        for index, name in enumerate(("left", "right"))
+    )
+
+
+def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
+    return LineSpec(
+        index=0,
+        name="bus",
+        kind="modbus-rtu",
+        port=str(port),
+        baudrate=profile.baudrate,
+        parity=profile.parity,
+        stop_bits=profile.stop_bits,
+        cycle_hz=cycle_hz,
+        gap_s=None,
+        engine="asyncio",
+        joints=joints_of(profile, gear_ratio),
+        watchdog_s=watchdog_s,
+    )
+
+
+def rig_of(profile, folder, *, gear_ratio=1.0, **options):
+    wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
+    line = line_of(profile, gear_ratio=gear_ratio)
+    spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
+    return Rig(spec, link_dir=folder)
+
+
+class Bench:
+    """Nothing happens between two calls: the rig's time stands still."""
+
+    def __init__(self, folder, profile="zlac8015d", **options):
+        self.profile = find_profile(profile)
+        self.rig = rig_of(self.profile, folder, **options)
+        self.line = self.rig.lines["bus"]
+        self.now_s = 0.0
+        self.fd = -1
+        self.open()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.hang_up()
+        self.rig.close()
+
+    def open(self):
+        self.fd = os.open(self.line.link, os.O_RDWR | os.O_NOCTTY)
+        self.go_on(0.01)  # the rig looks again whether somebody is there
+
+    def hang_up(self):
+        with contextlib.suppress(OSError):
+            os.close(self.fd)
+
+    @property
+    def drive(self):
+        return self.line.drives[1]
+
+    def wheel(self, name="left"):
+        return self.rig.plant.wheels[name]
+
+    def go_on(self, seconds, step_s=0.001):
+        """Let time pass; it is never passed over that something is due."""
+        end_s = self.now_s + seconds
+        while self.now_s < end_s:
+            due_s = max(self.rig.due_s(), self.now_s)
+            self.now_s = min(end_s, self.now_s + step_s, due_s + 1e-6)
+            self.rig.work(self.now_s)
+
+    def send(self, frame):
+        """Bytes on the wire; the rig has them when this returns."""
+        os.write(self.fd, frame)
+        assert select.select([self.line.fileno_at(self.now_s)], [], [], ARRIVAL_DEADLINE_S)[0]
+        self.rig.work(self.now_s)
+
+    def receive(self, size):
+        """Exactly so many bytes, which the rig has sent."""
+        data = b""
+        while len(data) < size:
+            assert select.select([self.fd], [], [], ARRIVAL_DEADLINE_S)[0], data.hex(" ")
+            data += os.read(self.fd, size - len(data))
+        return data
+
+    def exchange(self, frame, seconds=0.06):
+        """What comes back within this time."""
+        before = self.line.counters.bytes_sent
+        self.send(frame)
+        self.go_on(seconds)
+        return self.receive(self.line.counters.bytes_sent - before)
+
+    def ask(self, request):
+        return parse_reply(request, self.exchange(build_request(request)))
+
+    def read(self, name, unit=1):
+        """A register's SI value, as a client sees it."""
+        register = self.profile.registers[name]
+        count = register.type.words
+        request = Request(unit, Function.READ_HOLDING, register.address, count)
+        reply = self.ask(request)
+        assert reply.exception == 0
+        return register.to_si(register.decode(reply.values))
+
+    def write(self, name, raw, unit=1):
+        """The exception code, 0 where it was taken."""
+        register = self.profile.registers[name]
+        words = register.encode(raw)
+        function = Function.WRITE_SINGLE if len(words) == 1 else Function.WRITE_MULTIPLE
+        return self.ask(Request(unit, function, register.address, values=words)).exception
+
+    def run_steps(self, steps, unit=1):
+        for step in steps:
+            if step.value is not None:
+                assert self.write(step.register, step.value, unit) == 0
