@@ -110,12 +110,14 @@ def _reverse(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    said = set()
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
         if counts_per_turn(joint, profile) and not profile.counter_bits:
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
-        elif not counts_per_turn(joint, profile):
+        elif not counts_per_turn(joint, profile) and joint.drive not in said:
+            said.add(joint.drive)
             measures = profile.channels[joint.channel].velocity is not None
             source = "the measured speed" if measures else "what the wheel was told"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
@@ -175,7 +177,8 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             text = f"{spec.cycle_hz:g} Hz is more than the wire carries: about {most_hz:.3g} Hz"
             yield Finding(on, text, warning=True)
         cycle_s = 1 / min(spec.cycle_hz, most_hz)
-        for key in ("feedback_timeout_s", "drive_watchdog_s"):
+        watched = any(joint.profile.watchdog for joint in spec.joints)
+        for key in ("feedback_timeout_s", "drive_watchdog_s")[: 1 + watched]:
             value = getattr(safety, key)
             if value < 2 * cycle_s:
                 cycles = f'two cycles of line "{spec.name}" (at least {2 * cycle_s:.3g} s)'

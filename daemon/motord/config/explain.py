@@ -78,6 +78,7 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
     data = copy.deepcopy(data)
     for hit in complaints:
         around: Any = data
+        # an element's list goes as a whole
         *parents, key = (part for part in hit.path if not isinstance(part, int))
         for part in parents:
             around = around.get(part) if isinstance(around, dict) else None
@@ -100,15 +101,13 @@ def touched(complaints: Sequence[Complaint]) -> set[Path]:
 def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     path, node, around = describe(schema, error["loc"])
     kind, value = error["type"], error["input"]
-    if isinstance(path[-1], int):
-        return _element(path, node, value)
     if kind == "extra_forbidden":
         return _unknown_key(path, around)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         path = (*path, "kind")
         value = value.get("kind") if isinstance(value, dict) else value
         kind = "missing" if kind == "union_tag_not_found" else "literal_error"
-    stand_in = _stand_in(node, value)
+    stand_in = _NOTHING if isinstance(path[-1], int) else _stand_in(node, value)
     if kind == "missing":
         return Complaint(path, f"is missing{_description(node)}{_hint(allowed(node))}", stand_in)
     if kind == "literal_error":
@@ -124,11 +123,6 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     if kind == "string_too_short":
         return Complaint(path, "is empty", stand_in)
     return Complaint(path, f"{_shown(value)}: {error['msg']}", stand_in)
-
-
-def _element(path: Path, node: Node, value: Any) -> Complaint:
-    """Of a list: without the list, the file is whole again."""
-    return Complaint(path, f"{_shown(value)} may not stand here{_hint(allowed(node))}")
 
 
 def _unknown_key(path: Path, around: Node) -> Complaint:

@@ -45,7 +45,12 @@ class Section(BaseModel):
     """A table of the robot file: no unknown key, no text for a number, no change afterwards."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        field_title_generator=lambda name, _: name,
     )
 
 
