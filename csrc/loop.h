@@ -50,7 +50,7 @@ typedef struct {
     _Atomic int dma_latency_errno;
 } loop_grant;
 
-enum { LOOP_STACK_BYTES = 512 * 1024, LOOP_STACK_PREFAULT_BYTES = 256 * 1024 };
+enum { LOOP_STACK_BYTES = 1024 * 1024, LOOP_STACK_PREFAULT_BYTES = 128 * 1024 };
 
 /* A thread with no signals, at the wished policy, or SCHED_OTHER when that is refused. 0 or -errno. */
 int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg);

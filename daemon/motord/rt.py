@@ -22,6 +22,7 @@ from motord.page_file import PageFile, PageInUse
 from motord.rt_types import (
     AxisLimits,
     BaseLimits,
+    Bucket,
     Control,
     CoreConfig,
     JointConfig,
@@ -45,6 +46,7 @@ __all__ = [
     "Fault",
     "HistogramKind",
     "Percentiles",
+    "Bucket",
     "LoopSettings",
     "LoopStatus",
     "Control",
@@ -328,13 +330,15 @@ class Loop:
         )
         return Percentiles(raw.samples, p50_ns, p99_ns, p99_9_ns, max_ns)
 
-    def buckets(self, kind: HistogramKind) -> list[tuple[int, int]]:
-        """(smallest value in ns, samples) of each bucket that holds any: for plots."""
-        counts = self._read_histogram(kind).bucket
+    def buckets(self, kind: HistogramKind) -> list[Bucket]:
+        """Those that hold a sample, in order."""
+        raw = self._read_histogram(kind)
+        edges_ns = [lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS)]
+        edges_ns.append(max(raw.max_ns, edges_ns[-1]) + 1)
         return [
-            (lib.histogram_bucket_floor_ns(index), count)
-            for index, count in enumerate(counts)
-            if count
+            Bucket(edges_ns[index], edges_ns[index + 1], samples)
+            for index, samples in enumerate(raw.bucket)
+            if samples
         ]
 
     def clear_histograms(self) -> None:

@@ -76,6 +76,15 @@ class Percentiles:
     max_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class Bucket:
+    """So many samples of low_ns or more and less than high_ns; at most 1/16 of its value wide."""
+
+    low_ns: int
+    high_ns: int
+    samples: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
     """How the loop's thread is to run."""

@@ -1,0 +1,169 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of mailbox.c, exchange.c, page.c, histogram.c and schedule.c, in one thread. */
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+
+#include "check.h"
+#include "exchange.h"
+#include "schedule.h"
+
+static void a_mailbox_gives_the_newest_value(void)
+{
+    mailbox box;
+    uint32_t slot[MAILBOX_SLOTS] = {0}, value = 7;
+    mailbox_init(&box);
+    CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == 0);
+    for (uint32_t sent = 1; sent <= 100; sent++) {
+        mailbox_put(&box, slot, &sent, sizeof sent);
+        if (sent % 3 == 0) {
+            CHECK(mailbox_take(&box, slot, &value, sizeof value) == 1 && value == sent);
+            CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == sent);
+        }
+    }
+}
+
+static void each_value_has_a_box_of_its_own(void)
+{
+    static exchange x;
+    twist_command command = {.linear_m_s = 0.5};
+    core_control control = {.armed = 1};
+    joint_feedback feedback = {0};
+    setpoints out = {0};
+    CHECK(exchange_bytes() == sizeof x && exchange_bytes() % CACHE_LINE_BYTES == 0);
+    exchange_init(&x);
+    exchange_put_command(&x, &command);
+    exchange_put_control(&x, &control);
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        CHECK(exchange_put_feedback(&x, joint, &(joint_feedback){.count = 100 + joint}) == 0);
+    }
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        CHECK(exchange_put_setpoints(&x, line, &(setpoints){.tick = 200 + line}) == 0);
+    }
+    command.linear_m_s = 0;
+    control.armed = 0;
+    CHECK(exchange_take_command(&x, &command) == 1 && command.linear_m_s == 0.5);
+    CHECK(exchange_take_control(&x, &control) == 1 && control.armed == 1);
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        CHECK(exchange_take_feedback(&x, joint, &feedback) == 1 && feedback.count == 100 + joint);
+    }
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        CHECK(exchange_take_setpoints(&x, line, &out) == 1 && out.tick == 200 + line);
+    }
+    CHECK(exchange_put_feedback(&x, JOINTS_MAX, &feedback) == -EINVAL);
+    CHECK(exchange_take_feedback(&x, JOINTS_MAX, &feedback) == -EINVAL);
+    CHECK(exchange_put_setpoints(&x, LINES_MAX, &out) == -EINVAL);
+    CHECK(exchange_take_setpoints(&x, LINES_MAX, &out) == -EINVAL);
+}
+
+/* Offsets as docs/state-page.md gives them, not as page.c has them. */
+enum { LAYOUT_VERSION_AT = 8, SLOT_STRIDE_AT = 20, PUBLISHED_AT = 32, SLOTS_AT = 64 };
+
+static void set_word(uint8_t *page, size_t offset, uint64_t value)
+{
+    memcpy(page + offset, &value, sizeof value);
+}
+
+static void a_page_is_read_as_it_was_written(uint8_t *page)
+{
+    robot_state written, read;
+    CHECK(page_init(NULL) == -EINVAL);
+    CHECK(page_init(page + 8) == -EINVAL);
+    CHECK(page_read(page, &read) == -EPROTO);
+    CHECK(page_init(page) == 0);
+    CHECK(page_read(page, &read) == -ENODATA);
+    for (uint64_t tick = 1; tick <= 9; tick++) {
+        memset(&written, (int)tick, sizeof written);
+        page_write(page, &written);
+        CHECK(page_read(page, &read) == 0);
+        CHECK(memcmp(&written, &read, sizeof read) == 0);
+    }
+}
+
+static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
+{
+    robot_state read;
+    uint32_t stride;
+    uint8_t magic = page[0];
+    page[0] = 'm';
+    CHECK(page_read(page, &read) == -EPROTO);
+    page[0] = magic;
+    page[LAYOUT_VERSION_AT]++;
+    CHECK(page_read(page, &read) == -EPROTO);
+    page[LAYOUT_VERSION_AT]--;
+    CHECK(page_read(page, &read) == 0);
+    memcpy(&stride, page + SLOT_STRIDE_AT, sizeof stride);
+    /* nine were written, so the newest is in the first slot: as if the writer had stopped within it */
+    set_word(page, SLOTS_AT, 2 * 9 - 1);
+    CHECK(page_read(page, &read) == -EAGAIN);
+    set_word(page, SLOTS_AT, 2 * 9);
+    CHECK(page_read(page, &read) == 0);
+    set_word(page, PUBLISHED_AT, 10);   /* the slot of the tenth still holds the sixth */
+    CHECK(page_read(page, &read) == -EAGAIN);
+    CHECK(stride == 8 + sizeof read + (64 - (8 + sizeof read) % 64) % 64);
+}
+
+static void buckets_are_narrow_and_in_order(void)
+{
+    CHECK(histogram_bucket(INT64_MIN) == 0 && histogram_bucket(-1) == 0 && histogram_bucket(0) == 0);
+    CHECK(histogram_bucket(INT64_MAX) == HISTOGRAM_BUCKETS - 1);
+    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS + 5) == histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
+    for (uint32_t bucket = 0; bucket < HISTOGRAM_BUCKETS; bucket++) {
+        int64_t floor_ns = histogram_bucket_floor_ns(bucket);
+        CHECK(histogram_bucket(floor_ns) == bucket);
+        if (bucket > 0) {
+            CHECK(histogram_bucket(floor_ns - 1) == bucket - 1);
+        }
+        if (bucket + 1 < HISTOGRAM_BUCKETS && bucket >= HISTOGRAM_SUB_BUCKETS) {
+            CHECK((histogram_bucket_floor_ns(bucket + 1) - floor_ns) * HISTOGRAM_SUB_BUCKETS <= floor_ns);
+        }
+    }
+}
+
+static void percentiles_are_never_told_too_low(void)
+{
+    static histogram h, copy;
+    histogram_clear(&h);
+    CHECK(histogram_percentile_ns(&h, 0.5) == 0);
+    for (int64_t value_ns = 1000; value_ns >= 1; value_ns--) {
+        histogram_add(&h, value_ns);
+    }
+    histogram_copy(&copy, &h);
+    CHECK(copy.samples == 1000 && copy.min_ns == 1 && copy.max_ns == 1000);
+    for (int64_t rank = 1; rank <= 1000; rank++) {
+        int64_t got_ns = histogram_percentile_ns(&copy, (double)rank / 1000);
+        CHECK(got_ns >= rank - 1 && got_ns <= rank + rank / 16 + 1 && got_ns <= 1000);
+    }
+    CHECK(histogram_percentile_ns(&copy, NAN) == 1 && histogram_percentile_ns(&copy, -1) == 1);
+    CHECK(histogram_percentile_ns(&copy, 2) == 1000);
+    histogram_add(&h, INT64_MAX);
+    histogram_add(&h, INT64_MIN);
+    CHECK(h.min_ns == 0 && h.max_ns == INT64_MAX);
+    CHECK(histogram_percentile_ns(&h, 1) == INT64_MAX);
+}
+
+static void a_late_tick_skips_and_never_bursts(void)
+{
+    CHECK(schedule_period_ns(1000) == 1000000 && schedule_period_ns(3) == 333333333);
+    for (int64_t late_ns = 0; late_ns <= 500; late_ns++) {
+        int64_t deadline_ns = 1000;
+        uint64_t skipped = schedule_next(&deadline_ns, 100, 1000 + late_ns);
+        CHECK(deadline_ns % 100 == 0);                       /* on the grid */
+        CHECK(deadline_ns >= 1000 + late_ns);                /* not past */
+        CHECK(deadline_ns - 100 < 1000 + late_ns || skipped == 0);   /* the first such */
+        CHECK((int64_t)skipped == (deadline_ns - 1100) / 100);
+    }
+}
+
+int main(void)
+{
+    static _Alignas(64) uint8_t page[PAGE_BYTES + 64];
+    a_mailbox_gives_the_newest_value();
+    each_value_has_a_box_of_its_own();
+    a_page_is_read_as_it_was_written(page);
+    a_page_that_cannot_be_trusted_is_refused(page);
+    buckets_are_narrow_and_in_order();
+    percentiles_are_never_told_too_low();
+    a_late_tick_skips_and_never_bursts();
+    return checks_report("plumbing");
+}
