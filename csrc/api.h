@@ -296,10 +296,11 @@ typedef struct {
     core_goal goal;
     limit_state linear;
     limit_state angular;
-    double duty[JOINTS_MAX];
-    double setpoint_rad_s[JOINTS_MAX];
     odometry_state odometry;
-    robot_state snapshot;       /* of the last tick */
+    robot_state snapshot;       /* of the last tick; set-points and duties of the joints live in it */
+    uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
+    int64_t oldest_ns;          /* stamps of the feedback that is in use */
+    int64_t newest_ns;
     uint64_t tick;
     uint32_t armed;
     uint32_t armed_seen;        /* control.armed of the tick before: arming wants an edge */
@@ -308,7 +309,7 @@ typedef struct {
     uint32_t faults;
     uint32_t holding;           /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
     uint32_t commanded;         /* a fresh command has come since arming */
-    uint32_t silent;            /* a joint was stale in the last tick */
+    uint32_t silent;            /* a joint is stale */
     uint32_t slow;              /* no wheel that is heard turned faster than rest_velocity_rad_s */
     uint32_t at_rest;           /* after the last tick */
     int64_t armed_ns;           /* the tick that armed */

@@ -14,13 +14,16 @@
 static const double DT_MAX_S = 0.1; /* after a longer pause the ramps go on as if it had been this */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
-static void zero_at_once(core_state *state, tick *t)
+static void zero_at_once(core_state *state, tick *t, setpoints *out)
 {
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        t->checksum += state->duty[j];
-        state->setpoint_rad_s[j] = state->duty[j] = 0.0;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        joint_state *joint = &state->snapshot.joint[j];
+        t->checksum += joint->duty;
+        out->joint[j].velocity_rad_s = joint->setpoint_rad_s = 0.0;
+        out->joint[j].duty = joint->duty = 0.0;
     }
     state->linear = state->angular = (limit_state){0};
+    t->moving = false;
 }
 
 /* false: no ramp, the set-points are zero now */
@@ -74,8 +77,8 @@ static void choose_goal(core_state *state, tick *t, double *linear_m_s, double *
     t->reasons |= goal->reasons;
 }
 
-/* kinematics → saturate: what all wheels do of what the ramps want */
-static double set_speeds(core_state *state, double *wheel_rad_s)
+/* The speeds that the ramps want of the wheels, and the common factor that saturates them. */
+static double wish_speeds(const core_state *state, double *wheel_rad_s)
 {
     uint32_t count = state->config.joint_count;
     double linear_m_s = state->linear.velocity_u_s;
@@ -84,17 +87,17 @@ static double set_speeds(core_state *state, double *wheel_rad_s)
     for (uint32_t j = 0; j < count; j++) {
         const joint_config *joint = &state->config.joint[j];
         double speed_rad_s = wheel_speed(joint, linear_m_s, turn_m_s);
-        double share = wheel_share(joint, speed_rad_s);
         wheel_rad_s[j] = speed_rad_s;
-        factor = share < factor ? share : factor;
+        if (!wheel_within(joint, speed_rad_s))
+            factor = fmin(factor, wheel_share(joint, speed_rad_s));
     }
     return factor;
 }
 
-static void set_wheels(core_state *state, tick *t, double dt_s)
+static void set_wheels(core_state *state, tick *t, double dt_s, setpoints *out)
 {
     double wheel_rad_s[JOINTS_MAX];
-    double factor = set_speeds(state, wheel_rad_s);
+    double factor = wish_speeds(state, wheel_rad_s);
     if (factor < 1.0) {
         /* back into the ramps, or they would wind up beyond what the wheels do */
         state->linear.velocity_u_s *= factor;
@@ -104,28 +107,26 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
     uint32_t count = state->config.joint_count;
     uint32_t reasons = t->saturation < 1.0 ? REASON_WHEEL_SATURATED : 0;
     double checksum = t->checksum;
-    bool moving = false;
     for (uint32_t j = 0; j < count; j++) {
+        joint_state *joint = &state->snapshot.joint[j];
         double speed_rad_s = wheel_rad_s[j] * factor;
-        double last_duty = state->duty[j];
+        double last_duty = joint->duty;
         pwm_output output = wheel_duty(&state->config.joint[j].pwm, last_duty, speed_rad_s, dt_s);
-        state->setpoint_rad_s[j] = speed_rad_s;
-        state->duty[j] = output.duty;
+        out->joint[j].velocity_rad_s = joint->setpoint_rad_s = speed_rad_s;
+        out->joint[j].duty = joint->duty = output.duty;
         reasons |= output.reasons;
-        checksum += speed_rad_s + last_duty + output.duty;
-        if (speed_rad_s != 0.0)
-            moving = true;
+        checksum += last_duty + output.duty;
     }
     t->checksum = checksum;
     t->reasons |= reasons;
-    t->moving = moving;
+    t->moving = state->linear.velocity_u_s != 0.0 || state->angular.velocity_u_s != 0.0;
 }
 
 /* goal → limit → kinematics → saturate → PWM */
-static void drive(core_state *state, tick *t)
+static void drive(core_state *state, tick *t, setpoints *out)
 {
     if (!may_ramp(state, t)) {
-        zero_at_once(state, t);
+        zero_at_once(state, t, out);
         return;
     }
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
@@ -135,14 +136,14 @@ static void drive(core_state *state, tick *t)
     limited linear = limit_step(&state->linear, &state->limits.linear, linear_m_s, dt_s, urgent);
     limited angular = limit_step(&state->angular, &state->limits.angular, angular_rad_s, dt_s, urgent);
     t->reasons |= linear.reasons | angular.reasons << 4;
-    set_wheels(state, t, dt_s);
+    set_wheels(state, t, dt_s, out);
 }
 
-static bool all_slow(const core_state *state, const tick *t)
+static bool all_slow(const core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++)
         /* a wheel that measures nothing (NaN) is as fast as its set-point */
-        if (!t->stale[j] && fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s)
+        if (!state->stale[j] && fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s)
             return false;
     return true;
 }
@@ -150,29 +151,30 @@ static bool all_slow(const core_state *state, const tick *t)
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */
 static void measure(core_state *state, tick *t)
 {
-    if (!t->any_new && !t->any_stale && !state->silent)
+    if (!t->news)
         return;
-    state->silent = t->any_stale;
-    odometry_step(&state->odometry, &state->config, t->input->feedback, t->stale, state->setpoint_rad_s);
+    double setpoint_rad_s[JOINTS_MAX];
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        setpoint_rad_s[j] = state->snapshot.joint[j].setpoint_rad_s;
+    odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, setpoint_rad_s);
     if (state->odometry.blind)
-        odometry_drift(&state->odometry, &state->config, state->setpoint_rad_s, t->dt_s);
+        odometry_drift(&state->odometry, &state->config, setpoint_rad_s, t->dt_s);
     if (!odometry_finite(&state->odometry, state->config.joint_count)) {
         uint32_t epoch = state->odometry.epoch;
         odometry_init(&state->odometry, &state->config);
         state->odometry.epoch = epoch + 1;
         t->checksum = NAN;
     }
-    state->slow = all_slow(state, t);
+    state->slow = all_slow(state);
     snapshot_write_feedback(state, t);
 }
 
 /* The last look at what has been computed: nothing that is not a number leaves. */
-static void guard(core_state *state, tick *t)
+static void guard(core_state *state, tick *t, setpoints *out)
 {
     if (isfinite(t->checksum))
         return;
-    zero_at_once(state, t);
-    t->moving = false;
+    zero_at_once(state, t, out);
     t->saturation = 1.0;
     state->goal.known = 0;
     watch_latch(state, FAULT_STATE);
@@ -195,17 +197,6 @@ static void release(core_state *state, const tick *t)
         state->holding = 0;
 }
 
-/* Of all joints: those that this base does not have are zero. */
-static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
-{
-    out->stamp_ns = t->input->now_ns;
-    out->tick = state->tick;
-    out->enabled = state->armed | state->holding;
-    out->joint_count = state->config.joint_count;
-    for (uint32_t j = 0; j < JOINTS_MAX; j++)
-        out->joint[j] = (joint_setpoint){state->setpoint_rad_s[j], state->duty[j]};
-}
-
 int core_init(core_state *state, const core_config *config)
 {
     char name[FIELD_NAME_BYTES];
@@ -225,15 +216,19 @@ int core_init(core_state *state, const core_config *config)
 void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot)
 {
     tick t;
+    memset(out, 0, sizeof *out);
     state->tick++;
     watch(state, input, dt_s, &t);
-    drive(state, &t);
+    drive(state, &t, out);
     measure(state, &t);
-    guard(state, &t);
+    guard(state, &t, out);
     state->at_rest = !t.moving && state->slow;
     if (state->holding)
         release(state, &t);
-    write_setpoints(state, &t, out);
+    out->stamp_ns = input->now_ns;
+    out->tick = state->tick;
+    out->enabled = state->armed | state->holding;
+    out->joint_count = state->config.joint_count;
     snapshot_write(state, &t);
     *snapshot = state->snapshot;
 }

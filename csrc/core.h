@@ -5,6 +5,8 @@
 
 #include "rt.h"
 
+#pragma GCC visibility push(hidden)
+
 /* What one tick knows beside its state. */
 typedef struct {
     const core_input *input;
@@ -18,12 +20,11 @@ typedef struct {
     bool command_fresh;
     bool command_zero;
     bool heartbeat_fresh;
+    bool news;                  /* feedback is new, or missing: there is something to measure */
     bool any_stale;
-    bool any_new;
     bool drive_fault;
     bool drive_disabled;
     bool moving;                /* a set-point is not zero */
-    uint32_t stale[JOINTS_MAX];
 } tick;
 
 /* Reads the input and decides who may move: control, faults, arming. */
@@ -49,5 +50,7 @@ void angle_sine_cosine(double angle_rad, double *sine, double *cosine);
 void odometry_drift(odometry_state *state, const core_config *config, const double *setpoint_rad_s, double dt_s);
 /* false: a number in it is not finite */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);
+
+#pragma GCC visibility pop
 
 #endif

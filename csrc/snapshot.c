@@ -22,7 +22,7 @@ static void write_joint(const core_state *state, const tick *t, uint32_t j, join
     to->temperature_c = measured(feedback->temperature_c);
     to->drive_faults = feedback->drive_faults;
     to->enabled = feedback->enabled;
-    to->stale = t->stale[j];
+    to->stale = state->stale[j];
     to->jumps = odometry->jumps;
 }
 
@@ -79,11 +79,6 @@ void snapshot_write(core_state *state, const tick *t)
     to->setpoint_linear_m_s = state->linear.velocity_u_s;
     to->setpoint_angular_rad_s = state->angular.velocity_u_s;
     to->saturation = t->saturation;
-    uint32_t count = state->config.joint_count;
-    for (uint32_t j = 0; j < count; j++) {
-        to->joint[j].setpoint_rad_s = state->setpoint_rad_s[j];
-        to->joint[j].duty = state->duty[j];
-    }
 }
 
 /* every byte is a field, so that no padding carries what was in memory before */

@@ -59,28 +59,46 @@ static void read_command(const core_state *state, tick *t)
     t->wanted_angular_rad_s = angular_rad_s;
 }
 
-static void read_feedback(core_state *state, tick *t)
+/* Which joints are heard, and since when. */
+static void judge_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
     uint64_t within_ns = window_ns(state->config.feedback_timeout_s);
-    uint32_t count = state->config.joint_count, faults = 0, silent = 0;
-    uint64_t news = 0;
+    state->silent = 0;
+    state->oldest_ns = INT64_MAX;
+    state->newest_ns = 0;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        int64_t stamp_ns = t->input->feedback[j].stamp_ns;
+        double since_s = age_s(now_ns, stamp_ns);
+        state->snapshot.joint[j].feedback_age_s = since_s > 0.0 ? since_s : 0.0;
+        state->stale[j] = !fresh(now_ns, stamp_ns, within_ns);
+        state->silent |= state->stale[j];
+        state->oldest_ns = stamp_ns < state->oldest_ns ? stamp_ns : state->oldest_ns;
+        state->newest_ns = stamp_ns > state->newest_ns ? stamp_ns : state->newest_ns;
+    }
+}
+
+static void read_feedback(core_state *state, tick *t)
+{
+    int64_t now_ns = t->input->now_ns, armed_ns = state->armed_ns;
+    uint32_t count = state->config.joint_count, faults = 0;
+    uint64_t news = state->silent;
     bool disabled = false;
     for (uint32_t j = 0; j < count; j++) {
         const joint_feedback *feedback = &t->input->feedback[j];
         int64_t stamp_ns = feedback->stamp_ns;
-        uint32_t stale = !fresh(now_ns, stamp_ns, within_ns);
-        double since_s = age_s(now_ns, stamp_ns);
-        state->snapshot.joint[j].feedback_age_s = since_s > 0.0 ? since_s : 0.0;
-        t->stale[j] = stale;
-        silent |= stale;
+        state->snapshot.joint[j].feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
         news |= (uint64_t)stamp_ns ^ (uint64_t)state->odometry.joint[j].stamp_ns;
         faults |= feedback->drive_faults;
-        if (feedback->enabled == 0 && stamp_ns > state->armed_ns)
+        if (feedback->enabled == 0 && stamp_ns > armed_ns)
             disabled = true;
     }
-    t->any_stale = silent != 0;
-    t->any_new = news != 0;
+    bool known = news == 0 && now_ns >= state->newest_ns
+        && fresh(now_ns, state->oldest_ns, window_ns(state->config.feedback_timeout_s));
+    if (!known)
+        judge_feedback(state, t);
+    t->news = !known;
+    t->any_stale = state->silent != 0;
     t->drive_disabled = disabled;
     t->drive_fault = faults != 0;
 }
@@ -112,7 +130,7 @@ static void reset(core_state *state, const tick *t)
     state->holding = 0;
 }
 
-static void obey(core_state *state, const tick *t)
+static void obey_counters(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     if (control->reset_count != state->reset_seen) {
@@ -124,12 +142,15 @@ static void obey(core_state *state, const tick *t)
         odometry_reset(&state->odometry, &state->config);
         snapshot_write_feedback(state, t);
     }
+}
+
+static void take_limits(core_state *state, const base_limits *limits)
+{
     char name[FIELD_NAME_BYTES];
-    if (memcmp(&control->limits, &state->limits, sizeof state->limits) != 0
-        && base_limits_check(&control->limits, name) == NULL) {
-        state->limits = control->limits;
-        state->goal.known = 0;
-    }
+    if (memcmp(limits, &state->limits, sizeof *limits) == 0 || base_limits_check(limits, name) != NULL)
+        return;
+    state->limits = *limits;
+    state->goal.known = 0;
 }
 
 static uint32_t causes(const core_state *state, const tick *t)
@@ -193,10 +214,23 @@ static void arm_or_disarm(core_state *state, const tick *t)
     state->commanded |= t->command_fresh;
 }
 
+/* Armed, asked to go on, and with nothing amiss: the common tick, in which nothing changes. */
+static bool calm(const core_state *state, const tick *t)
+{
+    const core_control *control = &t->input->control;
+    bool changed = (control->reset_count ^ state->reset_seen) | (control->odometry_reset_count ^ state->odometry_reset_seen);
+    return state->armed && state->commanded && control->armed && !(control->estop | control->fault | control->stop)
+        && !changed && t->dt_s != 0.0 && t->heartbeat_fresh && t->command_fresh
+        && !(t->any_stale | t->drive_fault | t->drive_disabled);
+}
+
 void watch(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     look(state, input, dt_s, t);
-    obey(state, t);
+    take_limits(state, &input->control.limits);
+    if (calm(state, t))
+        return;
+    obey_counters(state, t);
     watch_latch(state, causes(state, t));
     arm_or_disarm(state, t);
 }
