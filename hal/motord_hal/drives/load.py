@@ -77,7 +77,8 @@ def load_profile(path: Path) -> DriveProfile:
         raise ProfileError(f"{path}: is not UTF-8: {error.reason}") from error
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"line (\d+)", str(error))
-        raise ProfileError(f"{path}:{line.group(1) if line else 1}: toml: {error}") from error
+        number = line.group(1) if line else len(text.splitlines())
+        raise ProfileError(f"{path}:{number}: toml: {error}") from error
     problems = Problems(path, text)
     profile = _profile(Table("", values, problems), path)
     check_profile(profile, problems)

@@ -77,16 +77,16 @@ class Register:
 
     def from_si(self, value: float) -> int:
         """Nearest raw value within the register's own limits. NaN and infinity raise ValueError."""
+        if not math.isfinite(value):
+            raise ValueError(f"{self.name}: {value} cannot be written")
         _, per_unit, _ = SI_UNITS[self.unit]
         in_unit = value / per_unit
-        if not math.isfinite(in_unit):
-            raise ValueError(f"{self.name}: {value} cannot be written")
         if self.minimum is not None:
             in_unit = max(in_unit, self.minimum)
         if self.maximum is not None:
             in_unit = min(in_unit, self.maximum)
         low, high = self.raw_range
-        return min(max(round(in_unit / self.scale), low), high)
+        return round(min(max(in_unit / self.scale, low), high))
 
     def decode(self, words: tuple[int, ...]) -> int:
         """Raw value from the words as they stood on the wire."""

@@ -52,11 +52,13 @@ class Problems:
         self._lines = line_index(text)
 
     def add(self, key: str, problem: str) -> None:
-        """Names the line of the key, else of the nearest table around it."""
+        """Names the line of the key, else of the nearest table around it, else the first inside."""
         near = key
         while near and near not in self._lines:
             near = near.rpartition(".")[0]
-        line = f":{self._lines[near]}" if near else ""
+        inside = (row for name, row in self._lines.items() if name.startswith(f"{key}."))
+        number = self._lines[near] if near else min(inside, default=None)
+        line = f":{number}" if number else ""
         self.rows.append(f"{self.path}{line}: {key}: {problem}")
 
 

@@ -93,6 +93,7 @@ class StrictFramer(FramerRTU):
                     self.disarm()
                     return len(data), pdu
         # Anything but a tail that may still grow into the answer is garbage.
+        self.refused = self.refused or f"{data.hex(' ')} is no answer"
         return max(0, len(data) - max(due, EXCEPTION_BYTES) + 1), None
 
     def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:

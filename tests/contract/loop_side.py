@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop's end of an exchange, and a line that runs: what tests of lines share."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+
+from motord_hal.clock import now_ns
+from motord_hal.lines import open_line
+from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineSpec
+from motord_hal.rt import Exchange, JointSetpoint, Setpoints
+
+GENEROUS_S = 20.0
+SETPOINTS_EVERY_S = 0.005
+
+
+async def until(condition: Callable[[], bool], what: str = "") -> None:
+    """Wait for a condition, with a deadline that only a hung program meets."""
+    try:
+        async with asyncio.timeout(GENEROUS_S):
+            while not condition():  # a condition of the world, not of ours
+                await asyncio.sleep(0.002)
+    except TimeoutError:
+        raise AssertionError(f"never came true: {what or condition}") from None
+
+
+@dataclass
+class LoopSide:
+    """Puts set-points as the loop's tick does; `running = False`: the loop has died."""
+
+    exchange: Exchange
+    line: int = 0
+    joints: int = 8
+    enabled: bool = False
+    velocity_rad_s: dict[int, float] = field(default_factory=dict)
+    duty: dict[int, float] = field(default_factory=dict)
+    running: bool = True
+
+    def put(self) -> None:
+        wheels = tuple(
+            JointSetpoint(self.velocity_rad_s.get(n, 0.0), self.duty.get(n, 0.0))
+            for n in range(self.joints)
+        )
+        self.exchange.put_setpoints(self.line, Setpoints(now_ns(), 1, self.enabled, wheels))
+
+    async def tick(self) -> None:
+        while True:
+            if self.running:
+                self.put()
+            await asyncio.sleep(SETPOINTS_EVERY_S)
+
+
+@dataclass
+class Rig:
+    """A line under test, its loop side, and what it said."""
+
+    line: Line
+    loop: LoopSide
+    events: list[LineEvent]
+    task: asyncio.Task[None]
+
+    def kinds(self) -> list[EventKind]:
+        return [event.kind for event in self.events]
+
+    def states(self) -> set[DriveState]:
+        return set(self.line.drive_states.values())
+
+    async def ready(self) -> None:
+        await until(lambda: self.states() == {DriveState.READY}, "every drive is ready")
+
+    async def arm(self) -> None:
+        await self.ready()
+        await self.line.arm()
+        assert self.states() == {DriveState.ARMED}
+
+
+@contextlib.asynccontextmanager
+async def running(spec: LineSpec) -> AsyncIterator[Rig]:
+    """The line, running, until the end of the block; then it is cancelled."""
+    loop = LoopSide(Exchange.private(), line=spec.index)
+    loop.put()
+    events: list[LineEvent] = []
+    line = open_line(spec, loop.exchange, events.append)
+    async with asyncio.TaskGroup() as group:
+        ticking = group.create_task(loop.tick())
+        task = group.create_task(line.run())
+        try:
+            yield Rig(line, loop, events, task)
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+            ticking.cancel()

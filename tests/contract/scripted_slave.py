@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Modbus RTU slave on a pty that does as a test says: real bytes, honest by default."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+import tty
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from motord_hal.modbus.codec import (
+    Function,
+    Request,
+    build_exception,
+    build_reply,
+    parse_request,
+    request_bytes,
+)
+
+Bytes = list[tuple[float, bytes]]
+"""What goes onto the wire: after so many seconds, these bytes."""
+Trick = Callable[[Request, bytes], Bytes]
+"""Makes of the honest reply what is sent instead."""
+
+
+@dataclass
+class Heard:
+    at_s: float
+    request: Request
+
+
+@dataclass
+class Unit:
+    """Registers of one drive; `on_write(address, value)` may change them after a write."""
+
+    registers: dict[int, int] = field(default_factory=dict)
+    on_write: Callable[[int, int], None] | None = None
+    silent: bool = False
+    refuses: set[int] = field(default_factory=set)
+    """Addresses whose access is answered with exception 2."""
+
+
+class ScriptedSlave:
+    """Answers on `path` (a symlink to the pty) from the running event loop."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.units: dict[int, Unit] = {1: Unit()}
+        self.tricks: deque[Trick] = deque()
+        self.heard: list[Heard] = []
+        self.answered_at_s: list[float] = []
+        self._buffer = b""
+        self._timers: list[asyncio.TimerHandle] = []
+        self._master = -1
+        self.plug()
+
+    def plug(self) -> None:
+        """A new pty; the link points to it."""
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        fresh = self.path.with_name(self.path.name + ".new")
+        fresh.symlink_to(os.ttyname(slave))
+        fresh.rename(self.path)
+        self._slave = slave
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
+
+    def pull(self) -> None:
+        """The adapter is gone: the pty is closed and the link is removed."""
+        if self._master < 0:
+            return
+        for timer in self._timers:
+            timer.cancel()
+        asyncio.get_running_loop().remove_reader(self._master)
+        os.close(self._slave)
+        os.close(self._master)
+        self._master, self._buffer = -1, b""
+        self.path.unlink()
+
+    def send(self, data: bytes) -> None:
+        self.answered_at_s.append(time.monotonic())
+        os.write(self._master, data)
+
+    def requests(self, unit: int | None = None) -> list[Request]:
+        return [h.request for h in self.heard if unit is None or h.request.unit == unit]
+
+    def written(self, address: int, unit: int = 1) -> list[int]:
+        """Every value that was written to a register, in order."""
+        values = []
+        for request in self.requests(unit):
+            offset = address - request.address
+            if 0 <= offset < len(request.values):
+                values.append(request.values[offset])
+        return values
+
+    def _readable(self) -> None:
+        try:
+            self._buffer += os.read(self._master, 4096)
+        except (BlockingIOError, OSError):
+            return  # nobody has the other end open
+        while (size := request_bytes(self._buffer)) and len(self._buffer) >= size:
+            frame, self._buffer = self._buffer[:size], self._buffer[size:]
+            self._serve(parse_request(frame))
+
+    def _serve(self, request: Request) -> None:
+        self.heard.append(Heard(time.monotonic(), request))
+        if request.unit == 0:
+            return
+        unit = self.units.get(request.unit)
+        if unit is None or unit.silent:
+            return
+        honest = self._honest(unit, request)
+        out = self.tricks.popleft()(request, honest) if self.tricks else [(0.0, honest)]
+        loop = asyncio.get_running_loop()
+        for delay_s, data in out:
+            if delay_s:
+                self._timers.append(loop.call_later(delay_s, self.send, data))
+            else:
+                self.send(data)
+
+    def _honest(self, unit: Unit, request: Request) -> bytes:
+        count = request.count or len(request.values)
+        span = range(request.address, request.address + count)
+        if any(a not in unit.registers or a in unit.refuses for a in span):
+            return build_exception(request.unit, request.function, 2)
+        if request.function is Function.READ_HOLDING:
+            return build_reply(request, tuple(unit.registers[a] for a in span))
+        for address, value in zip(span, request.values, strict=True):
+            unit.registers[address] = value
+            if unit.on_write:
+                unit.on_write(address, value)
+        return build_reply(request)
