@@ -6,6 +6,7 @@ import tomllib
 
 from hypothesis import given
 from hypothesis import strategies as st
+
 from motord.config.toml_lines import line_of, lines_of
 
 KEYS = st.one_of(

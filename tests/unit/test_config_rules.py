@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the values of a robot file, and between it and its drives."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from motord.config import ConfigError, load_robot
+from motord.config.wheels import profile_of
+from motord.config.wire import cycle_limit_hz
+from motord.config.wiring import line_specs
+
+ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
+
+
+def edited(tmp_path, robot, *edits):
+    """A copy of a shipped robot file with pieces of text replaced, each at its first place."""
+    text = (ROBOTS / f"{robot}.toml").read_text(encoding="utf-8")
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "robot.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def errors(path):
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    return [f"{row.key}: {row.text}" for row in caught.value.problems]
+
+
+def warnings(path):
+    return [f"{row.key}: {row.text}" for row in load_robot(path).warnings]
+
+
+def line_that_says(path, text):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next(number for number, line in enumerate(lines, 1) if line.startswith(text))
+
+
+@pytest.mark.parametrize(
+    ("robot", "edits", "row"),
+    [
+        (
+            "demo",
+            [('line = "rs485"', 'line = "rs458"')],
+            'joint.left.line: there is no line "rs458" (did you mean "rs485"?)',
+        ),
+        (
+            "demo",
+            [('drive = "zlac8015d"', 'drive = "zlac"')],
+            'joint.left.drive: there is no drive profile "zlac" (did you mean "zlac8015d"?)',
+        ),
+        (
+            "demo",
+            [("channel = 2", "channel = 3")],
+            'joint.right.channel: drive "zlac8015d" has no channel 3 (it has 1, 2)',
+        ),
+        (
+            "demo",
+            [("channel = 2", "channel = 1")],
+            'joint.right.channel: unit 1 on line "rs485" channel 1 is taken by joint left',
+        ),
+        (
+            "two-single-drives",
+            [("unit = 2", "unit = 1")],
+            'joint.right.unit: unit 1 on line "rs485" channel 1 is taken by joint left',
+        ),
+        (
+            "demo",
+            [('side = "right"', 'side = "left"')],
+            'joint: no joint is on the right (side = "right")',
+        ),
+        (
+            "demo",
+            [("velocity_max_rad_s = 15.0", "velocity_max_rad_s = 315.0")],
+            (
+                'joint.left.velocity_max_rad_s: 315 rad/s is more than drive "zlac8015d" can '
+                "(at most 314.2 rad/s)"
+            ),
+        ),
+        (
+            "two-single-drives",
+            [("gear_ratio = 20.0", "gear_ratio = 60.0")],
+            (
+                'joint.left.velocity_max_rad_s: 8 rad/s is more than drive "bld-305s" can '
+                "(at most 6.981 rad/s)"
+            ),
+        ),
+        (
+            "forward-only",
+            [("full_duty_rad_s = 18.0\n", "")],
+            (
+                'joint.left.full_duty_rad_s: is missing: drive "duty-register" takes a duty, and the '
+                "speed at duty 1 is not known (0.01 to 10000 rad/s)"
+            ),
+        ),
+        (
+            "forward-only",
+            [
+                ("duty_dead_band = 0.06", "duty_dead_band = 0.5\nduty_max = 0.5"),
+                ("velocity_max_rad_s = 15.0", ""),
+            ],
+            "joint.left.duty_dead_band: the dead band leaves nothing below duty_max",
+        ),
+        (
+            "forward-only",
+            [("duty_slew_per_s", "reversible = true\nduty_slew_per_s")],
+            'joint.left.reversible: drive "duty-register" cannot turn backward',
+        ),
+        (
+            "forward-only",
+            [("duty_slew_per_s", "inverted = true\nduty_slew_per_s")],
+            'joint.left.inverted: drive "duty-register" cannot turn backward',
+        ),
+        (
+            "forward-only",
+            [("duty_slew_per_s", "counts_per_turn = 100\nduty_slew_per_s")],
+            'joint.left.counts_per_turn: drive "duty-register" has no position counter',
+        ),
+        (
+            "demo",
+            [("feedback_timeout_s = 0.25", "feedback_timeout_s = 0.039")],
+            (
+                'safety.feedback_timeout_s: 0.039 s is shorter than two cycles of line "rs485" '
+                "(at least 0.04 s)"
+            ),
+        ),
+        (
+            "demo",
+            [("drive_watchdog_s = 0.5", "drive_watchdog_s = 0.03")],
+            (
+                'safety.drive_watchdog_s: 0.03 s is shorter than two cycles of line "rs485" '
+                "(at least 0.04 s)"
+            ),
+        ),
+        (
+            "demo",
+            [
+                (
+                    "[joint.left]",
+                    '[line.b]\nkind = "modbus-rtu"\nport = "/dev/ttyUSB0"\n[joint.left]',
+                ),
+                ('line = "rs485"', 'line = "b"'),
+            ],
+            'line.b.port: line "rs485" has this port already',
+        ),
+    ],
+)
+def test_what_cannot_work_is_an_error_at_its_line(tmp_path, robot, edits, row):
+    path = edited(tmp_path, robot, *edits)
+    assert errors(path) == [row]
+
+
+def test_an_error_names_the_line_of_the_later_of_two_joints(tmp_path):
+    path = edited(tmp_path, "demo", ("channel = 2", "channel = 1"))
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    joint = line_that_says(path, "[joint.right]")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert lines[caught.value.problems[0].line - 1] == "channel = 1"
+    assert caught.value.problems[0].line > joint
+
+
+def test_one_unit_is_one_drive(tmp_path):
+    path = edited(tmp_path, "two-single-drives", ("unit = 2", "unit = 1"))
+    text = path.read_text(encoding="utf-8")
+    head, right = text.split("[joint.right]")
+    path.write_text(f"{head}[joint.right]{right.replace('bld-305s', 'zlac8015d')}")
+    row = 'joint.right.drive: unit 1 on line "rs485" is a "bld-305s" for joint left'
+    assert row in errors(path)
+
+
+def test_a_watchdog_time_that_the_drive_cannot_hold_is_an_error(tmp_path):
+    profile = (ROBOTS.parent / "drives/zlac8015d.toml").read_text(encoding="utf-8")
+    short = re.sub(r"maximum_s = [\d.]+", "maximum_s = 0.4", profile)
+    (tmp_path / "dog.toml").write_text(short.replace('name = "zlac8015d"', 'name = "dog"', 1))
+    path = edited(tmp_path, "demo", ('drive = "zlac8015d"', 'drive = "./dog.toml"'))
+    path.write_text(path.read_text().replace('"zlac8015d"', '"./dog.toml"'))
+    (row,) = errors(path)
+    assert row.startswith('safety.drive_watchdog_s: 0.5 s is out of range for drive "./dog.toml" (')
+    assert row.endswith(" to 0.4 s)")
+
+
+def test_a_broken_profile_is_said_with_its_own_first_problem(tmp_path):
+    (tmp_path / "dog.toml").write_text("schema = 1\n", encoding="utf-8")
+    path = edited(tmp_path, "demo", ('drive = "zlac8015d"', 'drive = "./dog.toml"'))
+    (row,) = errors(path)
+    assert row.startswith("joint.left.drive: the drive profile cannot be used: ")
+    assert re.search(r"dog\.toml.* \(and \d+ more\)$", row)
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_a_base_has_two_to_eight_joints(tmp_path, count):
+    head, _ = (ROBOTS / "demo.toml").read_text(encoding="utf-8").split("[joint.left]")
+    for index in range(count):
+        side = "left" if index % 2 == 0 else "right"
+        head += f'[joint.j{index}]\nline = "rs485"\ndrive = "zlac8015d"\nside = "{side}"\n'
+        head += f"unit = {1 + index // 2}\nchannel = {1 + index % 2}\n"
+    path = tmp_path / "robot.toml"
+    path.write_text(head, encoding="utf-8")
+    word = "few" if count == 1 else "many"
+    assert f"joint: {count} joints are too {word} (2 to 8)" in errors(path)
+
+
+@pytest.mark.parametrize(
+    ("robot", "edits", "row"),
+    [
+        (
+            "demo",
+            [("linear_m_s = 1.0", "linear_m_s = 1.3")],
+            "limits.linear_m_s: 1.3 m/s is never reached: the wheels do 1.238 m/s",
+        ),
+        (
+            "demo",
+            [("angular_rad_s = 2.0", "angular_rad_s = 6.0")],
+            "limits.angular_rad_s: 6 rad/s is never reached on the spot: the wheels do 5.5 rad/s",
+        ),
+        (
+            "demo",
+            [("inverted = true\n", "")],
+            (
+                "joint.right.inverted: joint left on the other side of the same drive is not inverted "
+                "too: motors that face each other need one inverted"
+            ),
+        ),
+        (
+            "skid4",
+            [
+                ("unit = 2\nchannel = 1\n", "unit = 2\nchannel = 1\ninverted = true\n"),
+                (
+                    'unit = 2\nchannel = 2\nside = "right"\ninverted = true',
+                    'unit = 2\nchannel = 2\nside = "right"\ninverted = false',
+                ),
+            ],
+            (
+                "joint.rear_left.inverted: joint front_left on the same side is not inverted: do they "
+                "work together?"
+            ),
+        ),
+        (
+            "skid4",
+            [("track_slip_factor = 1.5", "")],
+            (
+                "base.track_slip_factor: a skid base without track_slip_factor turns less than it is "
+                "told (1.5 is usual)"
+            ),
+        ),
+        (
+            "demo",
+            [("cycle_hz = 50", "cycle_hz = 200")],
+            "line.rs485.cycle_hz: 200 Hz is more than the wire carries: about 73.6 Hz",
+        ),
+        (
+            "demo",
+            [("baudrate = 115200", "baudrate = 57600")],
+            (
+                'line.rs485.baudrate: drive "zlac8015d" leaves the factory with 115200 baud, parity '
+                "none, 1 stop bit(s); this line has 57600 baud, parity none, 1 stop bit(s): has the "
+                "drive been set up so?"
+            ),
+        ),
+        (
+            "demo",
+            [("channel = 1", "channel = 1\nduty_max = 0.5")],
+            'joint.left.duty_max: is not used: drive "zlac8015d" takes a velocity',
+        ),
+        (
+            "demo",
+            [("channel = 1", "channel = 1\ncounts_per_turn = 0")],
+            (
+                "joint.left.drive: without a position counter: odometry comes from the measured speed, "
+                "and is less exact"
+            ),
+        ),
+        (
+            "demo",
+            [("[joint.left]", '[line.b]\nkind = "modbus-rtu"\nport = "/dev/x"\n[joint.left]')],
+            "line.b: no joint is on this line",
+        ),
+    ],
+)
+def test_what_deserves_a_look_is_a_warning(tmp_path, robot, edits, row):
+    assert row in warnings(edited(tmp_path, robot, *edits))
+
+
+def test_a_drive_without_a_watchdog_is_said_once_with_what_to_do():
+    rows = [row for row in warnings(ROBOTS / "two-single-drives.toml") if "watchdog" in row]
+    (row,) = rows
+    assert row.startswith('joint.left.drive: drive "bld-305s" without a communication watchdog: ')
+    assert "e-stop" in row
+
+
+def test_the_wire_carries_more_with_a_shorter_gap():
+    robot = load_robot(ROBOTS / "demo.toml")
+    short = load_robot(ROBOTS / "demo.toml", ["line.rs485.gap_s=0.0005"])
+    profiles = {"zlac8015d": profile_of(robot, "zlac8015d")}
+    (long_gap,), (short_gap,) = line_specs(robot, profiles), line_specs(short, profiles)
+    assert 50 < cycle_limit_hz(long_gap) < cycle_limit_hz(short_gap) < 400

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The schema of the robot file: shipped fresh, and complete for those who read it in an editor."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from motord.config import load_robot
+from motord.config.schema import robot_schema
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+UNITS = {
+    "m": "m", "m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²",
+    "rad_s3": "rad/s³", "s": "s", "hz": "Hz", "per_s": "1/s", "m2_per_m": "m²/m", "m2": "m²",
+    "rad2_per_rad": "rad²/rad", "rad2": "rad²", "m2_s2": "m²/s²", "rad2_s2": "rad²/s²",
+}  # fmt: skip
+
+
+def numbers():
+    """(name, schema) of every number of the robot file."""
+    for section in robot_schema()["$defs"].values():
+        for name, node in section["properties"].items():
+            inner = next((part for part in node.get("anyOf", ()) if part["type"] != "null"), {})
+            if {**node, **inner}.get("type") in ("number", "integer"):
+                yield name, {**node, **inner}
+
+
+def test_the_shipped_schema_is_that_of_the_program():
+    shipped = (CONFIG / "schema/robot.schema.json").read_text(encoding="utf-8")
+    assert json.loads(shipped) == json.loads(json.dumps(robot_schema())), (
+        "make it again: .venv/bin/motord schema > config/schema/robot.schema.json"
+    )
+
+
+def test_every_number_has_a_range_a_unit_and_a_description():
+    for name, node in numbers():
+        assert "minimum" in node, name
+        assert "maximum" in node or "inf: no limit" in node["description"], name
+        assert node["unit"], name
+        assert node["description"], name
+
+
+def test_every_unit_is_that_of_the_name():
+    for name, node in numbers():
+        found = [unit for ending, unit in UNITS.items() if name.endswith(f"_{ending}")]
+        longest = max(found, key=len, default=None)
+        if longest is None:
+            assert node["unit"] in ("1", "1/s"), name
+        else:
+            assert node["unit"] in found, name
+
+
+def test_every_default_lies_within_its_range():
+    for name, node in numbers():
+        default = node.get("default")
+        if default is not None:
+            assert node["minimum"] <= default <= node.get("maximum", math.inf), name
+
+
+def test_the_schema_is_json_without_infinities():
+    text = json.dumps(robot_schema(), allow_nan=False)
+    assert not re.search(r"Infinity|NaN", text)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("robots/*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_robot_is_good_and_named_like_its_file(path):
+    assert load_robot(path).robot.name == path.stem
