@@ -93,7 +93,8 @@ def line_that_says(path, text):
             "forward-only",
             [("full_duty_rad_s = 18.0\n", "")],
             (
-                'joint.left.full_duty_rad_s: is missing: drive "duty-register" takes a duty, and the '
+                'joint.left.full_duty_rad_s: is missing: drive "duty-register" takes a '
+                "duty, and the "
                 "speed at duty 1 is not known (0.01 to 10000 rad/s)"
             ),
         ),
@@ -222,7 +223,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             "demo",
             [("inverted = true\n", "")],
             (
-                "joint.right.inverted: joint left on the other side of the same drive is not inverted "
+                "joint.right.inverted: joint left on the other side of the same drive "
+                "is not inverted "
                 "too: motors that face each other need one inverted"
             ),
         ),
@@ -236,7 +238,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
                 ),
             ],
             (
-                "joint.rear_left.inverted: joint front_left on the same side is not inverted: do they "
+                "joint.rear_left.inverted: joint front_left on the same side is not "
+                "inverted: do they "
                 "work together?"
             ),
         ),
@@ -244,7 +247,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             "skid4",
             [("track_slip_factor = 1.5", "")],
             (
-                "base.track_slip_factor: a skid base without track_slip_factor turns less than it is "
+                "base.track_slip_factor: a skid base without track_slip_factor turns "
+                "less than it is "
                 "told (1.5 is usual)"
             ),
         ),
@@ -257,8 +261,10 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             "demo",
             [("baudrate = 115200", "baudrate = 57600")],
             (
-                'line.rs485.baudrate: drive "zlac8015d" leaves the factory with 115200 baud, parity '
-                "none, 1 stop bit(s); this line has 57600 baud, parity none, 1 stop bit(s): has the "
+                'line.rs485.baudrate: drive "zlac8015d" leaves the factory with 115200 '
+                "baud, parity "
+                "none, 1 stop bit(s); this line has 57600 baud, parity none, 1 stop "
+                "bit(s): has the "
                 "drive been set up so?"
             ),
         ),
@@ -271,7 +277,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             "demo",
             [("channel = 1", "channel = 1\ncounts_per_turn = 0")],
             (
-                "joint.left.drive: without a position counter: odometry comes from the measured speed, "
+                "joint.left.drive: without a position counter: odometry comes from the "
+                "measured speed, "
                 "and is less exact"
             ),
         ),
