@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord latency`: how late the loop is on this machine, and what a handover costs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.tools.latency_compare import Comparison, ReportUnusable, compare, read_report
+from motord.tools.latency_load import LOADS
+from motord.tools.latency_plot import PlotMissing, plot, require_matplotlib
+from motord.tools.latency_report import FIGURES, LatencyReport
+
+QUIET_PERIOD_S = 5.0
+"""Between two lines of progress where stderr is no terminal."""
+
+
+@click.command
+@click.option(
+    "--rate-hz",
+    type=click.FloatRange(10.0, 20000.0),
+    default=1000.0,
+    show_default=True,
+    help="Rate of the loop.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.2, 86400.0),
+    default=30.0,
+    show_default=True,
+    help="How long; Ctrl-C ends it early with what was measured.",
+)
+@click.option(
+    "--priority",
+    type=click.IntRange(0, 99),
+    default=80,
+    show_default=True,
+    help="SCHED_FIFO priority of the loop; 0: SCHED_OTHER.",
+)
+@click.option(
+    "--cpu",
+    type=click.IntRange(0, 63),
+    multiple=True,
+    help="Bind the loop to this CPU; may be repeated. Default: any.",
+)
+@click.option(
+    "--load",
+    type=click.Choice(LOADS),
+    default="none",
+    show_default=True,
+    help="Meanwhile: processes that compute, processes that write and fsync, or a thread of this "
+    "process that keeps Python's GIL busy.",
+)
+@click.option(
+    "--plot",
+    "picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="F.png",
+    help="Draw a histogram and a time line (needs the plot extra).",
+)
+@click.option(
+    "--compare",
+    "pair",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    nargs=2,
+    metavar="A.json B.json",
+    help="Measure nothing: two reports of --json side by side, with ratios.",
+)
+@json_option
+def latency(
+    *,
+    rate_hz: float,
+    seconds: float,
+    priority: int,
+    cpu: tuple[int, ...],
+    load: str,
+    picture: Path | None,
+    pair: tuple[Path, Path] | None,
+    as_json: bool,
+) -> None:
+    """Measure the loop and its handovers on this machine.
+
+    Runs the real loop with the real core and no motor, beside cyclictest where that is installed:
+    how late each tick wakes, what its work costs, from a command to the core, from the core to
+    asyncio, and from a command to a byte on a port. Ends with the machine's latency class.
+
+    \b
+    Example: motord latency
+             motord latency --rate-hz 2000 --load gil --plot gil.png
+             motord latency --json > before.json
+             motord latency --compare before.json after.json
+    """
+    if pair:
+        show_comparison(pair, as_json=as_json)
+        return
+    from motord.tools.latency import LatencyError, LatencyOptions, Progress, run_latency
+    from motord.tools.latency_load import LoadError
+
+    check_picture(picture)
+    options = LatencyOptions(
+        rate_hz=rate_hz, seconds=seconds, priority=priority, cpu=cpu, load=load
+    )
+    line = ProgressLine(seconds)
+
+    def progress(now: Progress) -> None:
+        line.show(
+            now.elapsed_s,
+            f"late by p99 {now.lateness.p99_ns * 1e-3:.0f} µs, max {now.lateness.max_ns * 1e-3:.0f}"
+            f" µs, {now.overruns} overruns in {now.lateness.samples} ticks",
+        )
+
+    try:
+        report = run_latency(options, progress, warn)
+    except (LatencyError, LoadError, TimeoutError, OSError) as error:
+        raise Failure(str(error) or type(error).__name__) from error
+    finally:
+        line.end()
+    if picture is not None:
+        draw(report, picture)
+    if as_json:
+        print_json(report.to_json())
+    else:
+        click.echo(table(report))
+
+
+def check_picture(picture: Path | None) -> None:
+    """Before a long measurement, not after it."""
+    if picture is None:
+        return
+    try:
+        require_matplotlib()
+    except PlotMissing as error:
+        raise Failure(str(error)) from error
+    if not picture.parent.is_dir():
+        raise Failure(f"--plot: there is no folder {picture.parent}", Exit.USAGE)
+
+
+def draw(report: LatencyReport, picture: Path) -> None:
+    """The measurement is not lost with the picture."""
+    try:
+        plot(report, picture)
+    except OSError as error:
+        click.echo(table(report), err=True)
+        raise Failure(f"--plot: {error}") from error
+    click.echo(f"plot: {picture}", err=True)
+
+
+def warn(sentence: str) -> None:
+    click.secho(f"WARNING: {sentence}", err=True, fg="red", bold=True)
+
+
+class ProgressLine:
+    """On a terminal one line that is written over; elsewhere a line now and then."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._terminal = sys.stderr.isatty()
+        self._next_s = time.monotonic() + QUIET_PERIOD_S
+
+    def show(self, elapsed_s: float, text: str) -> None:
+        line = f"{elapsed_s:6.1f} s of {self._seconds:g}: {text}"
+        if self._terminal:
+            click.echo(f"\r\033[K{line}", nl=False, err=True)
+        elif time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + QUIET_PERIOD_S
+            click.echo(line, err=True)
+
+    def end(self) -> None:
+        if self._terminal:
+            click.echo("\r\033[K", nl=False, err=True)
+
+
+def cells(name: str, spread: dict[str, Any]) -> str:
+    figures = [
+        "-" if spread[key] is None else f"{spread[key]:,.{0 if spread[key] >= 1000 else 1}f}"
+        for key in FIGURES
+    ]
+    return f"  {name:<22}{spread['samples']:>10}" + "".join(f"{text:>11}" for text in figures)
+
+
+def table(report: LatencyReport) -> str:
+    """For a person."""
+    found = report.to_json()
+    handover = found["handover_us"]
+    outcome = (
+        f"{report.overruns} of {report.ticks + report.overruns} periods overran; "
+        f"{report.page_faults} page faults in the loop; "
+        f"{handover['command_to_byte']['samples']} of {report.commands_sent} commands became "
+        "a byte (the newest wins)"
+    )
+    lines = [
+        *heading(report),
+        "",
+        f"  {'':<22}{'samples':>10}" + "".join(f"{key.replace('_', '.'):>11}" for key in FIGURES),
+        cells("lateness, µs", found["lateness_us"]),
+    ]
+    if found["cyclictest_us"] is not None:
+        lines.append(cells("cyclictest beside, µs", found["cyclictest_us"]))
+    lines += [
+        cells("step, ns", found["step_ns"]),
+        cells("command → core, µs", handover["command_to_core"]),
+        cells("core → asyncio, µs", handover["core_to_asyncio"]),
+        cells("command → byte, µs", handover["command_to_byte"]),
+        "",
+        outcome,
+    ]
+    if found["cyclictest_us"] is None:
+        lines.append(f"no cyclictest: {report.cyclictest_note}")
+    lines += [f"REFUSED: {sentence}" for sentence in report.refusals.values()]
+    lines.append(f"class: {report.latency_class}: {report.latency_class.meaning}")
+    return "\n".join(lines)
+
+
+def heading(report: LatencyReport) -> tuple[str, str]:
+    """What was measured, and where."""
+    machine = report.machine
+    early = ", ended early" if report.ended_early else ""
+    priority = f" {report.priority}" if report.priority else ""
+    kernel = "PREEMPT_RT" if machine["preempt_rt"] else "no PREEMPT_RT"
+    virtual = f", virtual: {report.steal_percent:.1f} % stolen" if machine["virtual"] else ""
+    run = f"{report.rate_hz:g} Hz for {report.seconds:.1f} s{early}"
+    processor = f"{machine['cpu_count']} × {machine['cpu_model'] or machine['architecture']}"
+    return (
+        f"motord latency: {run}, {report.policy}{priority}, load: {report.load}",
+        f"{processor}{virtual}; Linux {machine['kernel']} ({kernel})",
+    )
+
+
+def show_comparison(pair: tuple[Path, Path], *, as_json: bool) -> None:
+    try:
+        comparison = compare(*(read_report(path) for path in pair))
+    except ReportUnusable as error:
+        raise Failure(str(error), Exit.USAGE) from error
+    if as_json:
+        print_json({"files": {"a": str(pair[0]), "b": str(pair[1])}, **comparison.to_json()})
+    else:
+        click.echo(comparison_table(comparison, *(path.name for path in pair)))
+
+
+def comparison_table(comparison: Comparison, a_name: str, b_name: str) -> str:
+    def shown(value: float | None) -> str:
+        return "-" if value is None else f"{value:,.3f}"
+
+    width = max(14, len(a_name) + 2, len(b_name) + 2)
+    lines = [f"{'':<36}{a_name:>{width}}{b_name:>{width}}{'B / A':>10}"]
+    for row in comparison.rows:
+        if row.a is not None or row.b is not None:
+            values = "".join(f"{shown(value):>{width}}" for value in (row.a, row.b))
+            lines.append(f"{row.name:<36}{values}{shown(row.ratio):>10}")
+    lines.append(f"{'class':<36}" + "".join(f"  {name}" for name in comparison.classes))
+    for key, (a, b) in comparison.differences.items():
+        lines.append(f"differs: {key}: {a} and {b}")
+    return "\n".join(lines)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The machine that a measurement belongs to: what tells two machines' numbers apart, not whose it
+is."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+def machine_facts() -> dict[str, Any]:
+    """Kernel, processor, and whether a hypervisor is below. No host name."""
+    cpuinfo = _text("/proc/cpuinfo")
+    return {
+        "kernel": platform.release(),
+        "kernel_version": platform.version(),
+        "preempt_rt": is_preempt_rt(platform.version(), _text("/sys/kernel/realtime")),
+        "architecture": platform.machine(),
+        "cpu_model": cpu_model(cpuinfo, _text("/proc/device-tree/model")),
+        "cpu_count": os.cpu_count() or 1,
+        "cpus_allowed": len(os.sched_getaffinity(0)),
+        "virtual": is_virtual(cpuinfo),
+        "clocksource": _text(
+            "/sys/devices/system/clocksource/clocksource0/current_clocksource"
+        ).strip(),
+    }
+
+
+def is_preempt_rt(version: str, sys_kernel_realtime: str) -> bool:
+    """Newer RT kernels say so in `uname -v`, older ones in /sys/kernel/realtime, some in both."""
+    return "PREEMPT_RT" in version.replace(" ", "_") or sys_kernel_realtime.strip() == "1"
+
+
+def cpu_model(cpuinfo: str, device_tree_model: str) -> str:
+    """Boards name themselves in the device tree, PCs in /proc/cpuinfo."""
+    named = [line for line in cpuinfo.splitlines() if line.startswith("model name")]
+    return device_tree_model.strip("\0\n ") or (named[0].split(":", 1)[1].strip() if named else "")
+
+
+def is_virtual(cpuinfo: str) -> bool:
+    """x86 shows the hypervisor as a processor flag; elsewhere this stays False."""
+    flags = [line for line in cpuinfo.splitlines() if line.startswith("flags")]
+    return bool(flags) and "hypervisor" in flags[0].split()
+
+
+@dataclass(frozen=True, slots=True)
+class CpuTimes:
+    """Since boot, in clock ticks, all processors together."""
+
+    total: int
+    steal: int
+
+    @classmethod
+    def now(cls) -> CpuTimes:
+        return cls.parse(_text("/proc/stat"))
+
+    @classmethod
+    def parse(cls, proc_stat: str) -> CpuTimes:
+        """First line of /proc/stat, proc(5): cpu user nice system idle iowait irq softirq steal;
+        guest time that follows is in user already."""
+        fields = [int(word) for word in proc_stat.split("\n", 1)[0].split()[1:9]]
+        return cls(sum(fields), fields[7] if len(fields) > 7 else 0)
+
+    def steal_percent_since(self, before: CpuTimes) -> float:
+        return 100.0 * (self.steal - before.steal) / max(self.total - before.total, 1)
+
+
+def _text(path: str) -> str:
+    """Empty where this kernel has no such file."""
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
