@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Talk to a running motord from any Python program: the standard library alone, no asyncio.
+
+    from motord.client import Client
+
+    with Client() as robot:
+        robot.arm()
+        robot.drive(0.2, 0.0)   # again within lease_s, or the robot stops
+        robot.disarm()
+
+A lease of `drive` ends with the connection: a program that dies stops the robot.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import stat
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+REFUSED = -32000
+NOT_ALLOWED = -32001
+TIMEOUT_S = 10.0
+_ANSWER_BYTES_MAX = 1 << 20
+
+
+class ClientError(Exception):
+    """The daemon cannot be reached, or did not answer, or did not understand; says which."""
+
+
+class Refused(ClientError):
+    """The daemon understood and said no; the message is its reason, and what to do about it."""
+
+    def __init__(self, reason: str, code: int) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
+def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = None) -> list[Path]:
+    """Where sockets may lie, best first: the system's, the user's, and one for who has neither."""
+    uid = os.geteuid() if uid is None else uid
+    folders = [Path("/run/motord")]
+    if runtime := environ.get("XDG_RUNTIME_DIR"):
+        folders.append(Path(runtime) / "motord")
+    folders.append(Path(tempfile.gettempdir()) / f"motord-{uid}")
+    return folders
+
+
+def find_socket(robot: str | None = None, folders: list[Path] | None = None) -> Path:
+    """The socket of a running daemon: of `robot`, or the only one there is. Raises ClientError."""
+    found: list[Path] = []
+    for folder in socket_folders() if folders is None else folders:
+        with contextlib.suppress(OSError):
+            found += [path for path in sorted(folder.glob(f"{robot or '*'}.sock")) if _lives(path)]
+    if not found:
+        what = f"robot {robot}" if robot else "robot"
+        raise ClientError(f"no {what} runs here: motord run ROBOT.toml")
+    if robot is None and len(found) > 1:
+        names = ", ".join(str(path) for path in found)
+        raise ClientError(f"several robots run here, say which socket: {names}")
+    return found[0]
+
+
+def _lives(path: Path) -> bool:
+    """A socket that somebody listens at, and that is ours or root's: not a stranger's trap."""
+    info = path.stat()
+    if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in (0, os.geteuid()):
+        return False
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except PermissionError:
+            return True
+        except OSError:
+            return False
+    return True
+
+
+class Client:
+    """One connection to a daemon. Every call has a deadline. For one thread at a time."""
+
+    def __init__(
+        self, path: str | os.PathLike[str] | None = None, *, timeout_s: float = TIMEOUT_S
+    ) -> None:
+        """`path`: the daemon's socket; None: the only one there is. Raises ClientError."""
+        self.path = Path(path) if path is not None else find_socket()
+        self.timeout_s = timeout_s
+        self._number = 0
+        self._buffer = b""
+        self._socket = socket.socket(socket.AF_UNIX)
+        try:
+            self._socket.settimeout(timeout_s)
+            self._socket.connect(str(self.path))
+        except OSError as error:
+            self._socket.close()
+            raise ClientError(f"{self.path}: {error.strerror or error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends every lease of this connection."""
+        self._socket.close()
+
+    def call(self, method: str, /, **params: Any) -> Any:
+        """Any method by name. Raises Refused, or ClientError for everything else."""
+        end_s = time.monotonic() + self.timeout_s
+        self._number += 1
+        request = {"jsonrpc": "2.0", "id": self._number, "method": method, "params": params}
+        try:
+            line = json.dumps(request, allow_nan=False).encode() + b"\n"
+        except ValueError as error:
+            raise ClientError(f"{method}: NaN and infinity cannot be sent: {params}") from error
+        try:
+            self._socket.settimeout(self.timeout_s)
+            self._socket.sendall(line)
+            return self._answer(end_s)
+        except TimeoutError as error:
+            raise ClientError(f"{method}: no answer within {self.timeout_s:g} s") from error
+        except OSError as error:
+            raise ClientError(f"{method}: {self.path}: {error.strerror or error}") from error
+
+    def _answer(self, end_s: float) -> Any:
+        """The result for the request in flight; answers that come too late for others are
+        dropped."""
+        while True:
+            line = self._line(end_s)
+            try:
+                answer = json.loads(line)
+            except ValueError as error:
+                raise ClientError(f"{self.path} does not speak JSON: {line[:80]!r}") from error
+            if not isinstance(answer, dict) or answer.get("id") not in (self._number, None):
+                continue
+            problem = answer.get("error")
+            if problem is None:
+                return answer.get("result")
+            message, code = str(problem.get("message")), int(problem.get("code", 0))
+            if code in (REFUSED, NOT_ALLOWED):
+                raise Refused(message, code)
+            raise ClientError(message)
+
+    def _line(self, end_s: float) -> bytes:
+        while b"\n" not in self._buffer:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise TimeoutError
+            self._socket.settimeout(left_s)
+            chunk = self._socket.recv(65536)
+            if not chunk:
+                raise ClientError(f"{self.path}: the daemon has closed the connection")
+            self._buffer += chunk
+            if len(self._buffer) > _ANSWER_BYTES_MAX:
+                raise ClientError(f"{self.path}: an answer without end")
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line
+
+    def status(self) -> dict[str, Any]:
+        """Everything the daemon knows about itself and the robot: docs/architecture.md."""
+        result: dict[str, Any] = self.call("status")
+        return result
+
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        *,
+        owner: str | None = None,
+        priority: int | None = None,
+        lease_s: float | None = None,
+    ) -> dict[str, Any]:
+        """Ask for a speed. None: as the robot file's [input] says. Returns who is in command."""
+        lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
+        given = {key: value for key, value in lease.items() if value is not None}
+        result: dict[str, Any] = self.call(
+            "drive", linear_m_s=linear_m_s, angular_rad_s=angular_rad_s, **given
+        )
+        return result
+
+    def release(self, owner: str | None = None) -> None:
+        """Give the lease back before it lapses."""
+        self.call("release", **({} if owner is None else {"owner": owner}))
+
+    def arm(self) -> str:
+        """Put the drives under power at zero speed. Returns the state, as all of these do."""
+        return str(self.call("arm")["state"])
+
+    def disarm(self) -> str:
+        """Come to rest and take the power off."""
+        return str(self.call("disarm")["state"])
+
+    def stop(self) -> str:
+        """Come to rest, stay armed."""
+        return str(self.call("stop")["state"])
+
+    def estop(self) -> str:
+        """Emergency stop; stays until `reset`."""
+        return str(self.call("estop")["state"])
+
+    def reset(self) -> str:
+        """Clear a fault or an emergency stop. Stays disarmed."""
+        return str(self.call("reset")["state"])
+
+    def reset_odometry(self) -> str:
+        """The pose is the origin."""
+        return str(self.call("reset_odometry")["state"])
+
+    def params_list(self) -> dict[str, dict[str, Any]]:
+        """Every parameter with value, unit and range."""
+        result: dict[str, dict[str, Any]] = self.call("params.list")
+        return result
+
+    def params_get(self, *names: str) -> dict[str, float | None]:
+        """Values by name; none named: all. None: no limit."""
+        result: dict[str, float | None] = self.call("params.get", names=names)
+        return result
+
+    def params_set(self, **values: float | None) -> dict[str, float | None]:
+        """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        result: dict[str, float | None] = self.call("params.set", **values)
+        return result
+
+    def latency(self) -> dict[str, Any]:
+        """The loop's histograms, as percentiles."""
+        result: dict[str, Any] = self.call("latency")
+        return result
