@@ -56,6 +56,8 @@ __all__ = [
 
 _ENABLED_UNKNOWN = 2
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
+# Once: each call gives the GIL up, and a busy thread gives it back late.
+_FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
 
 
 class StopAction(enum.IntEnum):
@@ -333,8 +335,7 @@ class Loop:
     def buckets(self, kind: HistogramKind) -> list[Bucket]:
         """Those that hold a sample, in order."""
         raw = self._read_histogram(kind)
-        edges_ns = [lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS)]
-        edges_ns.append(max(raw.max_ns, edges_ns[-1]) + 1)
+        edges_ns = [*_FLOORS_NS, max(raw.max_ns, _FLOORS_NS[-1]) + 1]
         return [
             Bucket(edges_ns[index], edges_ns[index + 1], samples)
             for index, samples in enumerate(raw.bucket)
