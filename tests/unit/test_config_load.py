@@ -98,6 +98,7 @@ def test_joints_keep_the_order_of_the_file():
         ("ratehz = 900", "6: loop.ratehz: unknown key (did you mean rate_hz?)"),
         ("lock_memory = 1", "6: loop.lock_memory: 1 is not true or false"),
         ("cpu = 3", "6: loop.cpu: 3 is not a list"),
+        ("rate_hz = 2024-01-01", "6: loop.rate_hz: 2024-01-01 is not a number (10 to 20000 Hz)"),
         ("cpu = [1,\n 64]", "7: loop.cpu[1]: 64 is out of range (0 to 63)"),
     ],
 )
@@ -121,6 +122,22 @@ def test_a_kind_that_is_planned_is_told_from_one_that_is_unknown(problems_of, ri
     assert found.partition(": ")[2].startswith(row.format(wrong))
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "row"),
+    [
+        ('"demo"', '"My Robot"', 'robot.name: "My Robot": a name is letters, digits'),
+        ('"demo"', '"x"\nnamespace = "a"', "robot.namespace: is not in this version of motord"),
+        ("joint.left]", 'joint."L x"]', 'joint.L x: "L x": a name is letters, digits'),
+        ('"/dev/ttyUSB0"', '""', "line.rs485.port: is empty"),
+        ('"/dev/ttyUSB0"', "3", "line.rs485.port: 3 is not a text"),
+        ('name = "demo"', "colour = 1", "robot.colour: unknown key (known: name)"),
+    ],
+)
+def test_names_and_texts_are_checked(problems_of, right, wrong, row):
+    found = [problem.partition(": ")[2] for problem in problems_of(DEMO.replace(right, wrong, 1))]
+    assert any(problem.startswith(row) for problem in found), found
+
+
 def test_what_only_follows_from_a_mistake_is_not_said(problems_of):
     """A misspelt key that must be there is not missing too; a line of an unknown kind has no
     unknown keys."""
@@ -142,6 +159,19 @@ def test_a_mistake_in_a_value_does_not_hide_one_between_values(problems_of):
     assert 'joint.left.side: "lft" is unknown ("left", "right"; did you mean "left"?)' in rows
     assert 'joint.right.channel: unit 1 on line "rs485" channel 1 is taken by joint left' in rows
     assert len(rows.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "row"),
+    [
+        ("rs485", "rs/485", 'line.rs/485: "rs/485": a name is'),
+        ("[joint.left]", '[joint."my left"]', 'joint.my left: "my left": a name is'),
+        ("[line.", "[lines.", "lines: unknown key (did you mean line?)"),
+    ],
+)
+def test_a_table_that_is_refused_is_not_missed_elsewhere(problems_of, right, wrong, row):
+    (found,) = problems_of(DEMO.replace("line.rs485", 'line."rs485"').replace(right, wrong))
+    assert found.partition(": ")[2].startswith(row)
 
 
 def test_a_table_with_a_wrong_name_is_suggested(problems_of):

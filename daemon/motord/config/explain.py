@@ -41,7 +41,7 @@ _NOT_A = {
     "model_attributes_type": "a table",
 }
 _OUT_OF_RANGE = ("greater_than_equal", "less_than_equal", "finite_number")
-_BAD_NAME = "a name is lower-case letters, digits, _ and -, begins with a letter, at most 32 long"
+_BAD_NAME = "a name is letters, digits, _ and -, begins with a letter, at most 32 long"
 _NOTHING = object()
 
 
@@ -93,9 +93,11 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
 
 
 def touched(complaints: Sequence[Complaint]) -> set[Path]:
-    """The paths that were mended: what follows from them is not worth saying."""
+    """The paths that were mended: what follows from them is not worth saying. A table without one
+    of its entries is another table."""
     renamed = {(*hit.path[:-1], hit.rename) for hit in complaints if hit.rename}
-    return {hit.path for hit in complaints} | renamed
+    lacking = {hit.path[:-1] for hit in complaints if hit.stand_in is _NOTHING}
+    return {hit.path for hit in complaints} | renamed | lacking
 
 
 def _complaint(schema: Node, error: ErrorDetails) -> Complaint:

@@ -31,7 +31,7 @@ def _known_lines(robot: Robot) -> Iterator[Finding]:
             meant = nearest(joint.line, robot.line)
             hint = f'did you mean "{meant}"?' if meant else f"known: {', '.join(robot.line)}"
             text = f'there is no line "{joint.line}" ({hint})'
-            yield Finding((("joint", name, "line"),), text)
+            yield Finding((("joint", name, "line"), ("line", joint.line)), text)
 
 
 def _line_count(robot: Robot) -> Iterator[Finding]:
