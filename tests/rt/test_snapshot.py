@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the C struct to plain values to JSON: every field, and no number that JSON does not have."""
+
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+
+import pytest
+from _motord_rt import ffi, lib
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord import rt
+from motord.snapshot import SNAPSHOT_VERSION, JointSnapshot, Snapshot
+
+any_float = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def c_fields(struct_name):
+    return [name for name, _ in ffi.typeof(struct_name).fields]
+
+
+def python_fields(kind):
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def raw_state():
+    """Each field another number, so that two that were swapped show."""
+    raw = ffi.new("robot_state *")
+    for number, name in enumerate(c_fields("robot_state"), 1000):
+        if name.endswith("covariance"):
+            setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
+        elif name != "joint":
+            setattr(raw, name, number)
+    raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
+    raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
+    raw.joint_count = 3
+    for index in range(3):
+        for number, name in enumerate(c_fields("joint_state"), 5000 + 100 * index):
+            setattr(raw.joint[index], name, number)
+    return raw
+
+
+def test_the_names_are_those_of_the_c_struct():
+    expected = set(c_fields("robot_state")) - {"joint_count", "joint"} | {"joints", "version"}
+    assert set(python_fields(Snapshot)) == expected
+    assert python_fields(JointSnapshot) == c_fields("joint_state")
+
+
+def test_every_field_arrives_in_its_place():
+    raw = raw_state()
+    made = rt._snapshot(raw)
+    assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
+    for name in set(python_fields(Snapshot)) - {"joints", "version", "reasons", "faults"}:
+        value = getattr(made, name)
+        assert value == type(value)(getattr(raw, name)), name
+    assert len(made.joints) == 3
+    for index, joint in enumerate(made.joints):
+        for name in python_fields(JointSnapshot):
+            value = getattr(joint, name)
+            assert value == type(value)(getattr(raw.joint[index], name)), name
+
+
+FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
+
+
+@pytest.mark.parametrize("flag", FLAGS)
+def test_a_flag_is_true_alone(flag):
+    raw = ffi.new("robot_state *")
+    setattr(raw, flag, 1)
+    made = rt._snapshot(raw)
+    assert [name for name in FLAGS if getattr(made, name)] == [flag]
+
+
+@pytest.mark.parametrize(("said", "meant"), [(0, False), (1, True), (2, None)])
+def test_a_drive_that_cannot_say_whether_it_is_enabled_is_not_called_enabled(said, meant):
+    raw = raw_state()
+    raw.joint[1].enabled = said
+    assert rt._snapshot(raw).joints[1].enabled is meant
+
+
+@given(st.lists(any_float, min_size=60, max_size=60))
+def test_json_never_holds_what_json_does_not_have(values):
+    raw, supply = raw_state(), iter(values)
+    for name, field in ffi.typeof("robot_state").fields:
+        if field.type.cname == "double":
+            setattr(raw, name, next(supply))
+        elif field.type.cname.startswith("double["):
+            setattr(raw, name, [next(supply) for _ in getattr(raw, name)])
+    for name in ("velocity_rad_s", "current_a", "feedback_age_s"):
+        setattr(raw.joint[0], name, next(supply))
+    snapshot = rt._snapshot(raw)
+    read = json.loads(json.dumps(snapshot.to_json(), allow_nan=False))
+    assert read == snapshot.to_json()
+    for name in ("x_m", "command_age_s", "saturation"):
+        value = getattr(snapshot, name)
+        assert read[name] == (value if math.isfinite(value) else None)
+    current_a = snapshot.joints[0].current_a
+    assert read["joints"][0]["current_a"] == (current_a if math.isfinite(current_a) else None)
+
+
+def test_json_says_words_lists_and_its_version():
+    read = rt._snapshot(raw_state()).to_json()
+    assert read["reasons"] == ["linear_jerk", "command_stale"]
+    assert read["faults"] == ["estop", "state"]
+    assert read["version"] == SNAPSHOT_VERSION == 1
+    assert [joint["jumps"] for joint in read["joints"]] == [5011, 5111, 5211]
+    assert len(read["pose_covariance"]) == 6
+
+
+def test_a_snapshot_does_not_change():
+    snapshot = rt._snapshot(raw_state())
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        snapshot.x_m = 0.0
+
+
+@pytest.mark.parametrize(("flags", "prefix"), [(rt.Reason, "REASON_"), (rt.Fault, "FAULT_")])
+def test_every_bit_of_the_core_has_its_word(flags, prefix):
+    bits = {name: getattr(lib, name) for name in dir(lib) if name.startswith(prefix)}
+    assert {prefix + flag.name: flag.value for flag in flags} == bits
+    everything = flags(sum(bits.values()))
+    assert len(everything.words()) == len(bits)
+    assert flags(0).words() == []
+
+
+def test_the_second_process_reads_snapshots_without_the_c_core():
+    program = "import sys, motord.snapshot; sys.exit('_motord_rt' in sys.modules)"
+    subprocess.run(
+        [sys.executable, "-c", program],
+        check=True,
+        timeout=60,
+        env={"PYTHONPATH": ":".join(filter(None, sys.path))},
+    )
