@@ -163,7 +163,9 @@ static arc collect(odometry_state *state, const core_config *config, const uint3
         if (stale[j]) {
             joint->seeded = 0;
             found.degraded = 1;
-        } else if (joint->fresh != SEED) {
+        } else if (joint->fresh == SEED) {
+            found.degraded |= joint->pending_rad != 0.0; /* only part of the way is known: thrown away */
+        } else {
             found.travel_m[right] += joint->pending_rad * config->joint[j].wheel_radius_m;
             found.joints[right]++;
             found.degraded |= joint->fresh == ESTIMATE;

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small base around the bare core: plain numbers in, plain numbers out, time by hand."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+TICK_S = 0.001
+TICK_NS = 1_000_000
+RAD_PER_COUNT = 2.0 * math.pi / 4096.0
+RADIUS_M = 0.1
+TRACK_M = 0.5
+INFINITE = math.inf
+
+LINEAR = {
+    "velocity_u_s": 1.0,
+    "acceleration_u_s2": 1.0,
+    "deceleration_u_s2": 1.5,
+    "jerk_u_s3": 8.0,
+}
+ANGULAR = {
+    "velocity_u_s": 2.0,
+    "acceleration_u_s2": 3.0,
+    "deceleration_u_s2": 4.0,
+    "jerk_u_s3": 30.0,
+}
+
+
+def joint_config(side: float, **changes: Any) -> dict[str, Any]:
+    pwm = {"dead_band": 0.0, "duty_min": -1.0, "duty_max": 1.0}
+    pwm |= {"slew_per_s": INFINITE, "full_duty_rad_s": 15.0}
+    return {
+        "side": side,
+        "wheel_radius_m": RADIUS_M,
+        "velocity_min_rad_s": -15.0,
+        "velocity_max_rad_s": 15.0,
+        "rad_per_count": RAD_PER_COUNT,
+        "counter_bits": 32,
+        "line": 0,
+        "pwm": pwm,
+    } | changes
+
+
+def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
+    """Joints alternate: left, right, left, right."""
+    return {
+        "joint_count": joints,
+        "track_m": TRACK_M,
+        "limits": {"linear": dict(LINEAR), "angular": dict(ANGULAR)},
+        "command_timeout_s": 0.3,
+        "feedback_timeout_s": 0.25,
+        "heartbeat_timeout_s": 0.5,
+        "rest_velocity_rad_s": 0.05,
+        "on_timeout": lib.STOP_RAMP,
+        "on_fault": lib.STOP_RAMP,
+        "on_estop": lib.STOP_BRAKE,
+        "distance_variance_m2_per_m": 1e-4,
+        "turn_variance_rad2_per_rad": 1e-3,
+        "pose_variance_floor_m2": 1e-6,
+        "heading_variance_floor_rad2": 1e-6,
+        "twist_variance_floor_m2_s2": 1e-5,
+        "twist_variance_floor_rad2_s2": 1e-5,
+        "joint": [joint_config(-1.0 if j % 2 == 0 else 1.0) for j in range(joints)],
+    } | changes
+
+
+class Rig:
+    """A core with wheels that follow their set-points at once, and drives that count.
+
+    `hold` keeps input from being refreshed: "command", "heartbeat", "feedback".
+    """
+
+    def __init__(self, config: dict[str, Any] | None = None) -> None:
+        values = config if config is not None else core_config()
+        self.config = ffi.new("core_config *", values)
+        self.state = ffi.new("core_state *")
+        assert lib.core_init(self.state, self.config) == 0
+        self.input = ffi.new("core_input *")
+        self.out = ffi.new("setpoints *")
+        self.shown = ffi.new("robot_state *")
+        self.hold: set[str] = set()
+        self.position_rad = [0.0] * values["joint_count"]
+        self.wheel_rad_s = [0.0] * values["joint_count"]
+        self.input.now_ns = 1_000_000_000
+        self.input.control.limits = values["limits"]
+        for feedback in self.feedback:
+            feedback.velocity_rad_s = 0.0
+            feedback.current_a = feedback.voltage_v = feedback.temperature_c = math.nan
+            feedback.enabled = 1
+
+    @property
+    def feedback(self) -> list[Any]:
+        return [self.input.feedback[j] for j in range(self.config.joint_count)]
+
+    @property
+    def speeds(self) -> list[float]:
+        return [self.out.joint[j].velocity_rad_s for j in range(self.config.joint_count)]
+
+    def drive(self, linear_m_s: float, angular_rad_s: float = 0.0) -> None:
+        self.input.command.linear_m_s = linear_m_s
+        self.input.command.angular_rad_s = angular_rad_s
+
+    def follow(self, dt_s: float) -> None:
+        for j, feedback in enumerate(self.feedback):
+            self.wheel_rad_s[j] = self.out.joint[j].velocity_rad_s
+            self.position_rad[j] += self.wheel_rad_s[j] * dt_s
+            joint = self.config.joint[j]
+            bits = joint.counter_bits or 64
+            count = math.floor(self.position_rad[j] / joint.rad_per_count)
+            feedback.count = count % (1 << bits)
+            feedback.velocity_rad_s = self.wheel_rad_s[j]
+            feedback.stamp_ns = self.input.now_ns
+
+    def tick(self, dt_s: float = TICK_S) -> Any:
+        now_ns = self.input.now_ns = self.input.now_ns + TICK_NS
+        if "feedback" not in self.hold:
+            self.follow(TICK_S)
+        if "heartbeat" not in self.hold:
+            self.input.control.heartbeat_ns = now_ns
+        if "command" not in self.hold:
+            self.input.command.stamp_ns = now_ns
+            self.input.command.expires_ns = now_ns + 1_000_000_000
+        lib.core_step(self.state, self.input, dt_s, self.out, self.shown)
+        return self.shown
+
+    def ticks(self, seconds: float) -> Any:
+        for _ in range(round(seconds / TICK_S)):
+            self.tick()
+        return self.shown
+
+    def arm(self) -> Any:
+        self.tick()
+        self.input.control.armed = 1
+        shown = self.tick()
+        assert shown.armed == 1, f"reasons {shown.reasons:#x}, faults {shown.faults:#x}"
+        return shown
+
+    def moving(self, linear_m_s: float = 0.5, angular_rad_s: float = 0.0) -> Any:
+        """Armed and at speed."""
+        self.arm()
+        self.drive(linear_m_s, angular_rad_s)
+        shown = self.ticks(1.5)
+        assert shown.setpoint_linear_m_s == linear_m_s
+        assert shown.setpoint_angular_rad_s == angular_rad_s
+        return shown
+
+    def reset(self) -> Any:
+        self.input.control.reset_count += 1
+        return self.tick()
+
+
+def assert_rest(rig: Rig, *, enabled: int | None = None) -> None:
+    """Every place of the set-points is zero."""
+    assert [rig.out.joint[j].velocity_rad_s for j in range(8)] == [0.0] * 8
+    assert [rig.out.joint[j].duty for j in range(8)] == [0.0] * 8
+    if enabled is not None:
+        assert rig.out.enabled == enabled
