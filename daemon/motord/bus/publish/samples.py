@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a publisher is fed: snapshots at its own rate, newest wins, and never any waiting."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+
+from motord.snapshot import Snapshot
+
+
+class Samples:
+    """A box for one sample between the daemon, who never waits, and one publisher."""
+
+    def __init__(self, robot: str, rate_hz: float) -> None:
+        self._robot = robot
+        self._period_ns = round(1e9 / rate_hz)
+        self._due_ns = 0
+        self._newest: Snapshot | None = None
+        self._filled = asyncio.Event()
+        self.taken = 0
+        self.dropped = 0
+        """Replaced by a newer one before the publisher took it."""
+
+    def offer(self, snapshot: Snapshot) -> None:
+        """Kept when its time has come, by its own stamp; a late one is not caught up."""
+        if snapshot.stamp_ns < self._due_ns:
+            return
+        self._due_ns = max(self._due_ns + self._period_ns, snapshot.stamp_ns)
+        self.dropped += self._newest is not None
+        self._newest = snapshot
+        self._filled.set()
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        """Each sample as one JSON object, without a line end."""
+        while True:
+            await self._filled.wait()
+            self._filled.clear()
+            snapshot, self._newest = self._newest, None
+            if snapshot is not None:
+                self.taken += 1
+                yield encode(self._robot, snapshot, time.time_ns(), time.monotonic_ns())
+
+
+def encode(robot: str, snapshot: Snapshot, wall_ns: int, now_ns: int) -> bytes:
+    """The snapshot, its robot, and its own moment as wall time: inside, there is none."""
+    stamp_s = (wall_ns - (now_ns - snapshot.stamp_ns)) / 1e9
+    sample = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
+    return json.dumps(sample, allow_nan=False, separators=(",", ":")).encode()

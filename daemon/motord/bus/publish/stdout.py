@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON lines on standard output.
+
+Who reads it may stop reading: then the write blocks, for ever perhaps. So a thread of its own does
+the writing, and samples are lost while it is stuck. (Making the descriptor non-blocking would make
+the shell's and other programs' so too: it is shared.)
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import sys
+import threading
+
+from motord.bus.publish.samples import Samples
+from motord.config import Publish
+
+_log = logging.getLogger(__name__)
+
+
+class StdoutPublisher:
+    def __init__(self, name: str, _: Publish) -> None:
+        self._name = name
+        self._output = sys.stdout
+        self._lines: queue.Queue[bytes | None] = queue.Queue(maxsize=1)
+        self._broken = threading.Event()
+        self.dropped = 0
+        """Lost because the reader of standard output was slow."""
+
+    async def run(self, samples: Samples) -> None:
+        """As Publisher.run. Ends when nobody can ever read it."""
+        if (
+            self._output is None
+        ):  # closed by who started us: its number may be another file's by now
+            _log.warning("publish.%s: there is no standard output", self._name)
+            return
+        arguments = (self._output.fileno(),)
+        # a daemon thread: one that is stuck in its write does not keep the process
+        threading.Thread(target=self._write, args=arguments, daemon=True).start()
+        try:
+            async for sample in samples:
+                if self._broken.is_set():
+                    _log.warning("publish.%s: standard output was closed", self._name)
+                    return
+                self._hand_over(sample + b"\n")
+        finally:
+            self._hand_over(None)
+
+    def _hand_over(self, line: bytes | None) -> None:
+        """Newest wins."""
+        while True:
+            try:
+                self._lines.put_nowait(line)
+            except queue.Full:
+                self._discard()
+            else:
+                return
+
+    def _discard(self) -> None:
+        try:
+            self._lines.get_nowait()
+        except queue.Empty:
+            return
+        self.dropped += 1
+
+    def _write(self, fd: int) -> None:
+        while (line := self._lines.get()) is not None:
+            try:
+                while line:
+                    line = line[os.write(fd, line) :]
+            except OSError:
+                self._broken.set()
+                return

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One datagram of JSON for each sample. Whether anybody listens is not known and not asked."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+
+from motord.bus.publish.samples import Samples
+from motord.config import UdpPublish
+
+RESOLVE_WITHIN_S = 5.0
+RESOLVE_AGAIN_S = 5.0
+
+Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
+"""Of IPv4, of IPv6, and of what getaddrinfo may give by its type."""
+
+_log = logging.getLogger(__name__)
+
+
+class UdpPublisher:
+    def __init__(self, name: str, section: UdpPublish) -> None:
+        self._name = name
+        self._host, self._port = section.host, section.port
+        self._failing = False
+        self.sent = 0
+        self.dropped = 0
+        """What the network stack did not take."""
+
+    async def run(self, samples: Samples) -> None:
+        """As Publisher.run."""
+        family, address = await self._resolved()
+        with socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+            async for sample in samples:
+                self._send(sender, sample, address)
+
+    async def _resolved(self) -> tuple[socket.AddressFamily, Address]:
+        """The host's address; asked for again and again, said once."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                async with asyncio.timeout(RESOLVE_WITHIN_S):
+                    found = await loop.getaddrinfo(
+                        self._host, self._port, type=socket.SOCK_DGRAM, proto=socket.IPPROTO_UDP
+                    )
+                family, _, _, _, address = found[0]
+                return family, address
+            except (OSError, TimeoutError) as error:
+                self._say(f"{self._host} has no address: {error or 'no answer'}")
+            await asyncio.sleep(RESOLVE_AGAIN_S)
+
+    def _send(self, sender: socket.socket, sample: bytes, address: Address) -> None:
+        try:
+            sender.sendto(sample, address)
+        except OSError as error:
+            self.dropped += 1
+            self._say(f"{self._host}:{self._port}: {error.strerror}")
+            return
+        self.sent += 1
+        if self._failing:
+            self._failing = False
+            _log.info("publish.%s: goes on; %d samples were lost", self._name, self.dropped)
+
+    def _say(self, text: str) -> None:
+        if not self._failing:
+            self._failing = True
+            _log.warning("publish.%s: %s", self._name, text)
