@@ -160,7 +160,7 @@ class ProgressLine:
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._terminal = sys.stderr.isatty()
-        self._next_s = time.monotonic() + QUIET_PERIOD_S
+        self._next_s = 0.0
 
     def show(self, elapsed_s: float, text: str) -> None:
         line = f"{elapsed_s:6.1f} s of {self._seconds:g}: {text}"

@@ -162,12 +162,14 @@ class Run:
 
     async def _watch(self, end: asyncio.Event, progress: Callable[[Progress], None]) -> None:
         seconds, cpu_times = self.options.seconds, CpuTimes.now()
-        begin_s = next_window_s = next_progress_s = time.monotonic()
+        window_s = max(WINDOW_S, seconds / WINDOWS_MAX)
+        begin_s = next_progress_s = time.monotonic()
+        next_window_s = begin_s + window_s
         while (now_s := time.monotonic()) < begin_s + seconds and not end.is_set():
             self.rig.stay_alive()
             if now_s >= next_window_s:
                 self.timeline.look()
-                next_window_s = now_s + max(WINDOW_S, seconds / WINDOWS_MAX)
+                next_window_s = now_s + window_s
             if now_s >= next_progress_s:
                 progress(self._so_far(now_s - begin_s))
                 next_progress_s = now_s + PROGRESS_S

@@ -60,7 +60,7 @@ def draw_histogram(axes: Axes, report: LatencyReport) -> None:
     axes.set_yscale("log")
     axes.set_ylim(bottom=ONE_TICK)
     axes.set_xlabel("lateness: wake-up after its deadline, µs")
-    axes.set_ylabel("ticks per bucket (1/16 of an octave)")
+    axes.set_ylabel("ticks per bucket (16 an octave)")
     low_us, high_us = axes.get_xlim()
     axes.set_xlim(low_us, max(high_us, 60.0))
     plain_numbers(axes.xaxis)
@@ -70,7 +70,8 @@ def draw_histogram(axes: Axes, report: LatencyReport) -> None:
         above = axes.get_xaxis_transform()
         axes.text(limit_us, 1.01, label, transform=above, fontsize=8, color=MUTED, ha="center")
     axes.grid(visible=True, which="major", alpha=0.25)
-    axes.legend(loc="upper right")
+    if report.histogram:
+        axes.legend(loc="upper right")
 
 
 def plain_numbers(axis: Axis) -> None:
@@ -147,7 +148,8 @@ def draw_timeline(axes: Axes, report: LatencyReport) -> None:
     axes.set_xlabel("time, s")
     axes.set_ylabel("lateness, µs")
     axes.grid(visible=True, which="major", alpha=0.25)
-    axes.legend(loc="upper right")
+    if windows:
+        axes.legend(loc="upper right")
 
 
 def class_limits(low_us: float, high_us: float) -> list[float]:

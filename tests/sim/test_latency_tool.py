@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord latency` on this machine: short runs of the real loop.
+
+No test looks at how fast it was."""
+
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from motord.cli import cli
+from motord.rt import Loop, LoopSettings
+from motord.tools.latency import LatencyError, LatencyOptions, run_latency
+from motord.tools.latency_load import BURNER
+from motord.tools.latency_other_end import PEER
+from motord.tools.latency_report import FIGURES
+from motord.tools.latency_rig import core_config
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'daemon'}:{ROOT / 'hal'}:{ROOT}"}
+COMMAND = [sys.executable, "-m", "motord", "latency"]
+DEADLINE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def report():
+    return run_latency(LatencyOptions(rate_hz=500.0, seconds=1.0))
+
+
+def helpers():
+    """Processes that this one started for a measurement and that still run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent_pid = int(path.read_text().rsplit(")", 1)[1].split()[1])
+            words = path.with_name("cmdline").read_bytes().decode(errors="replace").split("\0")
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if parent_pid == os.getpid() and {str(BURNER), str(PEER), "cyclictest"} & set(words):
+            found.append((int(path.parent.name), words))
+    return found
+
+
+def spreads(found):
+    yield "lateness_us", found["lateness_us"]
+    yield "step_ns", found["step_ns"]
+    yield from found["handover_us"].items()
+    if found["cyclictest_us"] is not None:
+        yield "cyclictest_us", found["cyclictest_us"]
+
+
+def test_the_report_has_the_keys_of_the_contract(report):
+    found = json.loads(json.dumps(report.to_json(), allow_nan=False))
+    assert {"rate_hz", "seconds", "policy", "ticks", "overruns", "cyclictest_us"} <= set(found)
+    assert {"class", "load", "refusals", "machine"} <= set(found)
+    assert set(found["handover_us"]) == {"command_to_core", "core_to_asyncio", "command_to_byte"}
+    for name, spread in spreads(found):
+        assert set(spread) == {"samples", *FIGURES}, name
+    assert os.uname().nodename not in found["machine"].values()
+
+
+def test_everything_was_measured_and_percentiles_are_in_order(report):
+    for name, spread in spreads(report.to_json()):
+        assert spread["samples"] > 0, name
+        assert 0 < spread["p50"] <= spread["p99"] <= spread["p99_9"] <= spread["max"], name
+
+
+def test_every_tick_is_in_every_account_of_it(report):
+    assert report.ticks == report.lateness_us.samples == report.step_ns.samples
+    assert report.ticks == sum(window.ticks for window in report.timeline)
+    assert report.ticks == sum(bar.count for bar in report.histogram)
+    assert report.overruns == sum(window.overruns for window in report.timeline)
+
+
+def test_the_time_line_has_no_gap_and_its_worst_tick_is_the_worst_of_the_run(report):
+    windows = report.timeline
+    assert windows[0].start_s == 0.0
+    assert all(a.end_s == b.start_s for a, b in itertools.pairwise(windows))
+    assert windows[-1].end_s == report.seconds >= 1.0
+    worst_us = max(window.lateness_max_us for window in windows)
+    assert report.lateness_us.max <= worst_us <= report.lateness_us.max * 1.07
+
+
+def test_a_command_that_became_a_byte_was_sent_and_took_longer_than_to_the_core(report):
+    to_core, to_byte = (report.handover_us[k] for k in ("command_to_core", "command_to_byte"))
+    assert to_byte.samples <= to_core.samples <= report.commands_sent
+    assert to_byte.max > 0
+
+
+def test_no_key_is_a_constant(report):
+    options = LatencyOptions(rate_hz=100.0, seconds=0.6, priority=0, cpu=(0,), load="gil")
+    other = run_latency(options).to_json()
+    found = report.to_json()
+    keys = ["rate_hz", "seconds", "cpu", "load", "ticks", "lateness_us", "step_ns", "commands_sent"]
+    if "scheduler" not in found["refusals"]:
+        keys += ["policy", "priority"]
+    if found["cyclictest_us"] is not None:
+        keys += ["cyclictest_us", "cyclictest_note"]
+    for key in keys:
+        assert found[key] != other[key], key
+    for name, spread in found["handover_us"].items():
+        assert spread != other["handover_us"][name], name
+    assert other["policy"] == "SCHED_OTHER"
+    assert other["load"] == "gil"
+
+
+@pytest.mark.parametrize("load", ["cpu", "io"])
+def test_under_load_it_measures_all_the_same_and_leaves_nothing_behind(load):
+    found = run_latency(LatencyOptions(rate_hz=500.0, seconds=1.0, load=load)).to_json()
+    assert found["load"] == load
+    assert all(spread["samples"] > 0 for _, spread in spreads(found))
+    assert helpers() == []
+
+
+def test_progress_grows():
+    seen = []
+    run_latency(LatencyOptions(rate_hz=500.0, seconds=1.2), seen.append)
+    assert len(seen) >= 2
+    assert [p.elapsed_s for p in seen] == sorted(p.elapsed_s for p in seen)
+    assert seen[-1].lateness.samples > seen[0].lateness.samples
+
+
+def test_an_error_in_the_middle_leaves_nothing_behind():
+    def fail(_):
+        assert helpers()
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run_latency(LatencyOptions(rate_hz=500.0, seconds=5.0, load="cpu"), fail)
+    assert helpers() == []
+    with Loop(core_config(), LoopSettings(rate_hz=100.0, priority=0)) as loop:
+        assert loop.status().running
+
+
+def test_the_other_ends_death_is_an_error_and_not_a_short_result():
+    def kill_the_other_end(_):
+        for pid, words in helpers():
+            if str(PEER) in words:
+                os.kill(pid, signal.SIGKILL)
+
+    with pytest.raises(LatencyError, match="other end"):
+        run_latency(LatencyOptions(rate_hz=500.0, seconds=0.5), kill_the_other_end)
+    assert helpers() == []
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_time_that_is_none_is_refused(seconds):
+    with pytest.raises(ValueError, match="greater than zero"):
+        run_latency(LatencyOptions(seconds=seconds))
+
+
+def test_it_measures_outside_the_main_thread_too():
+    found = []
+    options = LatencyOptions(rate_hz=500.0, seconds=0.3)
+    thread = threading.Thread(target=lambda: found.append(run_latency(options)))
+    thread.start()
+    thread.join(DEADLINE_S)
+    assert found
+    assert found[0].ticks > 0
+
+
+def test_ctrl_c_ends_it_early_with_what_was_measured():
+    with subprocess.Popen(
+        [*COMMAND, "--seconds", "300", "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True,
+    ) as process:  # fmt: skip
+        for line in process.stderr:
+            if " of 300: " in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0, err
+    found = json.loads(out)
+    assert found["ended_early"] is True
+    assert found["seconds"] < 300.0
+    assert found["ticks"] > 0
+
+
+def without_real_time():
+    """A command's prefix that takes the right to SCHED_FIFO away."""
+    if os.geteuid() != 0:
+        return ["prlimit", "--rtprio=0:0"]
+    return ["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice"]
+
+
+@pytest.mark.skipif(shutil.which(without_real_time()[0]) is None, reason="no setpriv, no prlimit")
+def test_a_refused_priority_is_said_loudly_and_measured_all_the_same():
+    done = subprocess.run(
+        [*without_real_time(), *COMMAND, "--seconds", "0.3", "--json"],
+        capture_output=True, text=True, timeout=DEADLINE_S, env=ENVIRONMENT,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["policy"] == "SCHED_OTHER"
+    assert "SCHED_FIFO priority 80 was refused" in found["refusals"]["scheduler"]
+    assert "WARNING: SCHED_FIFO priority 80 was refused" in done.stderr
+    assert found["cyclictest_us"] is None
+    assert found["cyclictest_note"]
+
+
+def test_the_command_prints_a_table_and_draws_a_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "run.png"
+    result = CliRunner().invoke(
+        cli, ["latency", "--seconds", "0.5", "--rate-hz", "500", "--plot", str(picture)]
+    )
+    assert result.exit_code == 0, result.output
+    for word in ("lateness, µs", "step, ns", "command → core", "core → asyncio", "command → byte"):
+        assert word in result.stdout
+    assert result.stdout.splitlines()[-1].startswith("class: ")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_picture_that_cannot_be_written_does_not_lose_the_measurement(tmp_path):
+    pytest.importorskip("matplotlib")
+    folder = tmp_path / "taken.png"
+    target = folder / "f.png"
+    folder.mkdir()
+    target.symlink_to(tmp_path / "nowhere" / "f.png")
+    result = CliRunner().invoke(cli, ["latency", "--seconds", "0.3", "--plot", str(target)])
+    assert result.exit_code == 1
+    assert "lateness, µs" in result.stderr
+    assert "--plot" in result.stderr
