@@ -279,25 +279,43 @@ void odometry_reset(odometry_state *state, const core_config *config);
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const double *setpoint_rad_s);
 
-/* A command as far as limits and wheels let it go; kept, because commands change more rarely than ticks. */
+/* What follows from a command under the limits in force; kept, because commands are rarer than ticks. */
 typedef struct {
-    double wanted_linear_m_s;
+    double command_linear_m_s;  /* as it came in */
+    double command_angular_rad_s;
+    double wanted_linear_m_s;   /* as it is understood: 0 when not finite */
     double wanted_angular_rad_s;
-    double linear_m_s;
+    double linear_m_s;          /* as far as limits and wheels let it go */
     double angular_rad_s;
     double saturation;
+    uint32_t command_reasons;
     uint32_t reasons;
-    uint32_t known;             /* 0: limits have changed since */
+    uint32_t zero;              /* 1: a finite command of zero */
+    uint32_t known;             /* 0: the last four are not up to date */
 } core_goal;
+
+/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is on its way. */
+typedef struct {
+    double linear_m_s;
+    double angular_rad_s;
+    joint_setpoint joint[JOINTS_MAX];
+    uint32_t reasons;
+    uint32_t known;
+} core_wheels;
 
 typedef struct {
     core_config config;
     base_limits limits;         /* in force */
+    uint64_t command_window_ns; /* timeouts, from the farthest stamp in the future that is taken */
+    uint64_t feedback_window_ns;
+    uint64_t heartbeat_window_ns;
+    double unsaturated_m_s;     /* no wheel is at its limit when no side is faster than this */
     core_goal goal;
+    core_wheels wheels;
     limit_state linear;
     limit_state angular;
     odometry_state odometry;
-    robot_state snapshot;       /* of the last tick; set-points and duties of the joints live in it */
+    robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
     int64_t oldest_ns;          /* stamps of the feedback that is in use */
     int64_t newest_ns;

@@ -4,7 +4,8 @@
  *
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
-#include "core.h"
+#include "snapshot.h"
+#include "watch.h"
 #include "wheel.h"
 
 #include <errno.h>
@@ -14,14 +15,13 @@
 static const double DT_MAX_S = 0.1; /* after a longer pause the ramps go on as if it had been this */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
-static void zero_at_once(core_state *state, tick *t, setpoints *out)
+static void zero_at_once(core_state *state, tick *t)
 {
-    for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        joint_state *joint = &state->snapshot.joint[j];
-        t->checksum += joint->duty;
-        out->joint[j].velocity_rad_s = joint->setpoint_rad_s = 0.0;
-        out->joint[j].duty = joint->duty = 0.0;
-    }
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        t->checksum += state->wheels.joint[j].velocity_rad_s + state->wheels.joint[j].duty;
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.0;
+    state->wheels = (core_wheels){0};
     state->linear = state->angular = (limit_state){0};
     t->moving = false;
 }
@@ -29,6 +29,8 @@ static void zero_at_once(core_state *state, tick *t, setpoints *out)
 /* false: no ramp, the set-points are zero now */
 static bool may_ramp(const core_state *state, const tick *t)
 {
+    if (t->calm)
+        return true;
     if (t->dt_s == 0.0)
         return false;
     if (state->holding)
@@ -44,21 +46,19 @@ static double within(double want, double limit)
 
 /* The twist to ramp to. Scaled to what the wheels can do before the ramp; else the two axes, scaled after
  * it alone, would settle at the ratio of their accelerations and not at that of the command. */
-static void set_goal(core_state *state, const tick *t)
+static void set_goal(core_state *state)
 {
     core_goal *goal = &state->goal;
-    double wheel_rad_s[JOINTS_MAX];
     const core_config *config = &state->config;
-    double linear_m_s = within(t->wanted_linear_m_s, state->limits.linear.velocity_u_s);
-    double angular_rad_s = within(t->wanted_angular_rad_s, state->limits.angular.velocity_u_s);
-    goal->wanted_linear_m_s = t->wanted_linear_m_s;
-    goal->wanted_angular_rad_s = t->wanted_angular_rad_s;
+    double wheel_rad_s[JOINTS_MAX];
+    double linear_m_s = within(goal->wanted_linear_m_s, state->limits.linear.velocity_u_s);
+    double angular_rad_s = within(goal->wanted_angular_rad_s, state->limits.angular.velocity_u_s);
     kinematics_wheels(config, linear_m_s, angular_rad_s, wheel_rad_s);
     goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
     goal->linear_m_s = linear_m_s * goal->saturation;
     goal->angular_rad_s = angular_rad_s * goal->saturation;
-    goal->reasons = (linear_m_s != t->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0)
-        | (angular_rad_s != t->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0);
+    goal->reasons = (linear_m_s != goal->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0)
+        | (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0);
     goal->known = 1;
 }
 
@@ -68,75 +68,82 @@ static void choose_goal(core_state *state, tick *t, double *linear_m_s, double *
     *linear_m_s = *angular_rad_s = 0.0;
     if (!state->armed || t->input->control.stop || t->command_zero)
         return;
-    if (t->wanted_linear_m_s != goal->wanted_linear_m_s || t->wanted_angular_rad_s != goal->wanted_angular_rad_s
-        || !goal->known)
-        set_goal(state, t);
+    if (!goal->known)
+        set_goal(state);
     *linear_m_s = goal->linear_m_s;
     *angular_rad_s = goal->angular_rad_s;
     t->saturation = goal->saturation;
     t->reasons |= goal->reasons;
 }
 
-/* The speeds that the ramps want of the wheels, and the common factor that saturates them. */
-static double wish_speeds(const core_state *state, double *wheel_rad_s)
+/* The common factor for the twist that the ramps want. */
+static double saturation(const core_state *state)
 {
-    uint32_t count = state->config.joint_count;
-    double linear_m_s = state->linear.velocity_u_s;
-    double turn_m_s = state->angular.velocity_u_s * state->config.track_m * 0.5;
-    double factor = 1.0;
-    for (uint32_t j = 0; j < count; j++) {
-        const joint_config *joint = &state->config.joint[j];
-        double speed_rad_s = wheel_speed(joint, linear_m_s, turn_m_s);
-        wheel_rad_s[j] = speed_rad_s;
-        if (!wheel_within(joint, speed_rad_s))
-            factor = fmin(factor, wheel_share(joint, speed_rad_s));
-    }
-    return factor;
+    const core_config *config = &state->config;
+    double linear_m_s = state->linear.velocity_u_s, angular_rad_s = state->angular.velocity_u_s;
+    if (fabs(linear_m_s) + fabs(angular_rad_s) * config->track_m * 0.5 <= state->unsaturated_m_s)
+        return 1.0;
+    double wheel_rad_s[JOINTS_MAX];
+    kinematics_wheels(config, linear_m_s, angular_rad_s, wheel_rad_s);
+    return saturate_factor(wheel_rad_s, config->joint, config->joint_count);
 }
 
-static void set_wheels(core_state *state, tick *t, double dt_s, setpoints *out)
+/* kinematics → saturate → PWM, for a twist that is not that of the last tick */
+static void set_wheels(core_state *state, tick *t, double dt_s)
 {
-    double wheel_rad_s[JOINTS_MAX];
-    double factor = wish_speeds(state, wheel_rad_s);
+    core_wheels *wheels = &state->wheels;
+    double factor = saturation(state);
+    double turn_m_s = state->angular.velocity_u_s * state->config.track_m * 0.5;
+    double linear_m_s = state->linear.velocity_u_s;
+    uint32_t count = state->config.joint_count, reasons = 0;
+    double checksum = t->checksum;
+    for (uint32_t j = 0; j < count; j++) {
+        const joint_config *joint = &state->config.joint[j];
+        joint_setpoint *setpoint = &wheels->joint[j];
+        double speed_rad_s = wheel_speed(joint, linear_m_s, turn_m_s) * factor;
+        checksum += setpoint->duty;
+        pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
+        setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
+        setpoint->duty = state->snapshot.joint[j].duty = output.duty;
+        reasons |= output.reasons;
+    }
+    t->checksum = checksum;
     if (factor < 1.0) {
         /* back into the ramps, or they would wind up beyond what the wheels do */
         state->linear.velocity_u_s *= factor;
         state->angular.velocity_u_s *= factor;
         t->saturation *= factor;
     }
-    uint32_t count = state->config.joint_count;
-    uint32_t reasons = t->saturation < 1.0 ? REASON_WHEEL_SATURATED : 0;
-    double checksum = t->checksum;
-    for (uint32_t j = 0; j < count; j++) {
-        joint_state *joint = &state->snapshot.joint[j];
-        double speed_rad_s = wheel_rad_s[j] * factor;
-        double last_duty = joint->duty;
-        pwm_output output = wheel_duty(&state->config.joint[j].pwm, last_duty, speed_rad_s, dt_s);
-        out->joint[j].velocity_rad_s = joint->setpoint_rad_s = speed_rad_s;
-        out->joint[j].duty = joint->duty = output.duty;
-        reasons |= output.reasons;
-        checksum += last_duty + output.duty;
-    }
-    t->checksum = checksum;
-    t->reasons |= reasons;
-    t->moving = state->linear.velocity_u_s != 0.0 || state->angular.velocity_u_s != 0.0;
+    wheels->linear_m_s = state->linear.velocity_u_s;
+    wheels->angular_rad_s = state->angular.velocity_u_s;
+    wheels->reasons = reasons;
+    wheels->known = factor == 1.0 && !(reasons & REASON_DUTY_SLEW);
 }
 
 /* goal → limit → kinematics → saturate → PWM */
-static void drive(core_state *state, tick *t, setpoints *out)
+static void drive(core_state *state, tick *t)
 {
     if (!may_ramp(state, t)) {
-        zero_at_once(state, t, out);
+        zero_at_once(state, t);
         return;
     }
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
     bool urgent = state->holding != 0;
     double linear_m_s, angular_rad_s;
     choose_goal(state, t, &linear_m_s, &angular_rad_s);
-    limited linear = limit_step(&state->linear, &state->limits.linear, linear_m_s, dt_s, urgent);
-    limited angular = limit_step(&state->angular, &state->limits.angular, angular_rad_s, dt_s, urgent);
-    t->reasons |= linear.reasons | angular.reasons << 4;
-    set_wheels(state, t, dt_s, out);
+    const base_limits *limits = &state->limits;
+    if (!limit_settled(&state->linear, &limits->linear, linear_m_s))
+        t->reasons |= limit_step(&state->linear, &limits->linear, linear_m_s, dt_s, urgent).reasons;
+    if (!limit_settled(&state->angular, &limits->angular, angular_rad_s))
+        t->reasons |= limit_step(&state->angular, &limits->angular, angular_rad_s, dt_s, urgent).reasons << 4;
+    const core_wheels *wheels = &state->wheels;
+    if (state->linear.velocity_u_s != wheels->linear_m_s || state->angular.velocity_u_s != wheels->angular_rad_s
+        || !wheels->known)
+        set_wheels(state, t, dt_s);
+    t->reasons |= wheels->reasons;
+    if (t->saturation < 1.0)
+        t->reasons |= REASON_WHEEL_SATURATED;
+    t->moving = wheels->linear_m_s != 0.0 || wheels->angular_rad_s != 0.0;
 }
 
 static bool all_slow(const core_state *state)
@@ -155,7 +162,7 @@ static void measure(core_state *state, tick *t)
         return;
     double setpoint_rad_s[JOINTS_MAX];
     for (uint32_t j = 0; j < state->config.joint_count; j++)
-        setpoint_rad_s[j] = state->snapshot.joint[j].setpoint_rad_s;
+        setpoint_rad_s[j] = state->wheels.joint[j].velocity_rad_s;
     odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, setpoint_rad_s);
     if (state->odometry.blind)
         odometry_drift(&state->odometry, &state->config, setpoint_rad_s, t->dt_s);
@@ -166,15 +173,18 @@ static void measure(core_state *state, tick *t)
         t->checksum = NAN;
     }
     state->slow = all_slow(state);
-    snapshot_write_feedback(state, t);
+    snapshot_write_feedback(state, t->input->feedback);
 }
 
 /* The last look at what has been computed: nothing that is not a number leaves. */
-static void guard(core_state *state, tick *t, setpoints *out)
+static void guard(core_state *state, tick *t)
 {
-    if (isfinite(t->checksum))
+    double sum = t->checksum;
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        sum += state->wheels.joint[j].velocity_rad_s + state->wheels.joint[j].duty;
+    if (isfinite(sum))
         return;
-    zero_at_once(state, t, out);
+    zero_at_once(state, t);
     t->saturation = 1.0;
     state->goal.known = 0;
     watch_latch(state, FAULT_STATE);
@@ -197,6 +207,28 @@ static void release(core_state *state, const tick *t)
         state->holding = 0;
 }
 
+/* In each tick from nothing; every byte of the set-points is written. */
+static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
+{
+    out->stamp_ns = t->input->now_ns;
+    out->tick = state->tick;
+    out->enabled = state->armed | state->holding;
+    out->joint_count = state->config.joint_count;
+    memcpy(out->joint, state->wheels.joint, sizeof out->joint);
+}
+
+/* The slowest wheel's top speed on the ground. */
+static double slowest_m_s(const core_config *config)
+{
+    double slowest = INFINITY;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        const joint_config *joint = &config->joint[j];
+        double top_rad_s = fmin(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
+        slowest = fmin(slowest, top_rad_s * joint->wheel_radius_m);
+    }
+    return slowest * (1.0 - 1e-12); /* beyond all rounding below the limit */
+}
+
 int core_init(core_state *state, const core_config *config)
 {
     char name[FIELD_NAME_BYTES];
@@ -205,6 +237,11 @@ int core_init(core_state *state, const core_config *config)
     memset(state, 0, sizeof *state);
     state->config = *config;
     state->limits = config->limits;
+    state->command_window_ns = window_ns(config->command_timeout_s);
+    state->feedback_window_ns = window_ns(config->feedback_timeout_s);
+    state->heartbeat_window_ns = window_ns(config->heartbeat_timeout_s);
+    state->unsaturated_m_s = slowest_m_s(config);
+    state->goal.zero = 1;
     state->silent = 1;
     state->slow = 1;
     state->at_rest = 1;
@@ -216,19 +253,15 @@ int core_init(core_state *state, const core_config *config)
 void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot)
 {
     tick t;
-    memset(out, 0, sizeof *out);
     state->tick++;
     watch(state, input, dt_s, &t);
-    drive(state, &t, out);
+    drive(state, &t);
     measure(state, &t);
-    guard(state, &t, out);
+    guard(state, &t);
     state->at_rest = !t.moving && state->slow;
     if (state->holding)
         release(state, &t);
-    out->stamp_ns = input->now_ns;
-    out->tick = state->tick;
-    out->enabled = state->armed | state->holding;
-    out->joint_count = state->config.joint_count;
+    write_setpoints(state, &t, out);
     snapshot_write(state, &t);
     *snapshot = state->snapshot;
 }

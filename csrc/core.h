@@ -7,37 +7,13 @@
 
 #pragma GCC visibility push(hidden)
 
-/* What one tick knows beside its state. */
-typedef struct {
-    const core_input *input;
-    double dt_s;                /* 0: what came was no time step */
-    double wanted_linear_m_s;
-    double wanted_angular_rad_s;
-    double command_age_s;
-    double saturation;
-    double checksum;            /* of all that has been computed with: not finite when one of it is not */
-    uint32_t reasons;
-    bool command_fresh;
-    bool command_zero;
-    bool heartbeat_fresh;
-    bool news;                  /* feedback is new, or missing: there is something to measure */
-    bool any_stale;
-    bool drive_fault;
-    bool drive_disabled;
-    bool moving;                /* a set-point is not zero */
-} tick;
-
-/* Reads the input and decides who may move: control, faults, arming. */
-void watch(core_state *state, const core_input *input, double dt_s, tick *t);
-/* Latches faults; armed no more, what is under way ends by the stop action of the robot file. */
-void watch_latch(core_state *state, uint32_t faults);
-/* The e-stop's action replaces any other that is under way, and nothing replaces it. */
-stop_action watch_fault_action(const core_state *state);
-
-/* What this tick tells; the rest of the snapshot is as it was. */
-void snapshot_write(core_state *state, const tick *t);
-/* What new feedback tells. */
-void snapshot_write_feedback(core_state *state, const tick *t);
+/* Nothing to do: limit_step() would give the velocity that is there. */
+static inline bool limit_settled(const limit_state *state, const axis_limits *limits, double want_u_s)
+{
+    double velocity_u_s = state->velocity_u_s;
+    return velocity_u_s == want_u_s && state->acceleration_u_s2 == 0.0 && velocity_u_s <= limits->velocity_u_s
+        && velocity_u_s >= -limits->velocity_u_s;
+}
 
 /* An angle in -pi..pi. */
 double angle_wrap(double angle_rad);

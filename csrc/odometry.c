@@ -33,11 +33,18 @@ int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits)
     return (int64_t)((now - before) << shift) >> shift;
 }
 
+/* b for a NaN in a: a floor holds */
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 static void floor_covariance(odometry_state *state, const core_config *config)
 {
-    state->pose_covariance[0] = fmax(state->pose_covariance[0], config->pose_variance_floor_m2);
-    state->pose_covariance[3] = fmax(state->pose_covariance[3], config->pose_variance_floor_m2);
-    state->pose_covariance[5] = fmax(state->pose_covariance[5], config->heading_variance_floor_rad2);
+    double *p = state->pose_covariance;
+    p[0] = larger(p[0], config->pose_variance_floor_m2);
+    p[3] = larger(p[3], config->pose_variance_floor_m2);
+    p[5] = larger(p[5], config->heading_variance_floor_rad2);
 }
 
 static void pose_to_origin(odometry_state *state, const core_config *config)
@@ -70,13 +77,11 @@ void odometry_reset(odometry_state *state, const core_config *config)
 
 bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 {
+    const double *p = state->pose_covariance, *q = state->twist_covariance;
     /* a sum with an infinity or a NaN in it is one itself */
     double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
-        + state->linear_m_s + state->angular_rad_s;
-    for (int i = 0; i < 6; i++)
-        sum += state->pose_covariance[i];
-    for (int i = 0; i < 3; i++)
-        sum += state->twist_covariance[i];
+        + state->linear_m_s + state->angular_rad_s
+        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2];
     for (uint32_t j = 0; j < joint_count; j++)
         sum += state->joint[j].position_rad + state->joint[j].pending_rad;
     return isfinite(sum);
@@ -108,7 +113,7 @@ static void take(joint_odometry *joint, const joint_config *config, const joint_
                  double setpoint_rad_s, double timeout_s)
 {
     double elapsed_s = (double)(sample->stamp_ns - joint->stamp_ns) * 1e-9;
-    double top_rad_s = fmax(config->velocity_max_rad_s, -config->velocity_min_rad_s);
+    double top_rad_s = larger(config->velocity_max_rad_s, -config->velocity_min_rad_s);
     double reach_rad = JUMP_MARGIN * top_rad_s * elapsed_s;
     double travel_rad;
     bool known = true;
@@ -297,7 +302,7 @@ void odometry_drift(odometry_state *state, const core_config *config, const doub
     for (uint32_t j = 0; j < config->joint_count; j++) {
         double travel_m = fabs(setpoint_rad_s[j]) * config->joint[j].wheel_radius_m * dt_s;
         uint32_t right = config->joint[j].side > 0.0;
-        side_m[right] = fmax(side_m[right], travel_m);
+        side_m[right] = larger(side_m[right], travel_m);
     }
     double distance_m = 0.5 * (side_m[0] + side_m[1]);
     double turn_rad = (side_m[0] + side_m[1]) / config->track_m;
@@ -307,6 +312,6 @@ void odometry_drift(odometry_state *state, const core_config *config, const doub
     p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
     /* the last measured twist is all there is: as uncertain as it is large */
     double linear = state->linear_m_s * state->linear_m_s, angular = state->angular_rad_s * state->angular_rad_s;
-    state->twist_covariance[0] = fmax(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
-    state->twist_covariance[2] = fmax(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
+    state->twist_covariance[0] = larger(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
+    state->twist_covariance[2] = larger(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
 }

@@ -35,16 +35,16 @@ static inline pwm_output wheel_duty(const pwm_config *config, double last_duty, 
 {
     if (velocity_rad_s == 0.0)
         return (pwm_output){0};
-    double slope_s_per_rad = (1.0 - config->dead_band) / config->full_duty_rad_s;
-    double wanted = velocity_rad_s * slope_s_per_rad + copysign(config->dead_band, velocity_rad_s);
+    bool back = velocity_rad_s < 0.0;
+    double edge = back ? -config->dead_band : config->dead_band;
+    double wanted = velocity_rad_s * (1.0 - config->dead_band) / config->full_duty_rad_s + edge;
     double duty = wanted > config->duty_max ? config->duty_max : wanted;
     duty = duty < config->duty_min ? config->duty_min : duty;
     uint32_t reasons = duty != wanted ? (uint32_t)REASON_DUTY_CLAMPED : 0;
     if (config->slew_per_s < INFINITY) {
         /* away from zero only; from the dead band's edge where the duty is less */
-        double start = duty < 0.0 ? -last_duty : last_duty;
-        double edge = start > config->dead_band ? start : config->dead_band;
-        double reach = edge + config->slew_per_s * dt_s;
+        double start = back ? -last_duty : last_duty;
+        double reach = (start > config->dead_band ? start : config->dead_band) + config->slew_per_s * dt_s;
         if (fabs(duty) > reach) {
             duty = copysign(reach, duty);
             reasons |= REASON_DUTY_SLEW;

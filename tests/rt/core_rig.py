@@ -153,7 +153,10 @@ class Rig:
 
 
 def assert_rest(rig: Rig, *, enabled: int | None = None) -> None:
-    """Every place of the set-points is zero."""
+    """Every place of the set-points is zero, and told to be."""
+    assert [rig.shown.joint[j].setpoint_rad_s for j in range(8)] == [0.0] * 8
+    assert [rig.shown.joint[j].duty for j in range(8)] == [0.0] * 8
+    assert (rig.shown.setpoint_linear_m_s, rig.shown.setpoint_angular_rad_s) == (0.0, 0.0)
     assert [rig.out.joint[j].velocity_rad_s for j in range(8)] == [0.0] * 8
     assert [rig.out.joint[j].duty for j in range(8)] == [0.0] * 8
     if enabled is not None:

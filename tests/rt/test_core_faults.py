@@ -277,7 +277,7 @@ def test_a_number_inside_that_is_none_is_rest_and_a_fault(place, broken, armed):
     if place in ("linear", "angular"):
         getattr(state, place).velocity_u_s = broken
     elif place == "duty":
-        state.snapshot.joint[1].duty = broken
+        state.wheels.joint[1].duty = broken
     elif place == "x_m":
         state.odometry.x_m = broken
     else:

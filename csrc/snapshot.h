@@ -1,19 +1,40 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * snapshot.c: what the core tells. The snapshot is kept in the state and handed out as a copy, so that a tick
- * writes only what it changed.
+ * snapshot.h: what the core tells. The snapshot is kept in the state and handed out as a copy, so that a tick
+ * writes only what it changed. A part of core.c: in one piece with it the compiler keeps the tick in registers.
  */
+#ifndef MOTORD_SNAPSHOT_H
+#define MOTORD_SNAPSHOT_H
+
 #include "core.h"
 
+/* What one tick knows beside its state. */
+typedef struct {
+    const core_input *input;
+    double dt_s;                /* 0: what came was no time step */
+    double command_age_s;
+    double saturation;
+    double checksum;            /* of all that has been computed with: not finite when one of it is not */
+    uint32_t reasons;
+    bool calm;                  /* armed, asked to go on, and nothing amiss */
+    bool command_fresh;
+    bool command_zero;
+    bool heartbeat_fresh;
+    bool news;                  /* feedback is new, or missing: there is something to measure */
+    bool any_stale;
+    bool drive_fault;
+    bool drive_disabled;
+    bool moving;                /* a set-point is not zero */
+} tick;
+
 /* a measure as it is, NaN for what no sensor measures (infinity) */
-static double measured(double value)
+static inline double measured(double value)
 {
     return value + (value - value);
 }
 
-static void write_joint(const core_state *state, const tick *t, uint32_t j, joint_state *to)
+static inline void write_joint(const core_state *state, const joint_feedback *feedback, uint32_t j, joint_state *to)
 {
-    const joint_feedback *feedback = &t->input->feedback[j];
     const joint_odometry *odometry = &state->odometry.joint[j];
     to->position_rad = odometry->position_rad;
     to->velocity_rad_s = odometry->velocity_rad_s;
@@ -26,7 +47,7 @@ static void write_joint(const core_state *state, const tick *t, uint32_t j, join
     to->jumps = odometry->jumps;
 }
 
-void snapshot_write_feedback(core_state *state, const tick *t)
+static inline void snapshot_write_feedback(core_state *state, const joint_feedback *feedback)
 {
     const odometry_state *from = &state->odometry;
     robot_state *to = &state->snapshot;
@@ -45,12 +66,14 @@ void snapshot_write_feedback(core_state *state, const tick *t)
     for (int i = 0; i < 3; i++)
         to->twist_covariance[i] = from->twist_covariance[i];
     for (uint32_t j = 0; j < state->config.joint_count; j++)
-        write_joint(state, t, j, &to->joint[j]);
+        write_joint(state, &feedback[j], j, &to->joint[j]);
 }
 
-static uint32_t all_reasons(const core_state *state, const tick *t)
+static inline uint32_t all_reasons(const core_state *state, const tick *t)
 {
     uint32_t reasons = t->reasons;
+    if (t->calm && state->armed)
+        return reasons;
     if (!state->armed)
         reasons |= REASON_NOT_ARMED;
     if (t->input->control.stop)
@@ -60,7 +83,7 @@ static uint32_t all_reasons(const core_state *state, const tick *t)
     return reasons;
 }
 
-void snapshot_write(core_state *state, const tick *t)
+static inline void snapshot_write(core_state *state, const tick *t)
 {
     robot_state *to = &state->snapshot;
     to->stamp_ns = t->input->now_ns;
@@ -74,8 +97,8 @@ void snapshot_write(core_state *state, const tick *t)
     to->at_rest = state->at_rest;
     to->dt_s = t->dt_s;
     to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
-    to->wanted_linear_m_s = t->wanted_linear_m_s;
-    to->wanted_angular_rad_s = t->wanted_angular_rad_s;
+    to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_linear_m_s : 0.0;
+    to->wanted_angular_rad_s = t->command_fresh ? state->goal.wanted_angular_rad_s : 0.0;
     to->setpoint_linear_m_s = state->linear.velocity_u_s;
     to->setpoint_angular_rad_s = state->angular.velocity_u_s;
     to->saturation = t->saturation;
@@ -86,3 +109,5 @@ _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 16, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80,
                "padding in robot_state");
+
+#endif

@@ -1,9 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * watch.c: who may move. Ages of what was heard, faults and their latch, arming. Each comparison that lets
- * something move is written so that NaN does not pass it.
+ * watch.h: who may move. Ages of what was heard, faults and their latch, arming. Each comparison that lets
+ * something move is written so that NaN does not pass it. A part of core.c, as snapshot.h is.
  */
-#include "core.h"
+#ifndef MOTORD_WATCH_H
+#define MOTORD_WATCH_H
+
+#include "snapshot.h"
 
 #include <float.h>
 #include <math.h>
@@ -12,58 +15,58 @@
 static const int64_t FUTURE_NS = 10000000; /* a stamp may be this much ahead of the tick: it was written meanwhile */
 static const double LEAST_WISH = 1e-9;     /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
 
-static bool finite_number(double value)
-{
-    return fabs(value) <= DBL_MAX;
-}
-
 /* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
-static double age_s(int64_t now_ns, int64_t stamp_ns)
+static inline double age_s(int64_t now_ns, int64_t stamp_ns)
 {
     return stamp_ns > 0 ? (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9 : INFINITY;
 }
 
 /* The width of fresh(): from FUTURE_NS ahead of now to the timeout behind it. */
-static uint64_t window_ns(double timeout_s)
+static inline uint64_t window_ns(double timeout_s)
 {
     return (uint64_t)((int64_t)(timeout_s * 1e9 + 0.5) + FUTURE_NS);
 }
 
-static bool fresh(int64_t now_ns, int64_t stamp_ns, uint64_t within_ns)
+static inline bool fresh(int64_t now_ns, int64_t stamp_ns, uint64_t within_ns)
 {
     return stamp_ns > 0 && (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)FUTURE_NS <= within_ns;
 }
 
-static void read_command(const core_state *state, tick *t)
+/* Another command than the last one. */
+static inline void take_command(core_goal *goal, const twist_command *command)
+{
+    double linear_m_s = command->linear_m_s, angular_rad_s = command->angular_rad_s;
+    bool finite = isfinite(linear_m_s) && isfinite(angular_rad_s);
+    goal->command_linear_m_s = linear_m_s;
+    goal->command_angular_rad_s = angular_rad_s;
+    goal->wanted_linear_m_s = finite && fabs(linear_m_s) >= LEAST_WISH ? linear_m_s : 0.0;
+    goal->wanted_angular_rad_s = finite && fabs(angular_rad_s) >= LEAST_WISH ? angular_rad_s : 0.0;
+    /* who sends what is no number shall not arm: that is no command of zero */
+    goal->zero = finite && goal->wanted_linear_m_s == 0.0 && goal->wanted_angular_rad_s == 0.0;
+    goal->command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;
+    goal->known = 0;
+}
+
+static inline void read_command(core_state *state, tick *t)
 {
     const twist_command *command = &t->input->command;
+    core_goal *goal = &state->goal;
     int64_t now_ns = t->input->now_ns;
-    double linear_m_s = 0.0, angular_rad_s = 0.0;
-    t->command_zero = true;
+    /* NaN is never the last one */
+    if (command->linear_m_s != goal->command_linear_m_s || command->angular_rad_s != goal->command_angular_rad_s)
+        take_command(goal, command);
     t->command_age_s = age_s(now_ns, command->stamp_ns);
     t->command_fresh = now_ns <= command->expires_ns
-        && fresh(now_ns, command->stamp_ns, window_ns(state->config.command_timeout_s));
-    if (!t->command_fresh) {
-        t->reasons |= REASON_COMMAND_STALE;
-    } else if (!finite_number(command->linear_m_s) || !finite_number(command->angular_rad_s)) {
-        t->reasons |= REASON_COMMAND_NOT_FINITE;
-        t->command_zero = false; /* who sends this shall not arm */
-    } else {
-        if (fabs(command->linear_m_s) >= LEAST_WISH)
-            linear_m_s = command->linear_m_s;
-        if (fabs(command->angular_rad_s) >= LEAST_WISH)
-            angular_rad_s = command->angular_rad_s;
-        t->command_zero = linear_m_s == 0.0 && angular_rad_s == 0.0;
-    }
-    t->wanted_linear_m_s = linear_m_s;
-    t->wanted_angular_rad_s = angular_rad_s;
+        && fresh(now_ns, command->stamp_ns, state->command_window_ns);
+    t->command_zero = !t->command_fresh || goal->zero;
+    t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
 
 /* Which joints are heard, and since when. */
-static void judge_feedback(core_state *state, tick *t)
+static inline void judge_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
-    uint64_t within_ns = window_ns(state->config.feedback_timeout_s);
+    uint64_t within_ns = state->feedback_window_ns;
     state->silent = 0;
     state->oldest_ns = INT64_MAX;
     state->newest_ns = 0;
@@ -78,49 +81,55 @@ static void judge_feedback(core_state *state, tick *t)
     }
 }
 
-static void read_feedback(core_state *state, tick *t)
+static inline bool drive_disabled(const core_state *state, const joint_feedback *feedback)
 {
-    int64_t now_ns = t->input->now_ns, armed_ns = state->armed_ns;
-    uint32_t count = state->config.joint_count, faults = 0;
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        if (feedback[j].enabled == 0 && feedback[j].stamp_ns > state->armed_ns)
+            return true;
+    return false;
+}
+
+static inline void read_feedback(core_state *state, tick *t)
+{
+    int64_t now_ns = t->input->now_ns;
+    uint32_t faults = 0, enabled = ~0U;
     uint64_t news = state->silent;
-    bool disabled = false;
-    for (uint32_t j = 0; j < count; j++) {
-        const joint_feedback *feedback = &t->input->feedback[j];
+    const joint_feedback *feedback = t->input->feedback;
+    const joint_odometry *used = state->odometry.joint;
+    joint_state *shown = state->snapshot.joint, *end = shown + state->config.joint_count;
+    for (; shown != end; shown++, feedback++, used++) {
         int64_t stamp_ns = feedback->stamp_ns;
-        state->snapshot.joint[j].feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
-        news |= (uint64_t)stamp_ns ^ (uint64_t)state->odometry.joint[j].stamp_ns;
+        shown->feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
+        news |= (uint64_t)stamp_ns ^ (uint64_t)used->stamp_ns;
         faults |= feedback->drive_faults;
-        if (feedback->enabled == 0 && stamp_ns > armed_ns)
-            disabled = true;
+        enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
     bool known = news == 0 && now_ns >= state->newest_ns
-        && fresh(now_ns, state->oldest_ns, window_ns(state->config.feedback_timeout_s));
+        && fresh(now_ns, state->oldest_ns, state->feedback_window_ns);
     if (!known)
         judge_feedback(state, t);
     t->news = !known;
     t->any_stale = state->silent != 0;
-    t->drive_disabled = disabled;
+    t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
     t->drive_fault = faults != 0;
 }
 
 /* Everything this tick will decide by, read once. */
-static void look(core_state *state, const core_input *input, double dt_s, tick *t)
+static inline void look(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     t->input = input;
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
-    t->reasons = 0;
-    t->moving = false;
     t->checksum = state->linear.velocity_u_s + state->linear.acceleration_u_s2
         + state->angular.velocity_u_s + state->angular.acceleration_u_s2;
     t->heartbeat_fresh =
-        fresh(input->now_ns, input->control.heartbeat_ns, window_ns(state->config.heartbeat_timeout_s));
+        fresh(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
     read_command(state, t);
     read_feedback(state, t);
 }
 
 /* Faults go only when their causes are gone and nothing moves or wants to. A reset never arms. */
-static void reset(core_state *state, const tick *t)
+static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     bool cause = control->estop || control->fault || t->any_stale || t->drive_fault;
@@ -130,7 +139,7 @@ static void reset(core_state *state, const tick *t)
     state->holding = 0;
 }
 
-static void obey_counters(core_state *state, const tick *t)
+static inline void obey_counters(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     if (control->reset_count != state->reset_seen) {
@@ -140,11 +149,11 @@ static void obey_counters(core_state *state, const tick *t)
     if (control->odometry_reset_count != state->odometry_reset_seen) {
         state->odometry_reset_seen = control->odometry_reset_count;
         odometry_reset(&state->odometry, &state->config);
-        snapshot_write_feedback(state, t);
+        snapshot_write_feedback(state, t->input->feedback);
     }
 }
 
-static void take_limits(core_state *state, const base_limits *limits)
+static inline void take_limits(core_state *state, const base_limits *limits)
 {
     char name[FIELD_NAME_BYTES];
     if (memcmp(limits, &state->limits, sizeof *limits) == 0 || base_limits_check(limits, name) != NULL)
@@ -153,7 +162,7 @@ static void take_limits(core_state *state, const base_limits *limits)
     state->goal.known = 0;
 }
 
-static uint32_t causes(const core_state *state, const tick *t)
+static inline uint32_t causes(const core_state *state, const tick *t)
 {
     uint32_t found = 0;
     if (t->input->control.estop)
@@ -175,12 +184,14 @@ static uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-stop_action watch_fault_action(const core_state *state)
+/* The e-stop's action replaces any other that is under way, and nothing replaces it. */
+static inline stop_action watch_fault_action(const core_state *state)
 {
     return state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
 }
 
-void watch_latch(core_state *state, uint32_t faults)
+/* Armed no more, what is under way ends by the stop action of the robot file. */
+static inline void watch_latch(core_state *state, uint32_t faults)
 {
     state->faults |= faults;
     if (state->faults == 0)
@@ -194,7 +205,7 @@ void watch_latch(core_state *state, uint32_t faults)
         state->holding = 0;
 }
 
-static void arm_or_disarm(core_state *state, const tick *t)
+static inline void arm_or_disarm(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     bool edge = control->armed && !state->armed_seen;
@@ -215,22 +226,27 @@ static void arm_or_disarm(core_state *state, const tick *t)
 }
 
 /* Armed, asked to go on, and with nothing amiss: the common tick, in which nothing changes. */
-static bool calm(const core_state *state, const tick *t)
+static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    bool changed = (control->reset_count ^ state->reset_seen) | (control->odometry_reset_count ^ state->odometry_reset_seen);
-    return state->armed && state->commanded && control->armed && !(control->estop | control->fault | control->stop)
-        && !changed && t->dt_s != 0.0 && t->heartbeat_fresh && t->command_fresh
-        && !(t->any_stale | t->drive_fault | t->drive_disabled);
+    uint32_t asked = control->estop | control->fault | control->stop | (control->reset_count ^ state->reset_seen)
+        | (control->odometry_reset_count ^ state->odometry_reset_seen);
+    if (asked != 0 || t->any_stale || t->drive_fault || t->drive_disabled || !t->heartbeat_fresh || !t->command_fresh)
+        return false;
+    return state->armed != 0 && state->commanded != 0 && control->armed != 0 && t->dt_s != 0.0;
 }
 
-void watch(core_state *state, const core_input *input, double dt_s, tick *t)
+/* Reads the input and decides who may move: control, faults, arming. */
+static inline void watch(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     look(state, input, dt_s, t);
     take_limits(state, &input->control.limits);
-    if (calm(state, t))
+    t->calm = calm(state, t);
+    if (t->calm)
         return;
     obey_counters(state, t);
     watch_latch(state, causes(state, t));
     arm_or_disarm(state, t);
 }
+
+#endif
