@@ -18,6 +18,7 @@ What a drive answers later than that, RTU cannot tell from an answer to the next
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import termios
@@ -217,12 +218,13 @@ class GuardedClient:
         cancels = task.cancelling() if task else 0
         limit_s = self.wire_time_s(len(build_request(request))) + within_s
         self._sent_s = now_s()
-        try:
+        with contextlib.suppress(TimeoutError, ModbusException, SerialException):
             async with asyncio.timeout(limit_s):
                 await self._send(request)
-        except (TimeoutError, ModbusException, SerialException):
-            if task and task.cancelling() > cancels:
-                raise asyncio.CancelledError from None
+        # pymodbus turns a cancellation into an exception of its own, and asyncio.wait_for (before
+        # Python 3.12) drops one that meets the reply.
+        if task and task.cancelling() > cancels:
+            raise asyncio.CancelledError
 
     async def _send(self, request: Request) -> None:
         client = self._client
