@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord run`: the daemon."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import click
+
+from motord import log
+from motord.app import run as run_daemon
+from motord.cli.common import Exit, Failure, load_or_exit, robot_argument, set_option
+from motord.rpc import SocketInUse
+from motord.rt import ConfigRefused, PageInUse
+from motord_hal.errors import ProfileError
+
+
+@click.command
+@robot_argument
+@set_option
+@click.option(
+    "--socket",
+    "path",
+    metavar="PATH",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Local socket; /run/motord/ROBOT.sock or the user's own folder otherwise.",
+)
+def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None) -> None:
+    """The daemon, in the foreground; the log goes to stderr.
+
+    Starts disarmed: motord arm lets the robot move. SIGINT and SIGTERM bring it to rest, take the
+    power off and end; a second one does not wait for the ramp. Tells a service manager (sd_notify)
+    when it is ready and that everything still moves.
+
+    \b
+    Example: motord run robot.toml
+             motord run robot.toml --set line.rs485.port=/dev/ttyUSB1
+    """
+    robot = load_or_exit(robot_file, overrides)
+    log.set_up()
+    try:
+        asyncio.run(run_daemon(robot, path))
+    except (ConfigRefused, ProfileError, LookupError) as error:
+        raise Failure(str(error), Exit.USAGE) from error
+    except (PageInUse, SocketInUse) as error:
+        raise Failure(str(error)) from error
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        raise Failure(f"{where}{error.strerror or error}") from error

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the local socket offers: the table of docs/architecture.md."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, StringConstraints
+
+from motord import parameters, procedures, report
+from motord.arbiter import LEASE_MAX_S, LEASE_MIN_S
+from motord.bus.publish.samples import Samples
+from motord.config import SocketInput
+from motord.health import Health
+from motord.machine import State
+from motord.operation import Operation
+from motord.rpc import Caller, Method, Params, Refused
+
+Owner = Annotated[str, StringConstraints(pattern=r"^[\w.:/-]{1,64}$")]
+OWNER = "socket"
+
+
+class DriveParams(Params):
+    linear_m_s: float
+    angular_rad_s: float
+    owner: Owner = OWNER
+    priority: int | None = Field(None, ge=0, le=1000)
+    lease_s: float | None = Field(None, ge=LEASE_MIN_S, le=LEASE_MAX_S)
+
+
+class ReleaseParams(Params):
+    owner: Owner = OWNER
+
+
+class NamesParams(Params):
+    names: list[str] = Field(default_factory=list)
+
+
+class ValuesParams(Params):
+    """Any name: `parameters` knows which there are."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def methods(
+    operation: Operation, health: Health, feeds: Mapping[str, Samples]
+) -> dict[str, Method]:
+    """By name. The first four only look."""
+    return {
+        "status": _looking(lambda: report.status(operation, health, feeds)),
+        "latency": _looking(lambda: report.latency(operation.loop)),
+        "params.list": _looking(lambda: parameters.listed(operation.limits)),
+        "params.get": Method(
+            lambda _, params: parameters.values(operation.limits, params.names),
+            NamesParams,
+            commands=False,
+        ),
+        "params.set": Method(lambda _, params: _set(operation, params), ValuesParams),
+        "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
+        "release": Method(lambda who, params: _release(operation, who, params), ReleaseParams),
+        "arm": _acting(lambda _: procedures.arm(operation)),
+        "disarm": _acting(lambda _: procedures.disarm(operation)),
+        "stop": _acting(lambda _: procedures.stop(operation)),
+        "estop": _acting(
+            lambda who: procedures.estop(operation, f"asked for by process {who.pid}")
+        ),
+        "reset": _acting(lambda _: procedures.reset(operation)),
+        "reset_odometry": _acting(lambda _: procedures.reset_odometry(operation)),
+    }
+
+
+def _looking(look: Callable[[], Any]) -> Method:
+    return Method(lambda caller, params: look(), commands=False)  # noqa: ARG005  # a Method's call
+
+
+def _acting(act: Callable[[Caller], Awaitable[State]]) -> Method:
+    async def call(caller: Caller, _: Params) -> dict[str, str]:
+        return {"state": (await act(caller)).value}
+
+    return Method(call)
+
+
+def _input(operation: Operation) -> SocketInput:
+    """The robot file's word on commands from here."""
+    for section in operation.robot.input.values():
+        if section.kind == "socket":
+            return section
+    raise Refused('the robot file has no [input.*] of kind = "socket": nobody drives from here')
+
+
+def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
+    section = _input(operation)
+    lease = operation.drive(
+        caller.connection,
+        params.owner,
+        section.priority if params.priority is None else params.priority,
+        section.lease_s if params.lease_s is None else params.lease_s,
+        params.linear_m_s,
+        params.angular_rad_s,
+    )
+    commander = operation.refresh_command()
+    return {
+        "owner": commander.owner if commander else None,
+        "in_command": commander is not None and commander.number == lease.number,
+    }
+
+
+def _release(operation: Operation, caller: Caller, params: ReleaseParams) -> dict[str, Any]:
+    operation.release(caller.connection, params.owner)
+    return {}
+
+
+def _set(operation: Operation, params: ValuesParams) -> dict[str, float | None]:
+    wanted = params.model_extra or {}
+    operation.set_limits(parameters.changed(operation.limits, wanted))
+    return parameters.values(operation.limits, wanted)

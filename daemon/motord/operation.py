@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot in operation: what the daemon knows, and everything it can do without waiting.
+
+One object brings machine, arbiter, core and lines together; all its methods run in the daemon's one
+asyncio thread and return at once. What has to wait for drives or wheels is in `procedures.py`.
+
+Rule of the house: what the core is told is made anew from the state each time (`_control`), so that
+no level can be forgotten.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from motord.arbiter import Arbiter, Lease
+from motord.assembly import base_limits
+from motord.config import Limits, Robot
+from motord.machine import Event, Facts, Refusal, State, step
+from motord.rpc import Refused
+from motord.rt import Control, Loop
+from motord.sdnotify import Notifier
+from motord.snapshot import Snapshot
+from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineState
+from motord_hal.rt import now_ns
+
+_log = logging.getLogger(__name__)
+
+_WORRYING = {
+    EventKind.LINE_LOST,
+    EventKind.DRIVE_QUIET,
+    EventKind.DRIVE_FAULT,
+    EventKind.DRIVE_WARNING,
+}
+_MAY_MOVE = (State.ARMED, State.MOVING)
+_LATCHED = (State.FAULT, State.ESTOP)
+_GUARDED = (Event.ARM, Event.RESET)
+
+
+class Operation:
+    """State, leases and levels of one robot. `lines` is filled before anything runs."""
+
+    def __init__(self, robot: Robot, loop: Loop, notifier: Notifier) -> None:
+        self.robot = robot
+        self.loop = loop
+        self.lines: list[Line] = []
+        self.state = State.OFF
+        self.snapshot: Snapshot = loop.read_state()
+        self.arbiter = Arbiter()
+        self.limits: Limits = robot.limits
+        self.why: tuple[str, ...] = ()
+        """What led to the fault or the emergency stop that is latched."""
+        self.stops = 0
+        """How often it was brought to rest by a stop, an emergency stop or a fault."""
+        self.busy = asyncio.Lock()
+        """Held by a procedure: one at a time."""
+        self.disarming = False
+        """A procedure is taking the power off: STOPPING ends with it."""
+        self._notifier = notifier
+        self._armed = False
+        self._estop = False
+        self._broken: str | None = None
+        """Why the daemon itself raises a fault."""
+        self._reset_count = 0
+        self._odometry_reset_count = 0
+        self._commander: Lease | None = None
+        self._changed = asyncio.Event()
+
+    # ------------------------------------------------------------------------- the machine's steps
+    def facts(self) -> Facts:
+        """What the guards look at, now."""
+        joints = dict(zip(self.robot.joint, self.snapshot.joints, strict=True))
+        words = {name: found for line in self.lines for name, found in line.drive_faults.items()}
+        return Facts(
+            unready_lines=tuple(self._unready()),
+            stale_joints=tuple(name for name, joint in joints.items() if joint.stale),
+            drive_faults=tuple(
+                f"{name}: {', '.join(words.get(name) or ['fault'])}"
+                for name, joint in joints.items()
+                if joint.drive_faults
+            ),
+            commanding=self.arbiter.wanting(now_ns()),
+            at_rest=self.snapshot.at_rest,
+        )
+
+    def check(self, event: Event) -> State:
+        """Where the event would lead. Raises Refused."""
+        target = step(self.state, event, self.facts() if event in _GUARDED else Facts())
+        if isinstance(target, Refusal):
+            raise Refused(target.reason)
+        return target
+
+    def take(self, event: Event) -> State:
+        """Take the step, tell the core and the supervisor. Raises Refused."""
+        target = self.check(event)
+        if target is self.state:
+            return target
+        _log.info("%s (%s, was %s)", target, event, self.state)
+        self.state = target
+        if target in (State.STOPPING, State.FAULT, State.ESTOP):
+            self.stops += 1
+            self.arbiter.hold()
+        self.refresh_command()
+        self.put_control()
+        self._notifier.status(target)
+        self._notify()
+        return target
+
+    def _unready(self) -> list[str]:
+        return [
+            f"line {line.spec.name} is {line.state}"
+            for line in self.lines
+            if line.state is not LineState.READY
+        ] + [
+            f"{joint} is {drive}"
+            for line in self.lines
+            if line.state is LineState.READY
+            for joint, drive in line.drive_states.items()
+            if drive not in (DriveState.READY, DriveState.ARMED)
+        ]
+
+    # ------------------------------------------------------------------------- what the core hears
+    def put_control(self) -> None:
+        """All levels as they follow from the state, and a heartbeat."""
+        self.loop.put_control(
+            Control(
+                armed=self._armed,
+                stop=self.state is State.STOPPING,
+                estop=self._estop,
+                fault=self._broken is not None,
+                reset_count=self._reset_count,
+                odometry_reset_count=self._odometry_reset_count,
+                machine_state=self.state.number,
+                owner=self._commander.number if self._commander else 0,
+                limits=base_limits(self.limits),
+            )
+        )
+
+    def set_armed(self, armed: bool) -> None:
+        """The level that the core arms on, or disarms."""
+        self._armed = armed
+        self.put_control()
+
+    def ask_reset(self) -> None:
+        """Take back what the daemon itself holds against the robot, and ask the core to clear."""
+        self._estop = False
+        self._broken = None
+        self._armed = False
+        self._reset_count += 1
+        self.put_control()
+
+    def ask_odometry_reset(self) -> None:
+        """The pose to the origin, at the next tick."""
+        self._odometry_reset_count += 1
+        self.put_control()
+
+    def set_limits(self, limits: Limits) -> None:
+        """In force from the next tick on. They have been checked."""
+        self.limits = limits
+        self.put_control()
+
+    # ---------------------------------------------------------------------------------- commanding
+    def drive(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        linear_m_s: float,
+        angular_rad_s: float,
+    ) -> Lease:
+        """Take a command. Raises Refused where it will move nothing, ValueError for its numbers."""
+        lease = self.arbiter.submit(
+            now_ns(),
+            owner=owner,
+            connection=connection,
+            priority=priority,
+            lease_s=lease_s,
+            linear_m_s=linear_m_s,
+            angular_rad_s=angular_rad_s,
+            may_move=self.state in _MAY_MOVE,
+        )
+        self.refresh_command()
+        if self.state not in _MAY_MOVE and lease.wants_motion:
+            how = "wait until it is at rest" if self.state is State.STOPPING else "motord arm"
+            if self.state in _LATCHED:
+                how = "motord reset, then motord arm"
+            raise Refused(f"the robot is {self.state}, so it does not move: {how}")
+        if lease.held:
+            raise Refused(
+                f"{owner} went on asking for motion while nobody might move: "
+                "send zero once, or nothing for lease_s, then go on"
+            )
+        return lease
+
+    def refresh_command(self) -> Lease | None:
+        """Who commands now; the core is told when it is another command than before."""
+        now = now_ns()
+        lease = self.arbiter.commander(now)
+        if lease != self._commander:
+            self._commander = lease
+            if lease is None:
+                self.loop.put_command(0.0, 0.0, expires_ns=now, stamp_ns=now)
+            else:
+                self.loop.put_command(
+                    *lease.twist, expires_ns=lease.expires_ns, stamp_ns=lease.stamp_ns
+                )
+        return lease
+
+    def release(self, connection: int, owner: str) -> None:
+        """The owner gives his lease back."""
+        self.arbiter.release(connection, owner)
+        self.refresh_command()
+
+    def disconnect(self, connection: int) -> None:
+        """All leases of a connection end with it."""
+        self.arbiter.disconnect(connection)
+        self.refresh_command()
+
+    # ---------------------------------------------------------------------------- what is reported
+    def estop(self, why: str) -> None:
+        """At once, from every state, whatever else is going on."""
+        self._estop = True
+        if self.state is not State.ESTOP:
+            self.why = (why,)
+            _log.warning("emergency stop: %s", why)
+        self.take(Event.ESTOP)
+        self.put_control()
+
+    def fault(self, why: str) -> None:
+        """Something that the core cannot see forbids going on under power."""
+        self.look()
+        if not self.state.live:  # nothing to take away, or the core has seen it already
+            return
+        self._broken = why
+        self._latch(Event.FAULT, [why])
+        self.put_control()
+
+    def _latch(self, event: Event, why: list[str]) -> None:
+        if self.state not in _LATCHED:
+            self.why = tuple(why)
+            _log.warning("fault: %s", "; ".join(why))
+        self.take(event)
+
+    def look(self) -> None:
+        """The core's newest word on the robot: it may only lead to less."""
+        try:
+            self.snapshot = snapshot = self.loop.read_state()
+        except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
+            return
+        if snapshot.faults:
+            estop = "estop" in snapshot.faults
+            self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
+            self._armed = False  # the next arming is an edge again
+        elif self.state.live and self._armed and not snapshot.armed:
+            _log.warning("the core has disarmed by itself: %s", ", ".join(snapshot.reasons))
+            self._armed = False
+            self.take(Event.DISARMED)
+        elif not snapshot.at_rest:
+            self.take(Event.MOVED)
+        elif self.state is State.STOPPING and not self.disarming:
+            self.take(Event.STOPPED)
+        else:
+            self.take(Event.RESTED)
+        self._notify()
+
+    def _explained(self, snapshot: Snapshot) -> list[str]:
+        """The faults in words, with names where they are known."""
+        facts = self.facts()
+        details = {
+            "feedback_stale": ", ".join(facts.stale_joints),
+            "drive": "; ".join(facts.drive_faults),
+            "external": self._broken or "",
+        }
+        return [
+            f"{fault}: {details[fault]}" if details.get(fault) else fault
+            for fault in snapshot.faults
+        ]
+
+    def on_line_event(self, event: LineEvent) -> None:
+        """Said once by the line, so once in the log; a loss while under power is a fault."""
+        _log.log(logging.WARNING if event.kind in _WORRYING else logging.INFO, "%s", event.text)
+        if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
+            self.fault(event.text)
+
+    def beat(self) -> None:
+        """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
+        self.look()
+        self.refresh_command()
+        self.take(Event.LOST if self._unready() else Event.READY)
+        if self.state.live and not self.disarming:
+            self._cross_check()
+        self.put_control()
+
+    def _cross_check(self) -> None:
+        """Under power, every drive has to be armed: nobody else may have told it otherwise."""
+        unarmed = self._unready() or [
+            f"{joint} is not armed any more"
+            for line in self.lines
+            for joint, drive in line.drive_states.items()
+            if drive is not DriveState.ARMED
+        ]
+        if unarmed:
+            self.fault("; ".join(unarmed))
+
+    # ------------------------------------------------------------------------------------- waiting
+    def _notify(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    async def until(self, condition: Callable[[], bool], deadline_s: float) -> bool:
+        """Wait until the condition holds; it is looked at with each snapshot and each step. False:
+        it did not within the deadline."""
+        try:
+            async with asyncio.timeout(deadline_s):
+                while not condition():
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return True

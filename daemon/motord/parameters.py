@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the running robot by name: `limits.linear_m_s` and its like, as in the robot file.
+
+JSON has no infinity: null stands for "no limit" where the robot file says inf.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from motord.assembly import base_limits
+from motord.config import Limits
+from motord.config.problems import nearest
+from motord.rpc import INVALID_PARAMS, RpcError, words
+from motord.rt import limits_problem
+
+_PREFIX = "limits."
+
+
+def listed(limits: Limits) -> dict[str, dict[str, Any]]:
+    """Every parameter: value, unit, range and what it is."""
+    properties = Limits.model_json_schema()["properties"]
+    return {
+        _PREFIX + key: {
+            "value": _plain(getattr(limits, key)),
+            "unit": schema["unit"],
+            "minimum": schema["minimum"],
+            "maximum": schema.get("maximum"),
+            "description": schema["description"],
+        }
+        for key, schema in properties.items()
+    }
+
+
+def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]:
+    """By name; no name: all. Raises RpcError for an unknown one."""
+    keys = [_key(name) for name in names] or list(Limits.model_fields)
+    return {_PREFIX + key: _plain(getattr(limits, key)) for key in keys}
+
+
+def changed(limits: Limits, wanted: Mapping[str, Any]) -> Limits:
+    """All of them as one group, whether they were set before or not. Raises RpcError: then none."""
+    asked = {_key(name): math.inf if value is None else value for name, value in wanted.items()}
+    try:
+        made = Limits.model_validate({**limits.model_dump(), **asked})
+    except ValidationError as error:
+        raise RpcError(f"{_PREFIX}{words(error)}", INVALID_PARAMS) from error
+    if (problem := limits_problem(base_limits(made))) is not None:
+        raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
+    return made
+
+
+def _key(name: str) -> str:
+    key = name.removeprefix(_PREFIX)
+    if not name.startswith(_PREFIX) or key not in Limits.model_fields:
+        near = nearest(name, [_PREFIX + known for known in Limits.model_fields])
+        hint = f"did you mean {near}?" if near else "params.list names them all"
+        raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
+    return key
+
+
+def _plain(value: float) -> float | None:
+    return value if math.isfinite(value) else None

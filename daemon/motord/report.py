@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the daemon says about itself: `status` and `latency` of the local socket."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from motord.bus.publish.samples import Samples
+from motord.health import Health
+from motord.operation import Operation
+from motord.rt import HistogramKind, Loop, Percentiles
+from motord_hal.ports import Line
+from motord_hal.rt import now_ns
+
+_ODOMETRY = (
+    "x_m", "y_m", "heading_rad", "distance_m", "turned_rad", "linear_m_s", "angular_rad_s",
+    "pose_covariance", "twist_covariance",
+)  # fmt: skip
+_COMMAND = (
+    "command_age_s", "wanted_linear_m_s", "wanted_angular_rad_s",
+    "setpoint_linear_m_s", "setpoint_angular_rad_s", "saturation",
+)  # fmt: skip
+
+
+def status(operation: Operation, health: Health, feeds: Mapping[str, Samples]) -> dict[str, Any]:
+    """Everything that is known now, ready for JSON."""
+    snapshot = operation.snapshot.to_json()
+    return {
+        "robot": operation.robot.robot.name,
+        "pid": os.getpid(),
+        "state": operation.state.value,
+        "why": list(operation.why),
+        "armed": snapshot["armed"],
+        "at_rest": snapshot["at_rest"],
+        "reasons": snapshot["reasons"],
+        "faults": snapshot["faults"],
+        "stops": operation.stops,
+        "command": {key: snapshot[key] for key in _COMMAND},
+        "odometry": {key: snapshot[key] for key in _ODOMETRY}
+        | {
+            "degraded": snapshot["odometry_degraded"],
+            "epoch": snapshot["odometry_epoch"],
+            "age_s": _age_s(operation.snapshot.odometry_stamp_ns),
+        },
+        "joints": _joints(operation, snapshot["joints"]),
+        "loop": _loop(operation),
+        "lines": {line.spec.name: _line(line) for line in operation.lines},
+        "leases": _leases(operation),
+        "publishers": {
+            name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
+        },
+        "stalls": health.stalls(),
+        "version": snapshot["version"],
+    }
+
+
+def latency(loop: Loop) -> dict[str, Any]:
+    """The loop's histograms since its start, in microseconds, and how many samples they hold."""
+    found = {kind: loop.percentiles(kind) for kind in HistogramKind}
+    return {
+        "lateness_us": _percentiles(found[HistogramKind.LATENESS], 1e3),
+        "step_us": _percentiles(found[HistogramKind.STEP], 1e3),
+        "command_to_core_us": _percentiles(found[HistogramKind.COMMAND], 1e3),
+        "samples": {kind.name.lower(): found[kind].samples for kind in HistogramKind},
+    }
+
+
+def _age_s(stamp_ns: int) -> float | None:
+    """None: never."""
+    return (now_ns() - stamp_ns) / 1e9 if stamp_ns else None
+
+
+def _joints(operation: Operation, measured: list[dict[str, Any]]) -> dict[str, Any]:
+    states = {name: state for line in operation.lines for name, state in line.drive_states.items()}
+    words = {name: found for line in operation.lines for name, found in line.drive_faults.items()}
+    return {
+        name: {
+            "drive": states[name].value,
+            "fault_words": list(words.get(name, ())),
+            **values,
+        }
+        for name, values in zip(operation.robot.joint, measured, strict=True)
+    }
+
+
+def _loop(operation: Operation) -> dict[str, Any]:
+    loop, running = operation.loop, operation.loop.status()
+    return {
+        "rate_hz": operation.robot.loop.rate_hz,
+        "policy": running.policy,
+        "priority": running.priority,
+        "ticks": running.ticks,
+        "overruns": running.overruns,
+        "page_faults": running.page_faults,
+        "lateness_us": _percentiles(loop.percentiles(HistogramKind.LATENESS), 1e3),
+        "step_ns": _percentiles(loop.percentiles(HistogramKind.STEP), 1.0),
+        "refusals": running.refusals,
+    }
+
+
+def _percentiles(found: Percentiles, ns_per_unit: float) -> dict[str, float]:
+    return {
+        "p50": found.p50_ns / ns_per_unit,
+        "p99": found.p99_ns / ns_per_unit,
+        "p99_9": found.p99_9_ns / ns_per_unit,
+        "max": found.max_ns / ns_per_unit,
+    }
+
+
+def _line(line: Line) -> dict[str, Any]:
+    stats = line.stats()
+    trips = stats.round_trip
+    return {
+        "state": line.state.value,
+        "port": line.spec.port,
+        # the only engine there is so far: what "auto" comes to
+        "engine": "asyncio" if line.spec.engine == "auto" else line.spec.engine,
+        "exchanges": stats.exchanges,
+        "cycles": stats.cycles,
+        "reopened": stats.reopened,
+        "errors": dict(stats.errors),
+        "cycle_hz": stats.cycle_hz,
+        "wire_limit_hz": stats.wire_limit_hz,
+        "round_trip_us": {"p50": trips.p50_us, "p99": trips.p99_us, "max": trips.max_us},
+    }
+
+
+def _leases(operation: Operation) -> list[dict[str, Any]]:
+    """Who commands stands first."""
+    now = now_ns()
+    return [
+        {
+            "owner": lease.owner,
+            "connection": lease.connection,
+            "priority": lease.priority,
+            "expires_in_s": (lease.expires_ns - now) / 1e9,
+            "linear_m_s": lease.linear_m_s,
+            "angular_rad_s": lease.angular_rad_s,
+            "held": lease.held,
+        }
+        for lease in operation.arbiter.leases(now)
+    ]
