@@ -4,15 +4,19 @@
 import contextlib
 import os
 import select
+import threading
 
 from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 
 ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
 CHARACTER_S = 10 / 115200
+WATCHDOG_S = 0.5
+GEAR = 2.0
 
 
 def can_reverse(profile):
@@ -61,6 +65,27 @@ def rig_of(profile, folder, *, gear_ratio=1.0, **options):
     line = line_of(profile, gear_ratio=gear_ratio)
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
     return Rig(spec, link_dir=folder)
+
+
+@contextlib.contextmanager
+def simulated(profile, folder, **options):
+    """The robot in real time, in a thread of its own; its control socket is the way to it."""
+    watchdog_s = 0.0 if profile.watchdog else WATCHDOG_S
+    stopped = threading.Event()
+    with rig_of(profile, folder, gear_ratio=GEAR, watchdog_s=watchdog_s, **options) as rig:
+        thread = threading.Thread(target=rig.run, args=(stopped.is_set,))
+        thread.start()
+        try:
+            with SimControl(rig.server.path) as control:
+                yield control
+        finally:
+            stopped.set()
+            thread.join()
+
+
+def spec_of(profile, folder):
+    """The line that drives what `simulated` simulates."""
+    return line_of(profile, folder / "bus", watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who cancels a line or an exchange is obeyed, in whatever moment."""
+
+import asyncio
+
+import pytest
+from loop_side import GENEROUS_S, LoopSide, until
+from sim_bench import simulated, spec_of
+
+from motord_hal.drives.load import find_profile
+from motord_hal.lines import open_line
+from motord_hal.modbus.codec import Function, Request
+from motord_hal.modbus.guard import GuardedClient
+from motord_hal.rt import Exchange
+
+READ = Request(1, Function.READ_HOLDING, 0x0100, 1)
+
+
+@pytest.fixture
+def profile():
+    return find_profile("duty-register")
+
+
+async def test_a_cancellation_that_meets_the_reply_is_not_lost(profile, tmp_path):
+    with simulated(profile, tmp_path):
+        client = GuardedClient(str(tmp_path / "bus"), 115200, "none", 1, None)
+        await client.open()
+        exchange = asyncio.ensure_future(client.exchange(READ, GENEROUS_S))
+        while client._framer.reply is None:
+            await asyncio.sleep(0)
+        exchange.cancel()
+        await asyncio.wait([exchange], timeout=GENEROUS_S)
+        assert exchange.cancelled()
+        client.close()
+
+
+@pytest.mark.parametrize("later_s", [n * 0.0007 for n in range(10)])
+async def test_a_cancelled_line_ends(profile, tmp_path, later_s):
+    with simulated(profile, tmp_path):
+        loop = LoopSide(Exchange.private())
+        loop.put()
+        line = open_line(spec_of(profile, tmp_path), loop.exchange, lambda event: None)
+        task = asyncio.ensure_future(line.run())
+        await until(lambda: line.stats().exchanges > 5, "it talks")
+        await asyncio.sleep(later_s)
+        task.cancel()
+        await asyncio.wait([task], timeout=GENEROUS_S)
+        assert task.cancelled()

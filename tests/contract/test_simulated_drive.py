@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contract suite: every drive profile there is, its simulator, and the line between them.
+
+Real time, a real pty, the shipped line; the simulator's truth says what the wheels really did.
+"""
+
+import contextlib
+import math
+from dataclasses import replace
+
+import pytest
+from loop_side import running, until
+from sim_bench import GEAR, can_reverse, simulated, spec_of
+
+from motord_hal.drives.load import find_profile, list_profiles
+from motord_hal.ports import DriveState, EventKind
+
+SPEED_RAD_S = 6.0
+DUTY = 0.5
+BAUDRATE = 115200  # also for slow drives: half a minute of waiting proves nothing more
+
+
+@pytest.fixture(params=list_profiles())
+def profile(request):
+    return replace(find_profile(request.param), baudrate=BAUDRATE)
+
+
+@pytest.fixture
+def sim(profile, tmp_path):
+    with simulated(profile, tmp_path) as control:
+        yield control
+
+
+@pytest.fixture
+async def rig(profile, sim, tmp_path):
+    async with running(spec_of(profile, tmp_path)) as rig:
+        yield rig
+
+
+def wheels_rad_s(sim):
+    return [joint.velocity_rad_s for joint in sim.truth().joints.values()]
+
+
+async def rest(sim):
+    await until(lambda: sim.truth().at_rest, "the wheels are at rest")
+
+
+async def set_off(rig, sim, way=1.0):
+    """Armed, and both wheels at the wanted speed (of a duty drive: the speed-torque line's)."""
+    await rig.arm()
+    await turn(rig, sim, way)
+
+
+async def turn(rig, sim, way=1.0):
+    rig.loop.enabled = True
+    rig.loop.velocity_rad_s = {0: way * SPEED_RAD_S, 1: way * SPEED_RAD_S}
+    rig.loop.duty = {0: way * DUTY, 1: way * DUTY}
+    low_rad_s, high_rad_s = 0.97 * SPEED_RAD_S, 1.25 * SPEED_RAD_S
+
+    def fast():
+        return all(low_rad_s < way * speed < high_rad_s for speed in wheels_rad_s(sim))
+
+    await until(fast, "both wheels turn as told")
+
+
+def feedback(rig, joint):
+    return rig.loop.exchange.take_feedback(joint.index)
+
+
+# --------------------------------------------------------------------------------------- the suite
+async def test_a_configured_drive_is_ready_at_rest_and_not_armed(rig, sim, profile):
+    await rig.ready()
+    truth = sim.truth()
+    assert truth.at_rest
+    assert truth.moved_max_m_s == 0.0
+    says = None if profile.enabled is None else False
+    for joint in rig.line.spec.joints:
+        await until(lambda joint=joint: feedback(rig, joint).stamp_ns > 0, "feedback has come")
+        await until(lambda joint=joint: feedback(rig, joint).enabled is says, "it says so")
+
+
+async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
+    await rig.ready()
+    rig.loop.enabled = True
+    rig.loop.velocity_rad_s = {0: SPEED_RAD_S, 1: SPEED_RAD_S}
+    rig.loop.duty = {0: DUTY, 1: DUTY}
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 10, "ten cycles have passed")
+    assert sim.truth().moved_max_m_s == 0.0
+
+
+async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig, sim, profile):
+    await set_off(rig, sim)
+    for joint, true_rad_s in zip(rig.line.spec.joints, wheels_rad_s(sim), strict=True):
+        values = feedback(rig, joint)
+        assert values.drive_faults == 0
+        assert values.enabled in (None, True)
+        measured = profile.channels[joint.channel].velocity is not None
+        assert math.isfinite(values.velocity_rad_s) == measured
+        if measured:
+
+            def agrees(joint=joint, true_rad_s=true_rad_s):
+                return feedback(rig, joint).velocity_rad_s == pytest.approx(true_rad_s, rel=0.05)
+
+            await until(agrees, f"{joint.name} says how fast it is")
+
+
+async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
+    if not can_reverse(profile):
+        pytest.skip(f"{profile.name} turns one way")
+    await set_off(rig, sim, way=-1.0)
+    for joint in rig.line.spec.joints:
+        await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
+    await turn(rig, sim, way=1.0)
+    assert sim.truth().joints["left"].velocity_rad_s > 0
+
+
+async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
+    if not profile.counter_bits:
+        pytest.skip(f"{profile.name} has no counter")
+    await rig.ready()
+    joints = rig.line.spec.joints
+    await until(lambda: all(feedback(rig, joint).stamp_ns for joint in joints), "first counts")
+    before = {joint.name: feedback(rig, joint).count for joint in joints}
+    await set_off(rig, sim)
+    rig.loop.velocity_rad_s = {}
+    await rest(sim)
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 3, "the counts at rest are in")
+    for joint in joints:
+        counts = (feedback(rig, joint).count - before[joint.name]) % (1 << profile.counter_bits)
+        half = 1 << (profile.counter_bits - 1)
+        counts = counts - 2 * half if counts >= half else counts
+        per_turn = profile.counts_per_turn * GEAR * (-1 if joint.inverted else 1)
+        turned_rad = sim.truth().joints[joint.name].position_rad
+        assert turned_rad > 0.2
+        assert counts == pytest.approx(turned_rad / (2 * math.pi) * per_turn, abs=2)
+
+
+async def test_a_disarmed_drive_comes_to_rest_and_obeys_no_set_point(rig, sim, profile):
+    await set_off(rig, sim)
+    await rig.line.disarm()
+    assert rig.states() == {DriveState.READY}
+    await rest(sim)
+    if profile.arm:
+        assert not any(joint.enabled for joint in sim.truth().joints.values())
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 5, "five cycles have passed")
+    assert sim.truth().at_rest
+
+
+async def test_dead_set_points_stop_the_wheels(rig, sim):
+    await set_off(rig, sim)
+    rig.loop.running = False
+    await rest(sim)
+    assert rig.states() == {DriveState.READY}
+
+
+async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
+    await set_off(rig, sim)
+    fault = next(fault for fault in profile.faults if fault.severity == "fault")
+    which = f"bit={fault.bit}" if fault.code is None else f"code={fault.code}"
+    sim.inject(f"fault:unit=1,channel=1,{which}")
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds(), "the fault is said")
+    left = rig.line.spec.joints[0]
+    assert feedback(rig, left).drive_faults != 0
+    assert rig.line.drive_faults["left"] == (fault.text,)
+    assert not sim.truth().joints["left"].enabled
+    rig.loop.enabled, rig.loop.velocity_rad_s, rig.loop.duty = False, {}, {}
+    await rest(sim)
+    await rig.line.clear_faults()
+    await until(lambda: feedback(rig, left).drive_faults == 0, "the fault is gone")
+    assert rig.line.drive_faults["left"] == ()
+    assert sim.truth().at_rest
+    await set_off(rig, sim)
+
+
+async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
+    await set_off(rig, sim)
+    sim.pull("bus")
+    await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the loss is said")
+    await rest(sim)
+    units = sim.stats()["lines"]["bus"]["units"].values()
+    assert all(unit["watchdog_bites"] == 1 for unit in units)
+    sim.plug("bus")
+    await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2, "the line is open again")
+    await rig.ready()
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 5, "five cycles have passed")
+    assert sim.truth().at_rest
+    assert rig.line.stats().reopened == 1
+
+
+async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, sim):
+    await set_off(rig, sim)
+    left = rig.line.spec.joints[0]
+    epoch = feedback(rig, left).epoch
+    sim.inject("reboot:unit=1,for_s=0.8")
+    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds(), "its silence is said")
+    await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "its return is said")
+    await until(lambda: feedback(rig, left).epoch > epoch, "the counter's origin is a new one")
+    assert rig.line.drive_states["left"] is DriveState.READY
+    await until(lambda: sim.truth().joints["left"].velocity_rad_s == 0.0, "its wheel is at rest")
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 5, "five cycles have passed")
+    assert sim.truth().joints["left"].velocity_rad_s == 0.0
+
+
+async def test_every_silent_interval_is_kept(rig, sim):
+    await set_off(rig, sim)
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 20, "twenty cycles have passed")
+    assert sim.stats()["lines"]["bus"]["gap_violations"] == 0
+    assert sim.stats()["lines"]["bus"]["bad_crc"] == 0
+
+
+async def test_a_bad_wire_never_bends_what_the_drive_says(profile, tmp_path):
+    noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
+    async with contextlib.AsyncExitStack() as stack:
+        sim = stack.enter_context(simulated(profile, tmp_path, seed=11))
+        rig = await stack.enter_async_context(running(patient(spec_of(profile, tmp_path))))
+        await set_off(rig, sim)
+        joints = rig.line.spec.joints
+
+        def right(speed_rad_s):
+            return math.isnan(speed_rad_s) or 0.9 < speed_rad_s / SPEED_RAD_S < 1.3
+
+        def settled():
+            return all(right(feedback(rig, joint).velocity_rad_s) for joint in joints)
+
+        await until(settled, "feedback has followed the wheels")
+        for spec in (*noise, "late:nth=37"):
+            sim.inject(spec)
+        start = rig.line.stats().exchanges
+        seen = set()
+
+        def steady():
+            seen.update(feedback(rig, joint).velocity_rad_s for joint in joints)
+            return rig.line.stats().exchanges > start + 150
+
+        await until(steady, "150 exchanges have passed")
+        assert rig.states() == {DriveState.ARMED}
+        assert sum(rig.line.stats().errors.values()) > 0
+        assert not [speed for speed in seen if not right(speed)]
+
+
+def patient(spec):
+    """No drive is given up for a few bad replies in a row."""
+    return replace(spec, joints=tuple(replace(joint, tries=10) for joint in spec.joints))
