@@ -69,6 +69,7 @@ class Drive:
         turnaround_s = self.plan.profile.turnaround_s
         default_s = self._link.client.reply_deadline_s(request, turnaround_s)
         answer = await self._link.ask(request, max(given, default=default_s))
+        self._failures = 0
         self._stamp_ns = answer.stamp_ns
         return answer
 
@@ -95,7 +96,6 @@ class Drive:
         except (NoReply, BadReply, Refused) as error:
             self._failed(error)
         else:
-            self._failures = 0
             self._cycles += 1
 
     async def _write_setpoints(self, wanted: Wanted) -> None:
