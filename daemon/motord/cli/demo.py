@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord demo`: a simulated robot, driven over a course and measured."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json
+from motord.client import ClientError
+from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
+from motord.tools.demo import DemoError, Result, Stage, run_demo
+from motord_hal.paths import config_dir
+from motord_hal.sim.control import ControlError
+
+
+@click.command
+@click.option(
+    "--seconds",
+    type=click.FloatRange(5.0, 3600.0),
+    default=20.0,
+    show_default=True,
+    help="How long the course takes.",
+)
+@click.option(
+    "--robot",
+    default="demo",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="A robot of config/robots, or a robot file.",
+)
+@click.option("--stay", is_flag=True, help="Afterwards leave drives and daemon up until Ctrl-C.")
+@json_option
+def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
+    """Drive a simulated robot over a course, and measure it.
+
+    Starts the robot's drives in a process of their own (real Modbus RTU on a pty, paced at the baud
+    rate, with motors and wheels), the daemon on them, and drives as any program would. Then it
+    compares odometry with where the simulated robot really is. No hardware, no root.
+
+    \b
+    Example: motord demo
+             motord demo --json --seconds 20
+             motord demo --robot skid4 --stay
+    """
+    path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
+    loaded = load_or_exit(path)
+    try:
+        result = run_demo(
+            path, loaded.robot.name, list(loaded.line), seconds, progress, stay_up if stay else None
+        )
+    except (DemoError, ControlError, ClientError) as error:
+        progress("")
+        raise Failure(str(error)) from error
+    progress("")
+    if as_json:
+        print_json(result.to_json())
+    else:
+        show(result)
+    if not result.ok:
+        raise click.exceptions.Exit(Exit.FAILED)
+
+
+def robot_path(name: str) -> Path:
+    folder = config_dir() / "robots"
+    path = folder / f"{name}.toml"
+    if not path.exists():
+        known = ", ".join(sorted(found.stem for found in folder.glob("*.toml")))
+        raise Failure(f"no robot {name!r} in {folder}; there are: {known}", Exit.USAGE)
+    return path
+
+
+def progress(text: str) -> None:
+    """One line on a terminal's stderr, written over; nothing where nobody looks."""
+    if click.get_text_stream("stderr").isatty():
+        click.echo(f"\r\033[K{text}", nl=False, err=True)
+
+
+def stay_up(stage: Stage) -> None:
+    """Until Ctrl-C: how to talk to the robot that stands there."""
+    progress("")
+    click.echo(f"the robot stays up. In another terminal: motord status --socket {stage.socket}")
+    click.echo("Ctrl-C ends it.")
+    try:
+        while True:
+            stage.check()
+            status = stage.robot.status()
+            odometry = status["odometry"]
+            progress(f"{status['state']:12} {odometry['x_m']:7.3f} m {odometry['y_m']:7.3f} m")
+            time.sleep(0.5)
+    except KeyboardInterrupt:
+        return
+
+
+def show(result: Result) -> None:
+    """For a person: the way, then what was measured."""
+    report = result.to_json()
+    odometry, loop = report["odometry"], report["loop"]
+    click.echo(draw(result.path))
+    click.echo()
+    click.echo(f"{report['robot']}: {odometry['distance_m']:.2f} m in {report['seconds']:.1f} s")
+    click.echo(
+        f"  odometry   {odometry['position_error_m'] * 1000:.1f} mm and "
+        f"{odometry['heading_error_rad']:.4f} rad from the truth: "
+        f"{odometry['drift_percent']:.3f} % of the way "
+        f"(at most {DISTANCE_ERROR_MAX_PERCENT} %, {HEADING_ERROR_MAX_RAD} rad)"
+    )
+    late = loop["lateness_us"]
+    click.echo(
+        f"  loop       {loop['rate_hz']:.0f} Hz {loop['policy']}: late {late['p50']:.0f} µs p50, "
+        f"{late['p99']:.0f} p99, {late['max']:.0f} max; {loop['overruns']} of {loop['ticks']} "
+        f"ticks overran; {loop['step_ns']['p50']:.0f} ns a step"
+    )
+    for refusal in loop.get("refusals", {}).values():
+        click.echo(f"             {refusal}")
+    for name, line in report["lines"].items():
+        trip = line["round_trip_us"]
+        errors = ", ".join(f"{count} {kind}" for kind, count in line["errors"].items() if count)
+        click.echo(
+            f"  {name:10} {line['exchanges']} exchanges on the {line['engine']} engine, "
+            f"{line['cycle_hz']:.0f} cycles/s (the wire carries {line['wire_limit_hz']:.0f}), "
+            f"{trip['p50'] / 1000:.1f} ms a round trip, errors: {errors or 'none'}"
+        )
+    safety = report["safety"]
+    faults = ", ".join(safety["faults"]) or "none"
+    click.echo(
+        f"  safety     ends {safety['final_state']}, faults: {faults}, "
+        f"daemon {'ended well' if report['clean_exit'] else 'had to be killed'}"
+    )
+    click.echo("ok" if report["ok"] else "NOT ok")
