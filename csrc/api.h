@@ -300,7 +300,9 @@ typedef struct {
     double angular_rad_s;
     joint_setpoint joint[JOINTS_MAX];
     uint32_t reasons;
+    uint32_t moving;
     uint32_t known;
+    uint32_t reserved;
 } core_wheels;
 
 typedef struct {

@@ -15,10 +15,19 @@
 static const double DT_MAX_S = 0.1; /* after a longer pause the ramps go on as if it had been this */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
+/* not finite when one of them is not */
+static double setpoint_sum(const core_state *state)
+{
+    double sum = 0.0;
+    const joint_setpoint *setpoint = state->wheels.joint, *end = setpoint + state->config.joint_count;
+    for (; setpoint != end; setpoint++)
+        sum += setpoint->velocity_rad_s + setpoint->duty;
+    return sum;
+}
+
 static void zero_at_once(core_state *state, tick *t)
 {
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
-        t->checksum += state->wheels.joint[j].velocity_rad_s + state->wheels.joint[j].duty;
+    t->checksum += setpoint_sum(state);
     for (uint32_t j = 0; j < state->config.joint_count; j++)
         state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.0;
     state->wheels = (core_wheels){0};
@@ -58,7 +67,8 @@ static void set_goal(core_state *state)
     goal->linear_m_s = linear_m_s * goal->saturation;
     goal->angular_rad_s = angular_rad_s * goal->saturation;
     goal->reasons = (linear_m_s != goal->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0)
-        | (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0);
+        | (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0)
+        | (goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0);
     goal->known = 1;
 }
 
@@ -66,7 +76,7 @@ static void choose_goal(core_state *state, tick *t, double *linear_m_s, double *
 {
     const core_goal *goal = &state->goal;
     *linear_m_s = *angular_rad_s = 0.0;
-    if (!state->armed || t->input->control.stop || t->command_zero)
+    if (!t->go || t->command_zero)
         return;
     if (!goal->known)
         set_goal(state);
@@ -113,11 +123,19 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
         state->linear.velocity_u_s *= factor;
         state->angular.velocity_u_s *= factor;
         t->saturation *= factor;
+        reasons |= REASON_WHEEL_SATURATED;
     }
     wheels->linear_m_s = state->linear.velocity_u_s;
     wheels->angular_rad_s = state->angular.velocity_u_s;
+    wheels->moving = wheels->linear_m_s != 0.0 || wheels->angular_rad_s != 0.0;
     wheels->reasons = reasons;
     wheels->known = factor == 1.0 && !(reasons & REASON_DUTY_SLEW);
+}
+
+/* The goal, which is within the limits, is reached: the ramp would change nothing. */
+static bool settled(const limit_state *axis, double goal_u_s)
+{
+    return axis->velocity_u_s == goal_u_s && axis->acceleration_u_s2 == 0.0;
 }
 
 /* goal → limit → kinematics → saturate → PWM */
@@ -127,23 +145,20 @@ static void drive(core_state *state, tick *t)
         zero_at_once(state, t);
         return;
     }
+    const core_wheels *wheels = &state->wheels;
+    const axis_limits *linear = &state->limits.linear, *angular = &state->limits.angular;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
-    bool urgent = state->holding != 0;
     double linear_m_s, angular_rad_s;
     choose_goal(state, t, &linear_m_s, &angular_rad_s);
-    const base_limits *limits = &state->limits;
-    if (!limit_settled(&state->linear, &limits->linear, linear_m_s))
-        t->reasons |= limit_step(&state->linear, &limits->linear, linear_m_s, dt_s, urgent).reasons;
-    if (!limit_settled(&state->angular, &limits->angular, angular_rad_s))
-        t->reasons |= limit_step(&state->angular, &limits->angular, angular_rad_s, dt_s, urgent).reasons << 4;
-    const core_wheels *wheels = &state->wheels;
+    if (!settled(&state->linear, linear_m_s))
+        t->reasons |= limit_step(&state->linear, linear, linear_m_s, dt_s, state->holding != 0).reasons;
+    if (!settled(&state->angular, angular_rad_s))
+        t->reasons |= limit_step(&state->angular, angular, angular_rad_s, dt_s, state->holding != 0).reasons << 4;
     if (state->linear.velocity_u_s != wheels->linear_m_s || state->angular.velocity_u_s != wheels->angular_rad_s
         || !wheels->known)
         set_wheels(state, t, dt_s);
     t->reasons |= wheels->reasons;
-    if (t->saturation < 1.0)
-        t->reasons |= REASON_WHEEL_SATURATED;
-    t->moving = wheels->linear_m_s != 0.0 || wheels->angular_rad_s != 0.0;
+    t->moving = wheels->moving != 0;
 }
 
 static bool all_slow(const core_state *state)
@@ -179,12 +194,10 @@ static void measure(core_state *state, tick *t)
 /* The last look at what has been computed: nothing that is not a number leaves. */
 static void guard(core_state *state, tick *t)
 {
-    double sum = t->checksum;
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
-        sum += state->wheels.joint[j].velocity_rad_s + state->wheels.joint[j].duty;
-    if (isfinite(sum))
+    if (isfinite(t->checksum + setpoint_sum(state)))
         return;
     zero_at_once(state, t);
+    t->calm = false;
     t->saturation = 1.0;
     state->goal.known = 0;
     watch_latch(state, FAULT_STATE);

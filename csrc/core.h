@@ -7,14 +7,6 @@
 
 #pragma GCC visibility push(hidden)
 
-/* Nothing to do: limit_step() would give the velocity that is there. */
-static inline bool limit_settled(const limit_state *state, const axis_limits *limits, double want_u_s)
-{
-    double velocity_u_s = state->velocity_u_s;
-    return velocity_u_s == want_u_s && state->acceleration_u_s2 == 0.0 && velocity_u_s <= limits->velocity_u_s
-        && velocity_u_s >= -limits->velocity_u_s;
-}
-
 /* An angle in -pi..pi. */
 double angle_wrap(double angle_rad);
 /* Sine and cosine of an angle in -pi..pi, within 1e-15: the same bits on every machine, which the C library

@@ -71,8 +71,6 @@ limited limit_step(limit_state *state, const axis_limits *limits, double want_u_
     double from_u_s = state->velocity_u_s;
     if (!(fabs(from_u_s) + fabs(state->acceleration_u_s2) <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX))
         return rest(state);
-    if (limit_settled(state, limits, want_u_s))
-        return (limited){from_u_s, 0};
     uint32_t reasons = 0;
     double target_u_s = want_u_s + 0.0; /* no negative zero */
     if (!(fabs(target_u_s) <= limits->velocity_u_s)) {

@@ -275,23 +275,32 @@ static void integrate(odometry_state *state, const core_config *config, const ui
         measure_twist(state, config, &found, (double)(found.stamp_ns - before_ns) * 1e-9);
 }
 
+static bool both_sides_heard(const core_config *config, const uint32_t *stale)
+{
+    bool heard[2] = {false, false};
+    for (uint32_t j = 0; j < config->joint_count; j++)
+        if (!stale[j])
+            heard[config->joint[j].side > 0.0] = true;
+    return heard[0] && heard[1];
+}
+
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const double *setpoint_rad_s)
 {
-    bool complete = true, heard[2] = {false, false}, any_stale = false;
+    bool complete = true, any_stale = false;
     for (uint32_t j = 0; j < config->joint_count; j++) {
+        joint_odometry *joint = &state->joint[j];
         if (stale[j]) {
             any_stale = true;
             continue;
         }
-        joint_odometry *joint = &state->joint[j];
         take_if_new(joint, &config->joint[j], &feedback[j], setpoint_rad_s[j], config->feedback_timeout_s);
-        heard[config->joint[j].side > 0.0] = true;
-        complete = complete && joint->fresh != NOTHING;
+        if (joint->fresh == NOTHING)
+            complete = false;
     }
-    state->blind = !heard[0] || !heard[1];
     if (any_stale)
         state->degraded = 1;
+    state->blind = any_stale && !both_sides_heard(config, stale);
     if (complete && !state->blind)
         integrate(state, config, stale);
 }

@@ -17,6 +17,7 @@ typedef struct {
     double checksum;            /* of all that has been computed with: not finite when one of it is not */
     uint32_t reasons;
     bool calm;                  /* armed, asked to go on, and nothing amiss */
+    bool go;                    /* armed, and the command counts */
     bool command_fresh;
     bool command_zero;
     bool heartbeat_fresh;
@@ -72,7 +73,7 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
 static inline uint32_t all_reasons(const core_state *state, const tick *t)
 {
     uint32_t reasons = t->reasons;
-    if (t->calm && state->armed)
+    if (t->calm)
         return reasons;
     if (!state->armed)
         reasons |= REASON_NOT_ARMED;

@@ -72,8 +72,8 @@ static inline void judge_feedback(core_state *state, tick *t)
     state->newest_ns = 0;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         int64_t stamp_ns = t->input->feedback[j].stamp_ns;
-        double since_s = age_s(now_ns, stamp_ns);
-        state->snapshot.joint[j].feedback_age_s = since_s > 0.0 ? since_s : 0.0;
+        if (stamp_ns <= 0 || stamp_ns > now_ns)
+            state->snapshot.joint[j].feedback_age_s = stamp_ns <= 0 ? INFINITY : 0.0;
         state->stale[j] = !fresh(now_ns, stamp_ns, within_ns);
         state->silent |= state->stale[j];
         state->oldest_ns = stamp_ns < state->oldest_ns ? stamp_ns : state->oldest_ns;
@@ -105,7 +105,7 @@ static inline void read_feedback(core_state *state, tick *t)
         enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
     bool known = news == 0 && now_ns >= state->newest_ns
-        && fresh(now_ns, state->oldest_ns, state->feedback_window_ns);
+        && (uint64_t)now_ns - (uint64_t)state->oldest_ns + (uint64_t)FUTURE_NS <= state->feedback_window_ns;
     if (!known)
         judge_feedback(state, t);
     t->news = !known;
@@ -241,12 +241,13 @@ static inline void watch(core_state *state, const core_input *input, double dt_s
 {
     look(state, input, dt_s, t);
     take_limits(state, &input->control.limits);
-    t->calm = calm(state, t);
+    t->go = t->calm = calm(state, t);
     if (t->calm)
         return;
     obey_counters(state, t);
     watch_latch(state, causes(state, t));
     arm_or_disarm(state, t);
+    t->go = state->armed && !input->control.stop && t->command_fresh;
 }
 
 #endif

@@ -1,0 +1,93 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * core_instructions.c: core_step() of a four-wheel skid drive at 1 kHz, for an instruction counter to look at.
+ *
+ *     core_instructions moving|rest TICKS FEEDBACK_EVERY_TICKS
+ *
+ * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a command that changes all the time, so
+ * that ramps, easing, wheel saturation and curves all take their part. Rest: armed, a fresh command of zero.
+ */
+#include "rt.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const int64_t TICK_NS = 1000000;
+
+static core_config four_wheels(void)
+{
+    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
+    core_config config = {
+        .joint_count = 4, .track_m = 0.5, .limits = {linear, angular},
+        .command_timeout_s = 0.3, .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
+        .on_timeout = STOP_RAMP, .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE,
+        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+    };
+    for (uint32_t j = 0; j < config.joint_count; j++)
+        config.joint[j] = (joint_config){
+            .side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -12.0, .velocity_max_rad_s = 12.0,
+            .rad_per_count = 6.283185307179586 / 4096.0, .counter_bits = 32,
+            .pwm = {0.05, -1.0, 1.0, INFINITY, 12.5},
+        };
+    return config;
+}
+
+/* The wheels follow their set-points; the drives count. */
+static void turn_wheels(const core_config *config, const setpoints *out, core_input *input, double *position_rad, double dt_s)
+{
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        joint_feedback *feedback = &input->feedback[j];
+        position_rad[j] += out->joint[j].velocity_rad_s * dt_s;
+        feedback->stamp_ns = input->now_ns;
+        feedback->count = (uint64_t)(int64_t)floor(position_rad[j] / config->joint[j].rad_per_count);
+        feedback->velocity_rad_s = out->joint[j].velocity_rad_s;
+        feedback->current_a = feedback->voltage_v = feedback->temperature_c = 1.0;
+        feedback->enabled = 1;
+    }
+}
+
+static void command(core_input *input, long tick, int moving)
+{
+    input->now_ns += TICK_NS;
+    input->control.heartbeat_ns = input->now_ns;
+    input->control.armed = tick > 0;
+    input->command.stamp_ns = input->now_ns;
+    input->command.expires_ns = input->now_ns + 1000000000;
+    input->command.linear_m_s = 0.0;
+    input->command.angular_rad_s = 0.0;
+    if (moving && tick > 1) {
+        /* a new wish every two seconds: forward and back, straight and curved, beyond the wheels' limits at times */
+        long leg = tick / 2000;
+        input->command.linear_m_s = leg % 4 == 3 ? -0.8 : 0.4 + 0.2 * (double)(leg % 4);
+        input->command.angular_rad_s = -1.8 + 0.6 * (double)(leg % 7);
+    }
+}
+
+int main(int argc, char **argv)
+{
+    if (argc != 4)
+        return 2;
+    int moving = strcmp(argv[1], "moving") == 0;
+    long ticks = atol(argv[2]), every = atol(argv[3]);
+    static core_state state;
+    static core_input input;
+    static setpoints out;
+    static robot_state snapshot;
+    double position_rad[JOINTS_MAX] = {0};
+    core_config config = four_wheels();
+    if (every < 1 || core_init(&state, &config) != 0)
+        return 2;
+    input.control.limits = config.limits;
+    for (long tick = 0; tick < ticks; tick++) {
+        command(&input, tick, moving);
+        if (tick % every == 0)
+            turn_wheels(&config, &out, &input, position_rad, (double)every * 1e-3);
+        core_step(&state, &input, 1e-3, &out, &snapshot);
+    }
+    /* a benchmark of a robot that is in fault, or stands when it should move, measures nothing */
+    return snapshot.armed && snapshot.faults == 0 && (snapshot.distance_m > 0.1) == moving ? 0 : 1;
+}
