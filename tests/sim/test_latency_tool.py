@@ -3,6 +3,7 @@
 
 No test looks at how fast it was."""
 
+import contextlib
 import itertools
 import json
 import os
@@ -11,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'daemon'}:{ROOT / 'hal'}:{ROOT}"}
 COMMAND = [sys.executable, "-m", "motord", "latency"]
 DEADLINE_S = 60.0
+STOPPED_S = 0.2
 
 
 @pytest.fixture(scope="module")
@@ -167,21 +170,44 @@ def test_it_measures_outside_the_main_thread_too():
     assert found[0].ticks > 0
 
 
-def test_ctrl_c_ends_it_early_with_what_was_measured():
+@contextlib.contextmanager
+def running():
+    """A long run of the command that has begun to measure."""
     with subprocess.Popen(
         [*COMMAND, "--seconds", "300", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True,
     ) as process:  # fmt: skip
-        for line in process.stderr:
-            if " of 300: " in line:
-                break
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=DEADLINE_S)
+        try:
+            assert any(" of 300: " in line for line in process.stderr)
+            yield process
+        finally:
+            process.kill()
+
+
+def ended(process):
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 0, err
-    found = json.loads(out)
+    return json.loads(out)
+
+
+def test_ctrl_c_ends_it_early_with_what_was_measured():
+    with running() as process:
+        found = ended(process)
     assert found["ended_early"] is True
     assert found["seconds"] < 300.0
     assert found["ticks"] > 0
+
+
+def test_a_process_that_was_stopped_has_overruns_and_the_worst_class():
+    with running() as process:
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(STOPPED_S)
+        process.send_signal(signal.SIGCONT)
+        found = ended(process)
+    assert found["overruns"] >= 0.9 * STOPPED_S * found["rate_hz"]
+    assert found["lateness_us"]["max"] >= 0.9 * STOPPED_S * 1e6
+    assert found["class"]["name"] == "unusable"
 
 
 def without_real_time():
