@@ -170,18 +170,21 @@ async def test_a_reply_in_the_buffer_counts_though_the_loop_was_late(client, pee
     assert (await client.exchange(READ, SHORT_S)).values == (0x1111,)
 
 
-async def test_a_line_that_is_never_silent_is_said_to_be_so(client, peer):
+async def test_a_line_that_is_never_silent_is_said_to_be_so(peer):
+    client = GuardedClient(str(peer.path), 115200, "none", 1, gap_s=0.15)
+    await client.open()
     async with asyncio.TaskGroup() as group:
 
         async def babble():
             while True:
                 peer.send(b"\x55")
-                await asyncio.sleep(0.0005)
+                await asyncio.sleep(0.001)
 
         babbler = group.create_task(babble())
         with pytest.raises(BadReply, match="never silent"):
             await client.exchange(READ, LONG_S)
         babbler.cancel()
+    client.close()
 
 
 async def test_one_request_is_in_flight_whoever_asks(client, peer):

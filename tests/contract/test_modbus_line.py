@@ -412,6 +412,20 @@ async def test_a_duty_goes_out_in_per_cent_and_never_backward(peer):
         assert rig.loop.exchange.take_feedback(0).enabled is None
 
 
+async def test_a_slow_line_is_given_the_time_it_needs_to_arm(peer):
+    peer.units = {n: Unit(registers_of("bld-305s")) for n in (1, 2, 3)}
+    profile = find_profile("bld-305s")
+    joints = [JointSpec(index=n, name=f"mill{n}", profile=profile, unit=n) for n in (1, 2, 3)]
+
+    def slow(request, honest):
+        peer.tricks.append(slow)
+        return [(0.019, honest)]
+
+    peer.tricks.append(slow)
+    async with running(spec_of(peer, joints, baudrate=9600, cycle_hz=1000.0)) as rig:
+        await rig.arm()
+
+
 async def test_a_magnitude_goes_out_with_its_direction(peer):
     speed, run = 0x0056, 0x0066
     peer.units[1] = Unit(registers_of("bld-305s"))

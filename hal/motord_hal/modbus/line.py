@@ -39,6 +39,11 @@ REOPEN_LIMIT_S = 2.0
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+SLOT_ALLOWANCE_S = 0.1
+"""On top of the slowest cycle: lost replies of this drive or of its neighbours."""
+JOB_ALLOWANCE_S = 1.0
+"""Whoever waits for jobs waits so much longer than they can take on the wire: the event loop may be
+late. Nothing moves meanwhile: a drive that is not armed is told zero."""
 
 
 class ModbusRtuLine:
@@ -275,9 +280,10 @@ class ModbusRtuLine:
 
     async def _finish(self, jobs: list[Job], what: str) -> None:
         """Wait for all; raise the first HalError, or NoReply when it takes too long."""
-        slot_s = 1.0 / self.spec.cycle_hz + SETPOINT_TIMEOUT_S
+        cycle_s = sum(drive.plan.slowest_cycle_s() for drive in self._drives)
+        slot_s = max(1.0 / self.spec.cycle_hz, cycle_s) + SLOT_ALLOWANCE_S
         tries = max(drive.tries for drive in self._drives)
-        limit_s = sum(job.limit_s(slot_s, tries) for job in jobs)
+        limit_s = JOB_ALLOWANCE_S + sum(job.limit_s(slot_s, tries) for job in jobs)
         try:
             async with asyncio.timeout(limit_s):
                 results = await asyncio.gather(*(job.done for job in jobs), return_exceptions=True)

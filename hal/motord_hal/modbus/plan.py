@@ -224,6 +224,12 @@ class DrivePlan:
             time_s += extra_s / len(self.extra) / EXTRA_EVERY_CYCLES
         return time_s
 
+    def slowest_cycle_s(self) -> float:
+        """A cycle with an extra range, in which every reply begins at the last moment."""
+        ranges = (*self.fast, *self.extra[:1])
+        requests = [*self.writes(self.setpoints({})), *(r.request(self.unit) for r in ranges)]
+        return sum(self._exchange_time_s(r) + self.profile.turnaround_s for r in requests)
+
     def _exchange_time_s(self, request: Request) -> float:
         size = len(build_request(request)) + reply_bytes(request)
         return self._wire_time_s(size) + 2 * self._gap_s
