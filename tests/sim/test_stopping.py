@@ -71,7 +71,8 @@ def set_off(stage):
     stage.wait("idle", lambda status: status["state"] == "idle", 20.0)
     stage.robot.arm()
     source = subprocess.Popen(
-        [sys.executable, "-c", SOURCE, str(stage.socket), str(SPEED_M_S)], cwd=ROOT
+        [sys.executable, "-c", SOURCE, str(stage.socket), str(SPEED_M_S)],
+        stderr=subprocess.DEVNULL,
     )
     wheel_radius_m = robot_file().base.wheel_radius_m
     fast_rad_s = 0.9 * SPEED_M_S / wheel_radius_m
