@@ -56,7 +56,8 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
     for name, value in (("minimum", register.minimum), ("maximum", register.maximum)):
         if value is not None and not low <= value / register.scale <= high:
             problems.add(f"{key}.{name}", f"{value:g} does not fit {register.type.value}")
-    if None not in (register.minimum, register.maximum) and register.minimum > register.maximum:  # type: ignore[operator]  # neither is None here
+    least, most = register.minimum, register.maximum
+    if least is not None and most is not None and least > most:
         problems.add(f"{key}.minimum", "is above maximum")
     if not low <= register.default <= high:
         problems.add(f"{key}.default", f"{register.default} does not fit {register.type.value}")
