@@ -52,6 +52,12 @@ def helpers():
     return found
 
 
+def left_behind():
+    """Files of cyclictests that are dead."""
+    files = Path("/dev/shm").glob("cyclictest*")
+    return {f for f in files if not Path("/proc", f.name.removeprefix("cyclictest")).exists()}
+
+
 def spreads(found):
     yield "lateness_us", found["lateness_us"]
     yield "step_ns", found["step_ns"]
@@ -136,9 +142,11 @@ def test_an_error_in_the_middle_leaves_nothing_behind():
         assert helpers()
         raise ZeroDivisionError
 
+    before = left_behind()
     with pytest.raises(ZeroDivisionError):
         run_latency(LatencyOptions(rate_hz=500.0, seconds=5.0, load="cpu"), fail)
     assert helpers() == []
+    assert left_behind() <= before
     with Loop(core_config(), LoopSettings(rate_hz=100.0, priority=0)) as loop:
         assert loop.status().running
 

@@ -94,4 +94,10 @@ async def beside(
         yield Beside(None, line)
         return
     async with running(line) as process:
-        yield Beside(process, line)
+        cyclictest = Beside(process, line)
+        try:
+            yield cyclictest
+        finally:
+            # Killed, it would leave its file in /dev/shm behind.
+            if process.returncode is None:
+                await cyclictest.result()
