@@ -15,8 +15,16 @@ HERE = Path(__file__).resolve().parent
 SOURCES = sorted(path for path in HERE.glob("*.c"))
 # Exact arithmetic on every machine: no fast-math (isnan(NAN) became 0), no fused multiply-add
 # (replay compares bit for bit between x86-64 and aarch64).
-FLAGS = ["-std=c11", "-O2", "-ffp-contract=off", "-fno-fast-math", "-D_GNU_SOURCE",
-         "-Wall", "-Wextra", "-Werror=implicit-function-declaration"]
+FLAGS = [
+    "-std=c11",
+    "-O2",
+    "-ffp-contract=off",
+    "-fno-fast-math",
+    "-D_GNU_SOURCE",
+    "-Wall",
+    "-Wextra",
+    "-Werror=implicit-function-declaration",
+]
 
 ffi = FFI()
 ffi.cdef((HERE / "api.h").read_text(encoding="utf-8"))
