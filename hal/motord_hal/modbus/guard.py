@@ -251,7 +251,7 @@ class GuardedClient:
                     no_response_expected=alone,
                 )
             case _:
-                raise NotImplementedError(f"{request.function.name} is not used by any drive")
+                raise ValueError(f"{request.function.name} is not a request of any drive profile")
 
     def _answer(self, request: Request) -> Answer:
         reply = self._framer.reply
