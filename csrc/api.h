@@ -424,7 +424,8 @@ enum {
 
 exchange *loop_exchange(void);                         /* static, ready at once; loop_start empties it, so nobody may
                                                           be using it then */
-int loop_start(const loop_config *loop, const core_config *core);   /* 0; -EINVAL, -EBUSY, -errno of what cannot be done without */
+/* 0; -EINVAL; -EBUSY; -errno of what cannot be done without */
+int loop_start(const loop_config *loop, const core_config *core);
 int loop_stop(void);                                   /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
