@@ -74,7 +74,7 @@ limited limit_step(limit_state *state, const axis_limits *limits, double want_u_
     uint32_t reasons = 0;
     double target_u_s = want_u_s + 0.0; /* no negative zero */
     if (!(fabs(target_u_s) <= limits->velocity_u_s)) {
-        if (!isfinite(want_u_s)) {
+        if (!isfinite(want_u_s) || isnan(limits->velocity_u_s)) {
             target_u_s = 0.0;
         } else {
             target_u_s = copysign(limits->velocity_u_s, want_u_s);

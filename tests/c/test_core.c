@@ -1,0 +1,387 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of the pure files (limit, saturate, kinematics, pwm, odometry, angle, check, core), for the sanitizers.
+ * What they promise is tested in tests/rt; here each path is walked, with hostile numbers on the way. */
+#include "check.h"
+#include "core.h"
+
+#include <errno.h>
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+static const int64_t TICK_NS = 1000000;
+static const double HOSTILE[] = {NAN, INFINITY, -INFINITY, 0.0, -0.0, -1.0, 5e-324, DBL_MIN, DBL_MAX, -DBL_MAX, 1.0, 1e-9};
+enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0] };
+
+typedef struct {
+    core_config config;
+    core_state state;
+    core_input input;
+    setpoints out;
+    robot_state shown;
+    double position_rad[JOINTS_MAX];
+    bool deaf;                  /* feedback is not refreshed */
+    bool mute;                  /* nor the command */
+} rig;
+
+static core_config good_config(void)
+{
+    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
+    core_config config = {
+        .joint_count = 4, .track_m = 0.5, .limits = {linear, angular},
+        .command_timeout_s = 0.3, .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
+        .on_timeout = STOP_RAMP, .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE,
+        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+    };
+    for (uint32_t j = 0; j < config.joint_count; j++)
+        config.joint[j] = (joint_config){
+            .side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -9.0, .velocity_max_rad_s = 9.0,
+            .rad_per_count = 6.283185307179586 / 4096.0, .counter_bits = 16,
+            .pwm = {0.05, -1.0, 1.0, 100.0, 12.5},
+        };
+    return config;
+}
+
+static void start(rig *r, const core_config *config)
+{
+    memset(r, 0, sizeof *r);
+    r->config = *config;
+    r->input.now_ns = 1000000000;
+    r->input.control.limits = config->limits;
+    for (uint32_t j = 0; j < config->joint_count; j++)
+        r->input.feedback[j].enabled = 1;
+    CHECK(core_init(&r->state, config) == 0);
+}
+
+static const robot_state *tick(rig *r)
+{
+    r->input.now_ns += TICK_NS;
+    r->input.control.heartbeat_ns = r->input.now_ns;
+    if (!r->mute) {
+        r->input.command.stamp_ns = r->input.now_ns;
+        r->input.command.expires_ns = r->input.now_ns + 1000000000;
+    }
+    for (uint32_t j = 0; j < r->config.joint_count && !r->deaf; j++) {
+        joint_feedback *feedback = &r->input.feedback[j];
+        r->position_rad[j] += r->out.joint[j].velocity_rad_s * 1e-3;
+        feedback->velocity_rad_s = r->out.joint[j].velocity_rad_s;
+        feedback->count = (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
+        feedback->stamp_ns = r->input.now_ns;
+    }
+    core_step(&r->state, &r->input, 1e-3, &r->out, &r->shown);
+    return &r->shown;
+}
+
+static const robot_state *ticks(rig *r, int count)
+{
+    for (int i = 0; i < count; i++)
+        tick(r);
+    return &r->shown;
+}
+
+static void go(rig *r, double linear_m_s, double angular_rad_s)
+{
+    tick(r);
+    r->input.control.armed = 1;
+    CHECK(tick(r)->armed == 1);
+    r->input.command.linear_m_s = linear_m_s;
+    r->input.command.angular_rad_s = angular_rad_s;
+    CHECK(ticks(r, 1500)->faults == 0);
+}
+
+static bool zero(const rig *r)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++)
+        if (r->out.joint[j].velocity_rad_s != 0.0 || r->out.joint[j].duty != 0.0)
+            return false;
+    return true;
+}
+
+static void a_ramp_arrives_and_comes_back_through_zero(void)
+{
+    axis_limits limits = {1.0, 1.0, 1.5, 8.0};
+    limit_state state = {0};
+    uint32_t seen = 0;
+    for (int i = 0; i < 3000; i++)
+        seen |= limit_step(&state, &limits, 2.0, 1e-3, false).reasons;
+    CHECK(state.velocity_u_s == 1.0);
+    for (int i = 0; i < 5000; i++)
+        seen |= limit_step(&state, &limits, -0.5, 1e-3, i % 2 == 0).reasons;
+    CHECK(state.velocity_u_s == -0.5);
+    CHECK(seen == (REASON_LINEAR_VELOCITY | REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
+    limits.velocity_u_s = NAN;
+    CHECK(limit_step(&state, &limits, 1.0, 1e-3, false).velocity_u_s > -0.5 && state.velocity_u_s < 0.0);
+    limits = (axis_limits){1.0, NAN, NAN, INFINITY};
+    CHECK(limit_step(&state, &limits, 1.0, 1e-3, false).velocity_u_s == 0.0);
+    /* a step one rounding short of the goal must not pass it */
+    double bound = nextafter((1.018640261644444 - 0.008365300070369949) / 1e-3, 0.0);
+    limits = (axis_limits){2.0, bound, bound, INFINITY};
+    state = (limit_state){1.018640261644444, 0.0};
+    CHECK(limit_step(&state, &limits, 0.008365300070369949, 1e-3, false).velocity_u_s == 0.008365300070369949);
+}
+
+static void no_number_leaves_the_small_functions(void)
+{
+    for (int a = 0; a < HOSTILE_COUNT; a++)
+        for (int b = 0; b < HOSTILE_COUNT; b++)
+            for (int c = 0; c < HOSTILE_COUNT; c++) {
+                axis_limits limits = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]};
+                limit_state state = {HOSTILE[c], HOSTILE[a]};
+                CHECK(isfinite(limit_step(&state, &limits, HOSTILE[a], HOSTILE[b], false).velocity_u_s));
+                pwm_config pwm = {0.1, -0.5, 1.0, 10.0, 5.0};
+                double duty = pwm_step(&pwm, HOSTILE[a], HOSTILE[b], HOSTILE[c]).duty;
+                CHECK(duty >= -0.5 && duty <= 1.0);
+                joint_config joint = {.velocity_min_rad_s = HOSTILE[a], .velocity_max_rad_s = HOSTILE[b]};
+                double factor = saturate_factor(&HOSTILE[c], &joint, 1);
+                CHECK(factor >= 0.0 && factor <= 1.0);
+            }
+}
+
+static void counters_wrap_both_ways(void)
+{
+    static const uint32_t BITS[] = {8, 16, 24, 32, 64};
+    for (int i = 0; i < 5; i++) {
+        CHECK(counter_difference(2, UINT64_MAX - 2, BITS[i]) == 5);
+        CHECK(counter_difference(UINT64_MAX - 2, 2, BITS[i]) == -5);
+    }
+    CHECK(counter_difference(1, 0, 0) == 0);
+    CHECK(counter_difference(1, 0, 65) == 0);
+    CHECK(counter_difference(1ULL << 63, 0, 64) == INT64_MIN);
+}
+
+static void sine_and_cosine_are_right_in_every_quarter(void)
+{
+    for (int i = -4000; i <= 4000; i++) {
+        double sine, cosine, angle = angle_wrap(i * 1e-3 * 3.0);
+        angle_sine_cosine(angle, &sine, &cosine);
+        CHECK(fabs(sine - sin(i * 1e-3 * 3.0)) < 2e-15);
+        CHECK(fabs(cosine - cos(i * 1e-3 * 3.0)) < 2e-15);
+    }
+}
+
+static void each_bad_field_is_refused_by_name(void)
+{
+    char name[FIELD_NAME_BYTES];
+    core_state state;
+    core_config good = good_config(), bad;
+    CHECK(core_config_check(&good, name) == NULL);
+#define REFUSED(field, value)                                     \
+    do {                                                          \
+        bad = good;                                               \
+        bad.field = value;                                        \
+        CHECK(strcmp(core_config_check(&bad, name), #field) == 0); \
+        CHECK(core_init(&state, &bad) == -EINVAL);                \
+    } while (0)
+    REFUSED(joint_count, 9);
+    REFUSED(on_timeout, (stop_action)4);
+    REFUSED(on_fault, (stop_action)4);
+    REFUSED(on_estop, (stop_action)4);
+    REFUSED(track_m, NAN);
+    REFUSED(limits.angular.jerk_u_s3, 0.0);
+    REFUSED(joint[3].wheel_radius_m, INFINITY);
+    REFUSED(joint[1].side, 0.5);
+    REFUSED(joint[1].counter_bits, 12);
+    REFUSED(joint[1].rad_per_count, 0.0);
+    REFUSED(joint[1].line, LINES_MAX);
+    bad = good;
+    for (int j = 0; j < 4; j++)
+        bad.joint[j].side = 1.0;
+    CHECK(strcmp(core_config_check(&bad, name), "joint[0].side") == 0);
+}
+
+static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
+{
+    rig r;
+    core_config config = good_config();
+    start(&r, &config);
+    go(&r, 0.8, 1.5);
+    CHECK(r.shown.saturation < 1.0 && (r.shown.reasons & REASON_WHEEL_SATURATED));
+    CHECK(fabs(r.shown.setpoint_angular_rad_s / r.shown.setpoint_linear_m_s - 1.5 / 0.8) < 1e-9);
+    CHECK(r.shown.turned_rad > 1.0 && r.shown.pose_covariance[5] > 1e-6);
+    /* the turn comes faster than the speed goes: the ramps themselves are saturated on the way */
+    r.input.command.linear_m_s = 0.88;
+    r.input.command.angular_rad_s = 0.0;
+    ticks(&r, 2000);
+    r.input.control.limits.linear.deceleration_u_s2 = 0.1;
+    r.input.command.linear_m_s = 0.3;
+    r.input.command.angular_rad_s = 2.0;
+    for (int i = 0; i < 2000; i++)
+        CHECK(fabs(tick(&r)->joint[1].setpoint_rad_s) <= 9.0);
+    r.input.control.limits = config.limits;
+    r.input.command.linear_m_s = 5.0;
+    r.input.command.angular_rad_s = -5.0;
+    CHECK(ticks(&r, 2000)->reasons & REASON_LINEAR_VELOCITY);
+    r.input.command.linear_m_s = -0.5;
+    r.input.command.angular_rad_s = 1.0;
+    ticks(&r, 2000);
+    r.input.control.limits.linear.velocity_u_s = 0.1;
+    r.input.control.odometry_reset_count = 1;
+    CHECK(ticks(&r, 1000)->setpoint_linear_m_s == -0.1 && r.shown.odometry_epoch == 1);
+    r.input.command.linear_m_s = NAN;
+    CHECK(tick(&r)->reasons & REASON_COMMAND_NOT_FINITE);
+    r.input.control.armed = 0;
+    tick(&r);
+    CHECK(zero(&r) && r.out.enabled == 0);
+}
+
+static void every_fault_ends_at_rest_under_every_action(void)
+{
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++)
+        for (int cause = 0; cause < 7; cause++) {
+            rig r;
+            core_config config = good_config();
+            config.on_fault = config.on_estop = config.on_timeout = (stop_action)action;
+            start(&r, &config);
+            go(&r, 0.4, 0.1);
+            switch (cause) {
+            case 0: r.input.control.estop = 1; break;
+            case 1: r.input.control.fault = 1; break;
+            case 2: r.deaf = true; ticks(&r, 260); break;
+            case 3: r.input.feedback[1].drive_faults = 1; break;
+            case 4: r.input.feedback[1].enabled = 0; break;
+            case 5: core_step(&r.state, &r.input, NAN, &r.out, &r.shown); break;
+            default: r.input.now_ns += 600 * TICK_NS; core_step(&r.state, &r.input, 1e-3, &r.out, &r.shown); break;
+            }
+            CHECK(ticks(&r, 4000)->faults != 0 && r.shown.armed == 0);
+            CHECK(zero(&r) && r.out.enabled == (action == STOP_HOLD));
+            r.input.control.reset_count++;
+            CHECK(tick(&r)->faults != 0);
+            r.deaf = false;
+            r.input.control.estop = r.input.control.fault = r.input.feedback[1].drive_faults = 0;
+            r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
+            tick(&r);
+            r.input.control.reset_count++;
+            CHECK(tick(&r)->faults == 0 && r.out.enabled == 0);
+        }
+}
+
+static void a_stop_and_a_lost_command_rest_under_every_action(void)
+{
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++)
+        for (int stop = 0; stop < 2; stop++) {
+            rig r;
+            core_config config = good_config();
+            config.on_timeout = (stop_action)action;
+            start(&r, &config);
+            go(&r, 0.4, 0.0);
+            r.input.control.stop = (uint32_t)stop;
+            r.mute = !stop;
+            CHECK(ticks(&r, 1500)->faults == 0 && r.shown.armed == (action != STOP_COAST));
+            CHECK(zero(&r) && r.shown.at_rest == 1);
+        }
+}
+
+static void a_core_that_has_lost_its_numbers_rests(void)
+{
+    for (int place = 0; place < 3; place++) {
+        rig r;
+        core_config config = good_config();
+        start(&r, &config);
+        go(&r, 0.4, 0.0);
+        if (place == 0)
+            r.state.linear.velocity_u_s = NAN;
+        else if (place == 1)
+            r.state.odometry.x_m = INFINITY;
+        else
+            r.state.wheels.joint[0].duty = NAN;
+        CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && isfinite(r.shown.x_m));
+    }
+}
+
+static void odometry_copes_with_silence_jumps_and_missing_counters(void)
+{
+    rig r;
+    core_config config = good_config();
+    config.joint[2].counter_bits = 0;
+    start(&r, &config);
+    go(&r, 0.5, 0.0);
+    CHECK(r.shown.odometry_degraded == 1);
+    r.deaf = true;
+    for (int i = 0; i < 4; i++)
+        r.input.feedback[i].velocity_rad_s = NAN;
+    r.input.feedback[0].count += 20000;
+    r.input.feedback[0].stamp_ns = r.input.now_ns + TICK_NS;
+    CHECK(tick(&r)->joint[0].jumps == 1);
+    r.input.feedback[0].epoch++;
+    r.input.feedback[0].velocity_rad_s = 1e6;
+    for (int j = 0; j < 4; j++)
+        r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+    CHECK(tick(&r)->joint[0].jumps == 1);
+    double before_m2 = r.shown.pose_covariance[0];
+    CHECK(ticks(&r, 400)->pose_covariance[0] > before_m2);
+    r.input.feedback[1].stamp_ns = r.input.feedback[3].stamp_ns = r.input.now_ns;
+    r.input.feedback[0].stamp_ns = r.input.now_ns;
+    CHECK(tick(&r)->odometry_degraded == 1 && r.shown.joint[2].stale == 1);
+    r.input.now_ns += 20000 * TICK_NS;
+    r.deaf = false;
+    CHECK(ticks(&r, 3)->joint[0].jumps == 1);
+}
+
+/* Right is heard first; what left does alone meanwhile is no arc. */
+static void a_side_that_comes_late_makes_no_turn(void)
+{
+    core_config config = good_config();
+    odometry_state state;
+    joint_feedback feedback[JOINTS_MAX] = {0};
+    uint32_t stale[JOINTS_MAX] = {0, 1, 0, 1};
+    double setpoint[JOINTS_MAX] = {0};
+    odometry_init(&state, &config);
+    for (int64_t step = 1; step <= 6; step++) {
+        stale[1] = stale[3] = step < 3;
+        for (int j = 0; j < 4; j++) {
+            feedback[j].stamp_ns = step * 10000000;
+            feedback[j].velocity_rad_s = NAN;
+            feedback[j].count += j % 2 == 0 ? 50 : 0;
+        }
+        stale[0] = step == 4;
+        odometry_step(&state, &config, feedback, stale, setpoint);
+        CHECK(state.blind == (step < 3) && (step > 3 || state.turned_rad == 0.0));
+    }
+    CHECK(state.turned_rad > 0.0);
+    /* a turn too large for the series */
+    double before_rad = state.turned_rad;
+    for (int j = 0; j < 4; j++) {
+        feedback[j].stamp_ns += 150000000;
+        feedback[j].count += j % 2 == 0 ? 0 : 1200;
+    }
+    odometry_step(&state, &config, feedback, stale, setpoint);
+    CHECK(fabs(state.turned_rad - before_rad - 1200 * config.joint[0].rad_per_count * 0.1 / 0.5) < 1e-12);
+}
+
+static void hostile_input_never_moves_an_unarmed_base(void)
+{
+    rig r;
+    core_config config = good_config();
+    start(&r, &config);
+    uint64_t noise = 88172645463325252U;
+    for (int round = 0; round < 20000; round++) {
+        unsigned char *bytes = (unsigned char *)&r.input;
+        for (size_t i = 0; i + 8 <= sizeof r.input; i += 8) {
+            noise ^= noise << 13, noise ^= noise >> 7, noise ^= noise << 17;
+            memcpy(bytes + i, noise % 5 == 0 ? (const void *)&HOSTILE[noise % HOSTILE_COUNT] : (const void *)&noise, 8);
+        }
+        core_step(&r.state, &r.input, HOSTILE[round % HOSTILE_COUNT], &r.out, &r.shown);
+        CHECK(r.shown.armed || r.shown.enabled || zero(&r));
+        CHECK(isfinite(r.shown.x_m) && isfinite(r.shown.heading_rad) && isfinite(r.shown.pose_covariance[5]));
+    }
+}
+
+int main(void)
+{
+    a_ramp_arrives_and_comes_back_through_zero();
+    no_number_leaves_the_small_functions();
+    counters_wrap_both_ways();
+    sine_and_cosine_are_right_in_every_quarter();
+    each_bad_field_is_refused_by_name();
+    a_drive_with_turns_and_saturation_keeps_its_covariance();
+    every_fault_ends_at_rest_under_every_action();
+    a_stop_and_a_lost_command_rest_under_every_action();
+    a_core_that_has_lost_its_numbers_rests();
+    odometry_copes_with_silence_jumps_and_missing_counters();
+    a_side_that_comes_late_makes_no_turn();
+    hostile_input_never_moves_an_unarmed_base();
+    return checks_report("test_core");
+}
