@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def robot_path(name: str) -> Path:
 
 def progress(text: str) -> None:
     """One line on a terminal's stderr, written over; nothing where nobody looks."""
-    if click.get_text_stream("stderr").isatty():
+    if sys.stderr.isatty():
         click.echo(f"\r\033[K{text}", nl=False, err=True)
 
 
