@@ -97,10 +97,11 @@ class Operation:
         if target is self.state:
             return target
         _log.info("%s (%s, was %s)", target, event, self.state)
-        self.state = target
-        if target in (State.STOPPING, State.FAULT, State.ESTOP):
+        if target in _LATCHED or event is Event.STOP:
             self.stops += 1
+        if target in _LATCHED or target is State.STOPPING:
             self.arbiter.hold()
+        self.state = target
         self.refresh_command()
         self.put_control()
         self._notifier.status(target)
@@ -288,7 +289,10 @@ class Operation:
         """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
         self.look()
         self.refresh_command()
-        self.take(Event.LOST if self._unready() else Event.READY)
+        if self._unready():
+            self.take(Event.LOST)
+        elif not any(joint.stale for joint in self.snapshot.joints):
+            self.take(Event.READY)
         if self.state.live and not self.disarming:
             self._cross_check()
         self.put_control()

@@ -167,22 +167,27 @@ async def serve(
 ) -> None:
     """Accept and answer until cancelled. `on_close` gets the number of each connection that ends,
     at once, whatever it is waiting for."""
-    loop = asyncio.get_running_loop()
-    numbers = itertools.count(1)
     connections: dict[int, _Connection] = {}
-    async with asyncio.TaskGroup() as tasks:
-        while True:
-            try:
-                peer, _ = await loop.sock_accept(listener)
-            except OSError as error:  # out of file descriptors: the robot goes on without
-                _log.warning("no new connection: %s", error.strerror)
-                await asyncio.sleep(1.0)
-                continue
-            if len(connections) >= CONNECTIONS_MAX:
-                min(connections.values(), key=lambda one: one.heard_s).drop("room for another")
-            number = next(numbers)
-            connections[number] = _Connection(number, peer, methods, on_close)
-            tasks.create_task(_attend(number, connections))
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            for number in itertools.count(1):
+                peer = await _accepted(listener)
+                if len(connections) >= CONNECTIONS_MAX:
+                    min(connections.values(), key=lambda one: one.heard_s).drop("room for another")
+                connections[number] = _Connection(number, peer, methods, on_close)
+                tasks.create_task(_attend(number, connections))
+    finally:
+        for connection in connections.values():  # cancelled before their task began
+            connection.close()
+
+
+async def _accepted(listener: socket.socket) -> socket.socket:
+    while True:
+        try:
+            return (await asyncio.get_running_loop().sock_accept(listener))[0]
+        except OSError as error:  # out of file descriptors: the robot goes on without
+            _log.warning("no new connection: %s", error.strerror)
+        await asyncio.sleep(1.0)
 
 
 async def _attend(number: int, connections: dict[int, _Connection]) -> None:
@@ -226,18 +231,20 @@ class _Connection:
                 while (line := await self._read(reader)) is not None:
                     self.heard_s = asyncio.get_running_loop().time()
                     self._take(line, calls)
+                    await asyncio.sleep(0)  # who floods us waits for everybody else
                 self._on_close(self._caller.connection)
         finally:
             self._on_close(self._caller.connection)
-            if self._writer is not None:
-                self._end(self._writer.transport)
+            self.close()
 
-    def _end(self, transport: asyncio.WriteTransport) -> None:
-        """What the kernel would not take is not waited for."""
-        if transport.get_write_buffer_size():
-            transport.abort()
+    def close(self) -> None:
+        """What the kernel would not take of the answers is not waited for."""
+        if self._writer is None:
+            self._peer.close()
+        elif self._writer.transport.get_write_buffer_size():
+            self._writer.transport.abort()
         else:
-            transport.close()
+            self._writer.close()
 
     async def _read(self, reader: asyncio.StreamReader) -> bytes | None:
         """A line; None at the end, and after a line too long to be meant well."""

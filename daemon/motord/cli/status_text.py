@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord status`, for a person to read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+
+def show_status(found: dict[str, Any]) -> None:
+    """Print the answer of `status`, a row a subject."""
+    rows = [
+        ("robot", f"{found['robot']} (process {found['pid']})"),
+        ("state", found["state"]),
+        *(("because", reason) for reason in found["why"]),
+        ("faults", ", ".join(found["faults"])),
+        ("reasons", ", ".join(found["reasons"])),
+        ("command", _command(found)),
+        ("odometry", _odometry(found["odometry"])),
+        *((f"joint {name}", _joint(joint)) for name, joint in found["joints"].items()),
+        ("loop", _loop(found["loop"])),
+        *(("", text) for text in found["loop"]["refusals"].values()),
+        *((f"line {name}", _line(line)) for name, line in found["lines"].items()),
+        *(("lease", _lease(lease)) for lease in found["leases"]),
+    ]
+    width = max(len(key) for key, _ in rows)
+    for key, text in rows:
+        if text:
+            click.echo(f"{key:{width}}  {text}")
+
+
+def _command(found: dict[str, Any]) -> str:
+    command = found["command"]
+    return (
+        f"{command['setpoint_linear_m_s']:.3f} m/s {command['setpoint_angular_rad_s']:.3f} rad/s, "
+        f"asked for {command['wanted_linear_m_s']:.3f} and {command['wanted_angular_rad_s']:.3f}"
+    )
+
+
+def _odometry(at: dict[str, Any]) -> str:
+    text = (
+        f"x {at['x_m']:.3f} m, y {at['y_m']:.3f} m, heading {at['heading_rad']:.3f} rad, "
+        f"{at['linear_m_s']:.3f} m/s {at['angular_rad_s']:.3f} rad/s, "
+        f"{at['distance_m']:.2f} m in all"
+    )
+    return text + (" (degraded)" if at["degraded"] else "")
+
+
+def _joint(joint: dict[str, Any]) -> str:
+    measures = (
+        ("velocity_rad_s", "rad/s", 2), ("current_a", "A", 2),
+        ("voltage_v", "V", 1), ("temperature_c", "°C", 0),
+    )  # fmt: skip
+    parts = [f"drive {joint['drive']}"]
+    parts += [
+        f"{joint[key]:.{digits}f} {unit}"
+        for key, unit, digits in measures
+        if joint[key] is not None
+    ]
+    if joint["feedback_age_s"] is None:
+        parts.append("never heard")
+    else:
+        parts.append(f"heard {joint['feedback_age_s'] * 1000:.0f} ms ago")
+    return ", ".join([*parts, *joint["fault_words"]])
+
+
+def _loop(loop: dict[str, Any]) -> str:
+    late = loop["lateness_us"]
+    return (
+        f"{loop['rate_hz']:g} Hz {loop['policy']}, late {late['p50']:.0f} µs p50, "
+        f"{late['p99']:.0f} µs p99, {late['max']:.0f} µs max, {loop['overruns']} overruns"
+    )
+
+
+def _line(line: dict[str, Any]) -> str:
+    trip = line["round_trip_us"]
+    errors = ", ".join(f"{count} {kind}" for kind, count in line["errors"].items() if count)
+    return (
+        f"{line['state']} at {line['port']}, {line['cycle_hz']:.0f} cycles/s "
+        f"(the wire carries {line['wire_limit_hz']:.0f}), "
+        f"{trip['p50'] / 1000:.1f} ms p50 {trip['max'] / 1000:.1f} ms max a round trip, "
+        f"{errors or 'no errors'}"
+    )
+
+
+def _lease(lease: dict[str, Any]) -> str:
+    held = ", held until it sends zero" if lease["held"] else ""
+    return (
+        f"{lease['owner']} priority {lease['priority']}: {lease['linear_m_s']:.3f} m/s "
+        f"{lease['angular_rad_s']:.3f} rad/s{held}"
+    )

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands that talk to a running daemon, over its local socket alone."""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.status_text import show_status
+from motord.client import Client, ClientError, Refused, find_socket
+
+SEND_PERIOD_S = 0.05
+_LATCHED = ("fault", "estop")
+
+
+def talking(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives the command a connected client, and says in a sentence what goes wrong."""
+
+    @click.option("--robot", metavar="NAME", help="Which robot, where several run.")
+    @click.option(
+        "--socket",
+        "path",
+        metavar="PATH",
+        type=click.Path(path_type=Path),
+        help="Socket of the daemon, where it is not in its usual place.",
+    )
+    @functools.wraps(command)
+    def connected(*, robot: str | None, path: Path | None, **options: Any) -> None:
+        try:
+            with Client(path or find_socket(robot)) as client:
+                command(client, **options)
+        except Refused as error:
+            raise Failure(str(error)) from error
+        except ClientError as error:
+            raise Failure(str(error), Exit.FAULT) from error
+
+    return connected
+
+
+def _said(client: Client, state: str, *, as_json: bool) -> None:
+    """The state that an act has led to; a latched one ends with its own exit status."""
+    if as_json:
+        print_json({"state": state})
+    else:
+        click.echo(state)
+    if state in _LATCHED:
+        for reason in client.status()["why"]:
+            click.echo(reason, err=True)
+        raise click.exceptions.Exit(Exit.FAULT)
+
+
+@click.command
+@json_option
+@talking
+def status(client: Client, as_json: bool) -> None:
+    """How the running robot does. Exit status 3 where a fault or an emergency stop is latched.
+
+    \b
+    Example: motord status
+             motord status --json | jq .odometry
+    """
+    found = client.status()
+    if as_json:
+        print_json(found)
+    else:
+        show_status(found)
+    if found["state"] in _LATCHED:
+        raise click.exceptions.Exit(Exit.FAULT)
+
+
+@click.command
+@json_option
+@talking
+def arm(client: Client, as_json: bool) -> None:
+    """Put the drives under power, at zero speed: from now on a command moves the robot.
+
+    \b
+    Example: motord arm && motord drive 0.2 0
+    """
+    _said(client, client.arm(), as_json=as_json)
+
+
+@click.command
+@json_option
+@talking
+def disarm(client: Client, as_json: bool) -> None:
+    """Come to rest and take the power off the drives.
+
+    \b
+    Example: motord disarm
+    """
+    _said(client, client.disarm(), as_json=as_json)
+
+
+@click.command
+@json_option
+@talking
+def stop(client: Client, as_json: bool) -> None:
+    """Come to rest, and stay armed. Who goes on sending commands meanwhile is not obeyed until he
+    has sent zero, or nothing for a moment.
+
+    \b
+    Example: motord stop
+    """
+    _said(client, client.stop(), as_json=as_json)
+
+
+@click.command
+@json_option
+@talking
+def estop(client: Client, as_json: bool) -> None:
+    """Emergency stop. Stays until motord reset. (Not a substitute for the button that cuts the
+    power.)
+
+    \b
+    Example: motord estop
+    """
+    state = client.estop()
+    if as_json:
+        print_json({"state": state})
+    else:
+        click.echo(state)
+
+
+@click.command
+@json_option
+@talking
+def reset(client: Client, as_json: bool) -> None:
+    """Clear a fault or an emergency stop, in the drives too. The robot stays disarmed.
+
+    \b
+    Example: motord status; motord reset && motord arm
+    """
+    _said(client, client.reset(), as_json=as_json)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("linear_m_s", metavar="V", type=float)
+@click.argument("angular_rad_s", metavar="W", type=float)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.0, min_open=True),
+    help="How long; until Ctrl-C otherwise.",
+)
+@click.option("--owner", default="motord-drive", show_default=True, help="Name of the lease.")
+@json_option
+@talking
+def drive(
+    client: Client,
+    linear_m_s: float,
+    angular_rad_s: float,
+    seconds: float | None,
+    owner: str,
+    as_json: bool,
+) -> None:
+    """Drive at V m/s, turning at W rad/s (left is positive), until Ctrl-C. The robot has to be
+    armed.
+
+    \b
+    Example: motord drive 0.3 0
+             motord drive -0.1 0.5 --seconds 2
+    """
+    start_s = due_s = time.monotonic()
+    sent = 0
+    try:
+        while seconds is None or time.monotonic() - start_s < seconds:
+            answer = client.drive(linear_m_s, angular_rad_s, owner=owner)
+            if sent % 5 == 0:
+                _progress(client, answer, owner)
+            sent += 1
+            due_s = max(due_s + SEND_PERIOD_S, time.monotonic())
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+    except KeyboardInterrupt:
+        pass  # what the release below is for
+    client.release(owner)
+    _progress(client, None, owner, last=True)
+    if as_json:
+        found = client.status()
+        print_json({"state": found["state"], "sent": sent, "odometry": found["odometry"]})
+
+
+def _progress(
+    client: Client, answer: dict[str, Any] | None, owner: str, *, last: bool = False
+) -> None:
+    """One line on a terminal's stderr, written over."""
+    if not sys.stderr.isatty():
+        return
+    found = client.status()
+    at = found["odometry"]
+    text = (
+        f"{found['state']:9} {at['linear_m_s']:6.2f} m/s {at['angular_rad_s']:6.2f} rad/s   "
+        f"x {at['x_m']:.2f} m  y {at['y_m']:.2f} m  heading {at['heading_rad']:.2f} rad"
+    )
+    if answer is not None and not answer["in_command"]:
+        text += f"   {answer['owner']} is in command, not {owner}"
+    click.echo(f"\r\033[K{text}", nl=last, err=True)
+
+
+@click.group
+def params() -> None:
+    """Limits of the running robot: list, get, set. They last until the daemon ends.
+
+    \b
+    Example: motord params list
+             motord params set limits.linear_m_s=0.3 limits.linear_m_s3=inf
+    """
+
+
+@params.command("list")
+@json_option
+@talking
+def params_list(client: Client, as_json: bool) -> None:
+    """Every parameter with its value, unit and range."""
+    found = client.params_list()
+    if as_json:
+        print_json(found)
+        return
+    width = max(map(len, found))
+    for name, about in found.items():
+        most = "inf" if about["maximum"] is None else f"{about['maximum']:g}"
+        unit, least = about["unit"], about["minimum"]
+        click.echo(
+            f"{name:{width}}  {_number(about['value']):>7} {unit:6} "
+            f"{least:g} to {most}; {about['description']}"
+        )
+
+
+@params.command("get")
+@click.argument("names", nargs=-1)
+@json_option
+@talking
+def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
+    """Values by name, all without a name: motord params get limits.linear_m_s."""
+    _show_values(client.params_get(*names), as_json=as_json)
+
+
+@params.command("set")
+@click.argument("assignments", metavar="NAME=VALUE...", nargs=-1, required=True)
+@json_option
+@talking
+def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:
+    """Change values, all or none: motord params set limits.linear_m_s=0.3. inf: no limit."""
+    _show_values(client.params_set(**dict(map(_assignment, assignments))), as_json=as_json)
+
+
+def _assignment(text: str) -> tuple[str, float | None]:
+    name, equals, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        equals = ""
+    if not equals or number != number:
+        raise click.UsageError(f"{text!r} is not NAME=VALUE, as in limits.linear_m_s=0.3")
+    return name, None if number == float("inf") else number
+
+
+def _show_values(values: dict[str, float | None], *, as_json: bool) -> None:
+    if as_json:
+        print_json(values)
+        return
+    for name, value in values.items():
+        click.echo(f"{name} = {_number(value)}")
+
+
+def _number(value: float | None) -> str:
+    return "inf" if value is None else f"{value:g}"

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole daemon on simulated drives, each a process of its own, for tests of its life."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+from motord.client import Client, ClientError
+from motord_hal.sim.control import SimControl, start_simulator
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOT = ROOT / "config/robots/demo.toml"
+DEADLINE_S = 30.0
+
+
+def wait_until(condition, what, deadline_s=DEADLINE_S):
+    """Ask again until it holds; what came, or a failure that says what did not."""
+    end_s = time.monotonic() + deadline_s
+    while not (found := condition()):
+        assert time.monotonic() < end_s, f"{what}: not within {deadline_s} s"
+        time.sleep(0.01)
+    return found
+
+
+@dataclass
+class Stage:
+    daemon: subprocess.Popen
+    sim: SimControl
+    socket: Path
+    log: Path
+    robot: Client
+
+    def state(self):
+        return self.robot.status()["state"]
+
+    def wait_for(self, *states):
+        return wait_until(lambda: self.state() in states, f"state {states}\n{self.said()}")
+
+    def said(self):
+        return self.log.read_text(encoding="utf-8")
+
+    def client(self):
+        return Client(self.socket)
+
+    def end(self, number=signal.SIGTERM):
+        self.daemon.send_signal(number)
+        return self.daemon.wait(DEADLINE_S)
+
+
+def connected(daemon, socket, log):
+    def attempt():
+        assert daemon.poll() is None, log.read_text(encoding="utf-8")
+        with contextlib.suppress(ClientError):
+            return Client(socket)
+        return None
+
+    return wait_until(attempt, "the socket")
+
+
+@contextlib.contextmanager
+def running(
+    folder, *settings, environ=None, robot=ROBOT, stdout=subprocess.DEVNULL, simulated=True
+):
+    """Its name is its own: tests run side by side, and a robot's state page is there once."""
+    with contextlib.ExitStack() as cleanup:
+        sim, ports = None, {"rs485": str(folder / "nothing")}
+        if simulated:
+            simulator = cleanup.enter_context(start_simulator(robot, link_dir=folder))
+            sim, ports = simulator.control, simulator.ports
+        overrides = [f"robot.name=t{uuid.uuid4().hex[:12]}", *settings]
+        overrides += [f"line.{name}.port={json.dumps(port)}" for name, port in ports.items()]
+        log, socket = folder / "daemon.log", folder / "daemon.sock"
+        with log.open("wb") as sink:
+            daemon = subprocess.Popen(
+                [sys.executable, "-m", "motord", "run", str(robot), "--socket", str(socket),
+                 *(part for setting in overrides for part in ("--set", setting))],
+                stdin=subprocess.DEVNULL, stdout=stdout, stderr=sink, cwd=ROOT,
+                env={**os.environ, **(environ or {})},
+            )  # fmt: skip
+        cleanup.callback(daemon.wait)
+        cleanup.callback(daemon.kill)
+        client = cleanup.enter_context(connected(daemon, socket, log))
+        yield Stage(daemon, sim, socket, log, client)

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The synchronous client, against a real server and against one that misbehaves."""
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import threading
+
+import pytest
+from pydantic import ConfigDict
+
+from motord import client as client_module
+from motord.client import Client, ClientError, Refused, find_socket, socket_folders
+from motord.rpc import Method, Params, listening, serve
+from motord.rpc import Refused as ServerRefused
+
+
+class Anything(Params):
+    model_config = ConfigDict(extra="allow")
+
+
+def refuse(caller, params):
+    raise ServerRefused("the robot sleeps: motord arm")
+
+
+METHODS = {
+    name: Method(lambda caller, params, name=name: {"state": name, **(params.model_extra or {})},
+                 Anything)
+    for name in (
+        "arm", "disarm", "stop", "estop", "reset_odometry", "status", "drive", "release",
+        "params.list", "params.get", "params.set", "latency",
+    )
+} | {"reset": Method(refuse)}  # fmt: skip
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A real server in a thread of its own."""
+    path = tmp_path / "r2.sock"
+    started, ended = threading.Event(), []
+
+    async def main():
+        with listening(path) as listener:
+            server = asyncio.current_task()
+            loop = asyncio.get_running_loop()
+            ended.append(lambda: loop.call_soon_threadsafe(server.cancel))
+            started.set()
+            with contextlib.suppress(asyncio.CancelledError):
+                await serve(listener, METHODS, lambda number: None)
+
+    thread = threading.Thread(target=lambda: asyncio.run(main()))
+    thread.start()
+    assert started.wait(20)
+    yield path
+    ended[0]()
+    thread.join()
+
+
+@contextlib.contextmanager
+def answering(path, *replies):
+    """A server that says what it likes: each request is met by the next of `replies`."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen(1)
+
+        def talk():
+            peer, _ = listener.accept()
+            with peer, peer.makefile("rb") as lines:
+                for reply in replies:
+                    lines.readline()
+                    peer.sendall(reply)
+                lines.readline()
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        try:
+            with Client(path, timeout_s=0.3) as client:
+                yield client
+        finally:
+            thread.join()
+
+
+def test_every_method_reaches_the_server_by_its_name(path):
+    with Client(path) as robot:
+        for name in ("arm", "disarm", "stop", "estop", "reset_odometry"):
+            assert getattr(robot, name)() == name
+        assert robot.status()["state"] == "status"
+        assert robot.latency()["state"] == "latency"
+        assert robot.params_list()["state"] == "params.list"
+        assert robot.params_get("a", "b")["names"] == ["a", "b"]
+        assert robot.params_set(**{"limits.linear_m_s": None})["limits.linear_m_s"] is None
+        robot.release("me")
+
+
+def test_what_is_not_given_is_left_to_the_robot_file(path):
+    with Client(path) as robot:
+        assert robot.drive(0.1, 0.2) == {
+            "state": "drive", "linear_m_s": 0.1, "angular_rad_s": 0.2,
+        }  # fmt: skip
+        assert robot.drive(0.1, 0.2, owner="me", lease_s=1.0)["owner"] == "me"
+
+
+def test_a_refusal_is_an_error_with_the_daemons_reason(path):
+    with Client(path) as robot:
+        with pytest.raises(Refused, match="the robot sleeps") as refusal:
+            robot.reset()
+        assert refusal.value.code == -32000
+        assert robot.arm() == "arm"
+
+
+def test_other_errors_are_no_refusals(path):
+    with Client(path) as robot, pytest.raises(ClientError, match="fly") as error:
+        robot.call("fly")
+    assert not isinstance(error.value, Refused)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_what_json_cannot_say_is_never_sent(path, value):
+    with Client(path) as robot:
+        with pytest.raises(ClientError, match="NaN and infinity"):
+            robot.drive(value, 0.0)
+        assert robot.arm() == "arm"
+
+
+def test_no_answer_ends_at_the_deadline_and_a_late_one_is_not_given_to_the_next_call(tmp_path):
+    late = b'{"jsonrpc":"2.0","id":1,"result":"late"}\n{"jsonrpc":"2.0","id":2,"result":"mine"}\n'
+    with answering(tmp_path / "s", b"", late) as robot:
+        with pytest.raises(ClientError, match=r"no answer within 0\.3 s"):
+            robot.call("first")
+        assert robot.call("second") == "mine"
+
+
+def test_an_answer_may_come_in_pieces_and_after_other_peoples(tmp_path):
+    raw = b'[]\n{"id":99,"result":0}\n{"jsonrpc":"2.0","id":1,"result":{"a":[1]}}\n'
+    with answering(tmp_path / "s", raw) as robot:
+        assert robot.call("x") == {"a": [1]}
+
+
+def test_a_daemon_that_goes_away_is_told(tmp_path):
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen(1)
+        with Client(tmp_path / "s") as robot:
+            listener.accept()[0].close()
+            with pytest.raises(ClientError):
+                robot.status()
+
+
+def test_garbage_is_told(tmp_path):
+    with (
+        answering(tmp_path / "s", b"hello\n") as robot,
+        pytest.raises(ClientError, match="does not speak JSON"),
+    ):
+        robot.status()
+
+
+def test_an_answer_without_end_is_cut_off(tmp_path, monkeypatch):
+    monkeypatch.setattr(client_module, "_ANSWER_BYTES_MAX", 1000)
+    with (
+        answering(tmp_path / "s", b"x" * 2000) as robot,
+        pytest.raises(ClientError, match="without end"),
+    ):
+        robot.status()
+
+
+def test_a_missing_daemon_is_told_with_its_path(tmp_path):
+    with pytest.raises(ClientError, match="nobody"):
+        Client(tmp_path / "nobody.sock")
+
+
+def test_the_only_robot_is_found(path):
+    folders = [path.parent / "empty", path.parent]
+    assert find_socket(folders=folders) == path
+    assert find_socket("r2", folders) == path
+
+
+def test_no_robot_and_several_robots_are_told(path):
+    with pytest.raises(ClientError, match="no robot x runs here: motord run"):
+        find_socket("x", [path.parent])
+    with listening(path.with_name("r3.sock")), pytest.raises(ClientError, match=r"r2.*r3"):
+        find_socket(None, [path.parent])
+
+
+def test_a_dead_daemons_socket_is_not_found(tmp_path):
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(tmp_path / "r2.sock"))
+    (tmp_path / "file.sock").touch()
+    with pytest.raises(ClientError, match="no robot"):
+        find_socket(None, [tmp_path])
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="giving a file away takes root")
+def test_a_strangers_socket_is_no_robot(path):
+    os.chown(path, 65534, 65534)
+    with pytest.raises(ClientError, match="no robot"):
+        find_socket(None, [path.parent])
+
+
+def test_sockets_are_sought_where_daemons_put_them():
+    folders = list(map(str, socket_folders({"XDG_RUNTIME_DIR": "/run/user/7"}, uid=7)))
+    assert folders[:2] == ["/run/motord", "/run/user/7/motord"]
+    assert folders[2].endswith("/motord-7")
+    assert len(socket_folders({}, uid=7)) == 2
+
+
+def test_it_speaks_the_protocol_of_the_page(tmp_path):
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen(1)
+        heard = []
+
+        def talk():
+            peer, _ = listener.accept()
+            with peer, peer.makefile("rb") as lines:
+                heard.append(json.loads(lines.readline()))
+                peer.sendall(b'{"jsonrpc":"2.0","id":1,"result":{"state":"armed"}}\n')
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        with Client(tmp_path / "s") as robot:
+            assert robot.arm() == "armed"
+        thread.join()
+    assert heard == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]
