@@ -85,7 +85,7 @@ def simulated(profile, folder, **options):
 
 def spec_of(profile, folder):
     """The line that drives what `simulated` simulates."""
-    return line_of(profile, folder / "bus", watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
+    return line_of(profile, folder / "bus", cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:

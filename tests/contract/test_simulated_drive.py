@@ -17,12 +17,15 @@ from motord_hal.ports import DriveState, EventKind
 
 SPEED_RAD_S = 6.0
 DUTY = 0.5
-BAUDRATE = 115200  # also for slow drives: half a minute of waiting proves nothing more
+# also for slow drives: half a minute of waiting proves nothing more
+BAUDRATE = 115200
+TURNAROUND_S = 0.002
 
 
 @pytest.fixture(params=list_profiles())
 def profile(request):
-    return replace(find_profile(request.param), baudrate=BAUDRATE)
+    found = find_profile(request.param)
+    return replace(found, baudrate=BAUDRATE, turnaround_s=TURNAROUND_S)
 
 
 @pytest.fixture
@@ -209,7 +212,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
 async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
-    await until(lambda: rig.line.stats().cycles > cycles + 20, "twenty cycles have passed")
+    await until(lambda: rig.line.stats().cycles > cycles + 10, "ten cycles have passed")
     assert sim.stats()["lines"]["bus"]["gap_violations"] == 0
     assert sim.stats()["lines"]["bus"]["bad_crc"] == 0
 
@@ -236,9 +239,9 @@ async def test_a_bad_wire_never_bends_what_the_drive_says(profile, tmp_path):
 
         def steady():
             seen.update(feedback(rig, joint).velocity_rad_s for joint in joints)
-            return rig.line.stats().exchanges > start + 150
+            return rig.line.stats().exchanges > start + 100
 
-        await until(steady, "150 exchanges have passed")
+        await until(steady, "a hundred exchanges have passed")
         assert rig.states() == {DriveState.ARMED}
         assert sum(rig.line.stats().errors.values()) > 0
         assert not [speed for speed in seen if not right(speed)]

@@ -87,7 +87,7 @@ def simulate(
     except FaultError as error:
         raise Failure(str(error), Exit.USAGE) from error
     except OSError as error:
-        raise Failure(f"{error.filename or link_dir or control}: {error.strerror}") from error
+        raise Failure(f"{error.filename}: {error.strerror}") from error
     with rig:
         _say_where(rig, robot_file, as_json=as_json)
         rig.run(stopped.is_set, sys.stdin.fileno() if stop_on_eof else None)

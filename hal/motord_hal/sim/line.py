@@ -9,6 +9,7 @@ Frames end and begin by silence: MODBUS over Serial Line V1.02, 2.5.1.1.
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import tty
@@ -92,9 +93,11 @@ class SimulatedLine:
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """A new pty, and the link to it. Does nothing while one is plugged."""
+        """A new pty, and the link to it. Does nothing while one is plugged. Raises OSError."""
         if self._fd is not None:
             return
+        if self.link.exists() and not self.link.is_symlink():
+            raise FileExistsError(errno.EEXIST, "is in the way of a line's port", str(self.link))
         self._fd, slave_fd = os.openpty()
         os.set_blocking(self._fd, False)
         # A pty's modes are set from its master as well, so nothing keeps the other side open and a

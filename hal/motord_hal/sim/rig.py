@@ -61,7 +61,8 @@ class RigSpec:
 
 
 class Rig:
-    """Raises FaultError for a fault that is none. Close it, or use it as a context."""
+    """Raises FaultError for a fault that is none, OSError for a path that cannot be used. Close
+    it, or use it as a context."""
 
     def __init__(
         self, spec: RigSpec, *, link_dir: Path | None = None, control: Path | None = None
@@ -80,8 +81,11 @@ class Rig:
         for text in spec.faults:
             self.inject(text)
         self.server = ControlServer(control or link_dir / "control.sock", self._methods())
-        for line in self.lines.values():
-            line.plug()
+        try:
+            self.plug()
+        except OSError:
+            self.close()
+            raise
 
     def __enter__(self) -> Rig:
         return self

@@ -23,8 +23,13 @@ class ControlServer:
         self._methods = methods
         self._clients: dict[int, tuple[socket.socket, bytearray]] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        path.unlink(missing_ok=True)
-        self._listener.bind(os.fspath(path))
+        if path.is_socket():  # of a simulator that was killed; anything else is not ours to remove
+            path.unlink()
+        try:
+            self._listener.bind(os.fspath(path))
+        except OSError as error:
+            self._listener.close()
+            raise OSError(error.errno, error.strerror, os.fspath(path)) from error
         path.chmod(0o600)
         self._listener.listen()
         self._listener.settimeout(0.0)
