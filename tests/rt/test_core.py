@@ -450,3 +450,22 @@ def test_no_input_whatsoever_gives_more_than_finite_numbers_or_moves_an_unarmed_
         assert all(math.isfinite(value) for value in numbers_of(rig.shown))
         assert rig.shown.armed == 1 or rig.shown.enabled == 1 or not any(rig.speeds)
         assert all(abs(speed) <= 15.0 for speed in rig.speeds)
+
+
+@pytest.mark.parametrize("counter", ["odometry_reset_count", "reset_count"])
+def test_a_word_of_the_daemon_while_driving_does_not_touch_the_speed(counter):
+    rig = Rig()
+    rig.moving(0.5)
+    setattr(rig.input.control, counter, 3)
+    rig.tick()
+    assert rig.shown.setpoint_linear_m_s == 0.5
+    assert rig.shown.armed == 1
+
+
+def test_a_command_that_comes_with_arming_late_is_obeyed_in_its_own_tick():
+    rig = Rig()
+    rig.hold.add("command")
+    rig.arm()
+    rig.hold.clear()
+    rig.drive(0.5)
+    assert rig.tick().setpoint_linear_m_s > 0.0

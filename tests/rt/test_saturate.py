@@ -6,7 +6,7 @@ import math
 import pytest
 from _motord_rt import ffi, lib
 from core_rig import Rig, core_config, joint_config
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 WISH = st.floats(-1e6, 1e6)
@@ -77,3 +77,25 @@ def test_a_saturated_base_settles_on_the_curvature_of_its_command(linear, angula
     assert shown.saturation == pytest.approx(min(1.0, top_rad_s / wanted), rel=1e-9)
     saturated = bool(shown.reasons & lib.REASON_WHEEL_SATURATED)
     assert saturated == (shown.saturation < 1.0)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=2, max_size=4))
+@example([(0.88, 0.0), (0.3, 2.0)])
+def test_on_the_way_too_the_twist_that_is_told_is_the_one_that_the_wheels_do(wishes):
+    joints = [
+        joint_config(side, velocity_max_rad_s=9.0, velocity_min_rad_s=-9.0) for side in (-1.0, 1.0)
+    ]
+    slow = {"velocity_u_s": 1.0, "acceleration_u_s2": 1.0, "deceleration_u_s2": 0.2}
+    fast = {"velocity_u_s": 2.0, "acceleration_u_s2": 9.0, "deceleration_u_s2": 9.0}
+    limits = {"linear": slow | {"jerk_u_s3": math.inf}, "angular": fast | {"jerk_u_s3": math.inf}}
+    rig = Rig(core_config(joint=joints, limits=limits))
+    rig.arm()
+    for wish in wishes:
+        rig.drive(*wish)
+        for _ in range(1000):
+            shown = rig.tick()
+            turn_m_s = shown.setpoint_angular_rad_s * 0.25
+            told = [shown.setpoint_linear_m_s - turn_m_s, shown.setpoint_linear_m_s + turn_m_s]
+            assert [speed * 0.1 for speed in rig.speeds] == pytest.approx(told, abs=1e-12)
+            assert max(abs(speed) for speed in rig.speeds) <= 9.0
