@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """A process that runs a loop, for tests that refuse it things, stop it or kill it."""
 
+import ctypes
 import dataclasses
 import json
 import resource
 import sys
+from pathlib import Path
 
-from small_base import core_config, settings, until
+from small_base import LIMITS, arm, core_config, far_ns, hear_wheels, settings, until
 
 from motord import rt
 from motord_hal.rt import now_ns
+
+MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # asm-generic/mman-common.h
 
 
 def refused() -> None:
@@ -26,6 +30,44 @@ def refused() -> None:
         until(lambda: loop.status().ticks > 600)
         said = dataclasses.asdict(loop.status())
     print(json.dumps(said | {"before_the_first_start": code}))
+
+
+def forget_code(of: str) -> None:
+    """Drop a loaded library's code from the page table, and cut its mapping into single pages, so
+    that the kernel brings no neighbours along: each first use of a page is a fault."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+    page_bytes = resource.getpagesize()
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        span, rights, *_, path = line.split(maxsplit=5)
+        if of in path and "x" in rights:
+            start, end = (int(edge, 16) for edge in span.split("-"))
+            for page in range(start, end, 2 * page_bytes):
+                assert libc.madvise(page, page_bytes, MADV_DONTDUMP) == 0
+            for page in range(start, end, page_bytes):
+                assert libc.madvise(page, page_bytes, MADV_DONTNEED) == 0
+
+
+def drive() -> None:
+    """The first drive of a process, to which all code is new: the page faults that it cost."""
+    loop = rt.Loop(core_config(), settings(lock_memory=False))
+    forget_code("_motord_rt")
+    forget_code("libm.so")
+    with loop:
+        arm(loop)
+        loop.put_command(0.5, 0.5, far_ns())
+        for count in range(50):
+            hear_wheels(count)
+            loop.beat()
+            seen = loop.status().ticks
+            until(lambda seen=seen: loop.status().ticks > seen)
+        state = loop.read_state()
+        loop.put_control(rt.Control(armed=True, estop=True, limits=LIMITS))
+        until(lambda: "estop" in loop.read_state().faults)
+        seen = loop.status().ticks + 600  # it counts them in every 256th tick
+        until(lambda: loop.status().ticks > seen)
+        said = {"page_faults": loop.status().page_faults, "distance_m": state.distance_m}
+    print(json.dumps(said))
 
 
 def run(rate_hz: str) -> None:
@@ -50,4 +92,4 @@ def page(name: str) -> None:
 
 
 if __name__ == "__main__":
-    {"refused": refused, "run": run, "page": page}[sys.argv[1]](*sys.argv[2:])
+    {"refused": refused, "drive": drive, "run": run, "page": page}[sys.argv[1]](*sys.argv[2:])

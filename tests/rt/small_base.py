@@ -81,15 +81,15 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def hear_wheels(count: int = 0) -> None:
-    """Both drives say that they are there, enabled and at rest."""
+def hear_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
+    """Both drives say that they are there and enabled."""
     exchange = Exchange.of_loop()
     for index in (0, 1):
         exchange.put_feedback(
             index,
             stamp_ns=now_ns(),
             count=count,
-            velocity_rad_s=0.0,
+            velocity_rad_s=velocity_rad_s,
             epoch=0,
             enabled=True,
             drive_faults=0,

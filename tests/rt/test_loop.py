@@ -3,6 +3,7 @@
 
 import math
 import os
+import platform
 import select
 import subprocess
 
@@ -55,21 +56,6 @@ def test_python_that_starts_processes_costs_the_thread_no_page_fault():
     assert loop.status().page_faults == 0
 
 
-def test_a_drive_from_arming_to_a_stop_costs_no_page_fault_without_locked_memory():
-    with rt.Loop(core_config(), settings(lock_memory=False)) as loop:
-        arm(loop)
-        loop.put_command(0.5, 0.5, far_ns())
-        for count in range(200):
-            hear_wheels(count)
-            loop.beat()
-            tick = loop.status().ticks
-            until(lambda tick=tick: loop.status().ticks > tick)
-        until(lambda: loop.read_state().distance_m > 0)
-        seen = loop.status().ticks + 300
-        until(lambda: loop.status().ticks > seen)
-        assert loop.status().page_faults == 0
-
-
 def test_after_a_stop_in_motion_every_line_is_told_zero_and_off(loop):
     arm(loop)
     loop.put_command(0.5, 0.0, far_ns())
@@ -95,7 +81,6 @@ def test_it_starts_again_disarmed_and_forgets_what_it_was_told():
         loop.start()
         state = loop.read_state()
         assert not state.armed
-        assert state.tick < 1000
         assert state.command_age_s == math.inf
         arm(loop)
         loop.put_command(0.5, 0.0, far_ns())
@@ -183,6 +168,24 @@ def test_limits_that_limit_nothing_are_a_problem(axis, value):
     assert rt.limits_problem(LIMITS) is None
 
 
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "aarch64"), reason="no flush-to-zero on this machine"
+)
+def test_denormal_numbers_are_nothing_to_the_thread():
+    config = core_config()
+    for wheel in config["joint"]:
+        wheel["counter_bits"] = 0
+    with rt.Loop(config, settings()) as loop:
+
+        def heard(velocity_rad_s: float) -> bool:
+            hear_wheels(velocity_rad_s=velocity_rad_s)
+            return loop.read_state().linear_m_s != 0
+
+        until(lambda: heard(1e-3))  # so that what is heard goes into the measured speed
+        until(lambda: not heard(1e-307))  # times 0.1 m: a denormal
+        assert loop.read_state().joints[0].velocity_rad_s == 1e-307
+
+
 def test_a_command_that_is_no_number_moves_nothing(loop):
     arm(loop)
     loop.put_command(math.nan, math.inf, far_ns())
@@ -248,11 +251,14 @@ def test_every_tick_is_in_both_histograms(loop):
 
 
 def test_a_cleared_histogram_begins_again(loop):
-    until(lambda: loop.percentiles(LATENESS).samples > 200)
-    before = loop.status().ticks
+    def fewer_than_ticks() -> bool:
+        ticks = loop.status().ticks
+        return loop.percentiles(LATENESS).samples < ticks
+
+    until(lambda: loop.status().ticks > 200)
+    assert not fewer_than_ticks()
     loop.clear_histograms()
-    until(lambda: loop.percentiles(LATENESS).samples < 200)
-    assert loop.percentiles(LATENESS).samples <= loop.status().ticks - before + 1
+    until(fewer_than_ticks)
 
 
 def test_an_unknown_histogram_is_refused():
