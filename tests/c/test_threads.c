@@ -126,7 +126,8 @@ static core_config base(void)
     config.joint_count = 2;
     config.track_m = 0.4;
     config.limits = (base_limits){.linear = axis, .angular = axis};
-    config.command_timeout_s = config.feedback_timeout_s = config.heartbeat_timeout_s = 60;   /* a slow machine is no fault here */
+    /* long: a slow machine is no fault here */
+    config.command_timeout_s = config.feedback_timeout_s = config.heartbeat_timeout_s = 60;
     config.rest_velocity_rad_s = 0.05;
     config.distance_variance_m2_per_m = config.turn_variance_rad2_per_rad = 1e-3;
     config.pose_variance_floor_m2 = config.heading_variance_floor_rad2 = 1e-6;
