@@ -98,10 +98,6 @@ class SimulatedDrive:
         motor = self._motors[channel]
         return self.on and motor.switched_on and not motor.stopped_by_fault
 
-    def count(self, channel: int) -> int | None:
-        """The position counter as it is now; None: it has none."""
-        return self._motors[channel].count
-
     # -------------------------------------------------------------------------------- the wire
     def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
         """Do what a request says; the words read. Raises Refusal."""

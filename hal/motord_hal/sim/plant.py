@@ -84,10 +84,6 @@ class Wheel:
     def current_a(self) -> float:
         return self.torque_n_m / self.model.torque_n_m_a
 
-    @property
-    def powered(self) -> bool:
-        return self._power is not _Power.OFF
-
     def coast(self) -> None:
         """No power: friction alone."""
         self._power = _Power.OFF
