@@ -2,7 +2,7 @@
 """The simulator's fault script: its grammar, and that a seed decides everything."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motord_hal.modbus.codec import (
@@ -53,6 +53,7 @@ def test_a_wrong_entry_says_what_is_wrong_with_it(text, says):
     assert f'"{text}"' in str(caught.value)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30) | st.from_regex(r"(drop|fault|delay):[a-z_]+=[-+0-9.enaif]*"))
 def test_any_text_is_a_fault_or_a_fault_error(text):
     try:

@@ -4,7 +4,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Encoder, Plant, Wheel, WheelModel
@@ -40,6 +40,7 @@ def test_a_wheel_at_rest_stays_at_rest_to_the_last_bit(hold):
     assert (wheel.velocity_rad_s, wheel.position_rad, wheel.torque_n_m) == (0.0, 0.0, 0.0)
 
 
+@settings(deadline=None)
 @given(SPEEDS)
 def test_a_coasting_wheel_loses_energy_in_every_step_until_it_rests(speed_rad_s):
     wheel = Wheel(MODEL)
@@ -54,6 +55,7 @@ def test_a_coasting_wheel_loses_energy_in_every_step_until_it_rests(speed_rad_s)
     assert wheel.velocity_rad_s == 0.0
 
 
+@settings(deadline=None)
 @given(st.lists(SPEEDS, min_size=1, max_size=5))
 def test_no_wish_gets_more_torque_than_the_motor_has(speeds_rad_s):
     wheel = Wheel(MODEL)
@@ -68,6 +70,7 @@ def test_no_wish_gets_more_torque_than_the_motor_has(speeds_rad_s):
             assert abs(wheel.velocity_rad_s - before) <= change_rad_s
 
 
+@settings(deadline=None)
 @given(SPEEDS)
 def test_the_speed_loop_gets_where_it_is_told(speed_rad_s):
     wheel = Wheel(MODEL)
@@ -76,6 +79,7 @@ def test_the_speed_loop_gets_where_it_is_told(speed_rad_s):
     assert wheel.velocity_rad_s == pytest.approx(speed_rad_s, abs=0.02)
 
 
+@settings(deadline=None)
 @given(SPEEDS)
 def test_a_quick_stop_ends_at_rest_within_its_ramp(speed_rad_s):
     wheel = Wheel(MODEL)
@@ -86,6 +90,7 @@ def test_a_quick_stop_ends_at_rest_within_its_ramp(speed_rad_s):
     assert wheel.velocity_rad_s == 0.0
 
 
+@settings(deadline=None)
 @given(SPEEDS)
 def test_a_set_point_of_zero_ends_at_rest_and_does_not_creep(speed_rad_s):
     wheel = Wheel(MODEL)
@@ -108,6 +113,7 @@ def test_a_torque_below_static_friction_moves_nothing():
     assert wheel.velocity_rad_s > 0.0
 
 
+@settings(deadline=None)
 @given(st.floats(0.1, 1.0), st.floats(5.0, 20.0))
 def test_a_duty_turns_the_wheel_along_the_speed_torque_line(duty, full_duty_rad_s):
     wheel = Wheel(MODEL)
@@ -148,6 +154,7 @@ def test_time_does_not_run_backward():
         plant.step(-0.001)
 
 
+@settings(deadline=None)
 @given(SPEEDS, SPEEDS)
 def test_constant_wheel_speeds_draw_the_circle_of_the_closed_form(left_rad_s, right_rad_s):
     plant, left, right = base(FRICTIONLESS)
@@ -214,6 +221,7 @@ def test_a_base_needs_both_sides(sides):
         Plant(wheels, contacts, 0.5)
 
 
+@settings(deadline=None)
 @given(st.sampled_from([8, 16, 24, 32]), st.integers(0), st.integers(-(10**6), 10**6))
 def test_a_counter_wraps_at_its_width_wherever_it_starts(bits, start, counts):
     encoder = Encoder(4096, bits, start)
