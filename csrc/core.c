@@ -220,14 +220,17 @@ static void release(core_state *state, const tick *t)
         state->holding = 0;
 }
 
-/* In each tick from nothing; every byte of the set-points is written. */
+/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every byte is written. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
     out->tick = state->tick;
     out->enabled = state->armed | state->holding;
     out->joint_count = state->config.joint_count;
-    memcpy(out->joint, state->wheels.joint, sizeof out->joint);
+    if (out->enabled)
+        memcpy(out->joint, state->wheels.joint, sizeof out->joint);
+    else
+        memset(out->joint, 0, sizeof out->joint);
 }
 
 /* The slowest wheel's top speed on the ground. */
