@@ -30,6 +30,7 @@ enum {
     REASON_COMMAND_NOT_FINITE   = 1 << 19,  /* NaN or infinity in the command: read as zero */
     REASON_FAULT                = 1 << 20,  /* a latched fault: see robot_state.faults */
 };
+enum { REASONS_TO_STAND = 0x1F0000 };       /* NOT_ARMED and all after it: it is to rest, whatever was asked for */
 
 /* Faults are latched: cleared only by a rising reset_count with every cause gone and a command of zero. */
 enum {
@@ -392,7 +393,8 @@ int page_read(const void *page, robot_state *out);
 typedef struct {
     double rate_hz;             /* 10..20000 */
     int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
-    uint32_t notify_every_ticks;/* eventfd is written every so many ticks, and when reasons, faults, armed or at_rest change */
+    uint32_t notify_every_ticks;/* eventfd is written every so many ticks, and when a reason to stand, faults, armed or
+                                   at_rest change */
     uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
     int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
     int32_t event_fd;           /* an eventfd, or -1 */

@@ -106,9 +106,11 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     }
 }
 
+/* Why it stands, not why it is slower than asked: a ramp changes the latter in every other tick. */
 static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
-    return now->reasons != before->reasons || now->faults != before->faults || now->armed != before->armed ||
+    uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
+    return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed ||
            now->at_rest != before->at_rest;
 }
 

@@ -6,6 +6,8 @@
 #ifndef MOTORD_SNAPSHOT_H
 #define MOTORD_SNAPSHOT_H
 
+#include <math.h>
+
 #include "core.h"
 
 /* What one tick knows beside its state. */
@@ -39,11 +41,12 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
     const joint_odometry *odometry = &state->odometry.joint[j];
     to->position_rad = odometry->position_rad;
     to->velocity_rad_s = odometry->velocity_rad_s;
-    to->current_a = measured(feedback->current_a);
-    to->voltage_v = measured(feedback->voltage_v);
-    to->temperature_c = measured(feedback->temperature_c);
+    bool heard = feedback->stamp_ns > 0; /* else all of it is zero, and zero volts would be a lie */
+    to->current_a = heard ? measured(feedback->current_a) : (double)NAN;
+    to->voltage_v = heard ? measured(feedback->voltage_v) : (double)NAN;
+    to->temperature_c = heard ? measured(feedback->temperature_c) : (double)NAN;
     to->drive_faults = feedback->drive_faults;
-    to->enabled = feedback->enabled;
+    to->enabled = heard ? feedback->enabled : 2;
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
 }

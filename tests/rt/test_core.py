@@ -21,6 +21,25 @@ def assert_at_rest_after_ramp(rig: Rig, seconds: float = 1.0) -> None:
     assert rig.shown.at_rest == 1
 
 
+def test_a_joint_that_was_never_heard_measures_nothing():
+    rig = Rig()
+    no_feedback(rig)
+    rig.tick()
+    joint = rig.shown.joint[0]
+    assert math.isnan(joint.voltage_v)
+    assert math.isnan(joint.current_a)
+    assert math.isnan(joint.temperature_c)
+    assert joint.enabled == 2  # it cannot say
+    assert joint.feedback_age_s == math.inf
+
+
+def test_the_reasons_to_stand_are_all_that_are_no_limits():
+    names = [name for name in dir(lib) if name.startswith("REASON_")]
+    limits = 0xFFFF
+    standing = [getattr(lib, name) for name in names if not getattr(lib, name) & limits]
+    assert sum(standing) == lib.REASONS_TO_STAND
+
+
 # ------------------------------------------------------------------------------------------- arming
 def test_nothing_moves_before_arming():
     rig = Rig()
