@@ -168,26 +168,47 @@ async def serve(
     """Accept and answer until cancelled. `on_close` gets the number of each connection that ends,
     at once, whatever it is waiting for."""
     connections: dict[int, _Connection] = {}
+    numbers = itertools.count(1)
     try:
         async with asyncio.TaskGroup() as tasks:
-            for number in itertools.count(1):
-                peer = await _accepted(listener)
-                if len(connections) >= CONNECTIONS_MAX:
-                    min(connections.values(), key=lambda one: one.heard_s).drop("room for another")
-                connections[number] = _Connection(number, peer, methods, on_close)
-                tasks.create_task(_attend(number, connections))
+            while True:
+                await _readable(listener)
+                if (peer := await _accepted(listener)) is not None:
+                    number = next(numbers)
+                    _make_room(connections)
+                    connections[number] = _Connection(number, peer, methods, on_close)
+                    tasks.create_task(_attend(number, connections))
     finally:
         for connection in connections.values():  # cancelled before their task began
             connection.close()
 
 
-async def _accepted(listener: socket.socket) -> socket.socket:
-    while True:
-        try:
-            return (await asyncio.get_running_loop().sock_accept(listener))[0]
-        except OSError as error:  # out of file descriptors: the robot goes on without
-            _log.warning("no new connection: %s", error.strerror)
+async def _readable(listener: socket.socket) -> None:
+    loop, news = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(listener, news.set)
+    try:
+        await news.wait()
+    finally:
+        loop.remove_reader(listener)
+
+
+async def _accepted(listener: socket.socket) -> socket.socket | None:
+    """Not loop.sock_accept: cancelled in the wrong moment, it loses the connection."""
+    try:
+        peer, _ = listener.accept()
+    except BlockingIOError:
+        return None
+    except OSError as error:  # out of file descriptors: the robot goes on without
+        _log.warning("no new connection: %s", error.strerror)
         await asyncio.sleep(1.0)
+        return None
+    peer.settimeout(0.0)
+    return peer
+
+
+def _make_room(connections: Mapping[int, _Connection]) -> None:
+    if len(connections) >= CONNECTIONS_MAX:
+        min(connections.values(), key=lambda one: one.heard_s).drop("room for another")
 
 
 async def _attend(number: int, connections: dict[int, _Connection]) -> None:
@@ -223,10 +244,11 @@ class _Connection:
 
     async def run(self) -> None:
         """Until the peer ends."""
+        # cancelled in here, asyncio closes the peer
+        reader, self._writer = await asyncio.open_unix_connection(
+            sock=self._peer, limit=LINE_BYTES_MAX
+        )
         try:
-            reader, self._writer = await asyncio.open_unix_connection(
-                sock=self._peer, limit=LINE_BYTES_MAX
-            )
             async with asyncio.TaskGroup() as calls:
                 while (line := await self._read(reader)) is not None:
                     self.heard_s = asyncio.get_running_loop().time()

@@ -70,6 +70,17 @@ def connected(daemon, socket, log):
     return wait_until(attempt, "the socket")
 
 
+def ended(daemon):
+    """Politely, and at last by force."""
+    daemon.send_signal(signal.SIGCONT)
+    daemon.terminate()
+    try:
+        daemon.wait(DEADLINE_S)
+    finally:
+        daemon.kill()
+        daemon.wait()
+
+
 @contextlib.contextmanager
 def running(
     folder, *settings, environ=None, robot=ROBOT, stdout=subprocess.DEVNULL, simulated=True
@@ -90,7 +101,6 @@ def running(
                 stdin=subprocess.DEVNULL, stdout=stdout, stderr=sink, cwd=ROOT,
                 env={**os.environ, **(environ or {})},
             )  # fmt: skip
-        cleanup.callback(daemon.wait)
-        cleanup.callback(daemon.kill)
+        cleanup.callback(ended, daemon)
         client = cleanup.enter_context(connected(daemon, socket, log))
         yield Stage(daemon, sim, socket, log, client)

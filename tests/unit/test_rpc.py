@@ -5,6 +5,7 @@ import asyncio
 import contextlib
 import json
 import os
+import resource
 import socket
 import stat
 import subprocess
@@ -271,6 +272,24 @@ async def test_who_has_been_silent_longest_makes_room(path):
         assert len(set(host.closed)) == 1
         for peer in (first, second, late, *crowd):
             peer.close()
+
+
+async def test_without_a_free_file_descriptor_it_tries_again(path, caplog):
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    async with hosted(path):
+        with socket.socket(socket.AF_UNIX) as late:
+            late.settimeout(0)
+            free = os.dup(0)
+            os.close(free)
+            try:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+                late.connect(str(path))
+                await until(lambda: "no new connection" in caplog.text)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            loop = asyncio.get_running_loop()
+            await loop.sock_sendall(late, b'{"jsonrpc":"2.0","id":1,"method":"who"}\n')
+            assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
 
 
 async def test_the_caller_is_who_the_kernel_says(path):
