@@ -36,13 +36,13 @@ class PageFile:
         """Make the file, or take over that of a dead daemon; its readers stay attached.
 
         Raises PageInUse where a daemon lives that owns it, ValueError for a name that is no file
-        name, OSError where the file cannot be made (another user's file, no /dev/shm).
+        name, OSError where the file cannot be made (no /dev/shm).
         """
         if not name or "/" in name or "\0" in name:
             raise ValueError(f"{name!r} cannot be part of a file name in {FOLDER}")
         path = FOLDER / (PREFIX + name)
         for _ in range(_TRIES):
-            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+            fd = _open(path)
             with contextlib.ExitStack() as unless_kept:
                 unless_kept.callback(os.close, fd)
                 _lock(fd, path)
@@ -61,6 +61,16 @@ class PageFile:
                 self.path.unlink()
         os.close(self.fd)
         self.fd = -1
+
+
+def _open(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except PermissionError:
+        raise PageInUse(
+            f"{path} belongs to another user, whose daemon runs or was killed: give this robot"
+            " another name, or remove the file when that daemon is gone"
+        ) from None
 
 
 def _lock(fd: int, path: Path) -> None:

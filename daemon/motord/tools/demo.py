@@ -8,7 +8,9 @@ is the client that any program uses.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -20,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.client import Client, ClientError
+from motord.page_file import FOLDER, PREFIX
 from motord.tools.course import Pose, Score, command_at, score
 from motord_hal.sim.control import RobotTruth, SimControl, start_simulator
 
@@ -30,6 +33,7 @@ REST_DEADLINE_S = 10.0
 STOP_DEADLINE_S = 10.0
 
 Progress = Callable[[str], None]
+_stages = itertools.count(1)
 
 
 class DemoError(Exception):
@@ -131,7 +135,7 @@ def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
 @contextlib.contextmanager
 def staged(
     robot_file: Path,
-    line_names: list[str],
+    lines: list[str],
     motord: Sequence[str] = (sys.executable, "-m", "motord"),
 ) -> Iterator[Stage]:
     """Simulated drives and a daemon on them; both are gone afterwards, whatever happened."""
@@ -139,10 +143,14 @@ def staged(
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motord-demo-")))
         sim = cleanup.enter_context(start_simulator(robot_file, link_dir=folder))
         log, socket = folder / "daemon.log", folder / "daemon.sock"
-        ports = [f"--set=line.{name}.port={json.dumps(str(folder / name))}" for name in line_names]
+        # a name of its own: a daemon of the same robot may be running on this machine
+        name = f"{robot_file.stem}-{os.getpid()}-{next(_stages)}"
+        settings = [f"--set=robot.name={name}"]
+        settings += [f"--set=line.{line}.port={json.dumps(str(folder / line))}" for line in lines]
+        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
-                [*motord, "run", str(robot_file), *ports, "--socket", str(socket)],
+                [*motord, "run", str(robot_file), *settings, "--socket", str(socket)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=sink,
