@@ -107,3 +107,34 @@ def test_a_link_is_not_followed(folder):
 def test_a_name_that_is_no_file_name_is_refused(name):
     with pytest.raises(ValueError, match="file name"):
         PageFile.open(name)
+
+
+OTHER_USER = """
+import os, sys
+from pathlib import Path
+from motord import page_file
+page_file.FOLDER = Path(sys.argv[1])
+if os.getuid() == 0:
+    os.setuid(65534)
+try:
+    page_file.PageFile.open("robot")
+except page_file.PageInUse as error:
+    print(error)
+"""
+
+
+def test_a_file_that_belongs_to_another_user_is_said_to_be_so(tmp_path):
+    """Root's own file in the eyes of nobody; without root, a file that may not be written."""
+    path = tmp_path / "motord-robot"
+    path.touch(0o444)
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    said = subprocess.run(
+        [sys.executable, "-c", OTHER_USER, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=30,
+    )
+    assert f"{path} belongs to another user" in said.stdout, said.stderr
