@@ -60,7 +60,7 @@ async def _arm_core(operation: Operation) -> None:
 async def disarm(operation: Operation) -> State:
     """Down the ramp, then the power off. Raises Refused where a drive did not say that it is."""
     async with operation.busy:
-        problems = await _come_down(operation, RAMP_MAX_S, hurry=None)
+        problems = await _come_down(operation, RAMP_MAX_S, hurry=asyncio.Event())
     if problems:
         raise Refused(f"the robot is {operation.state}, but {'; '.join(problems)}")
     return operation.state
@@ -117,8 +117,8 @@ async def reset_odometry(operation: Operation) -> State:
 
 
 async def shut_down(operation: Operation, hurry: asyncio.Event) -> None:
-    """At rest, power off, OFF on the state page; `hurry`: without waiting for the ramp. A procedure
-    that is under way must have been cancelled before."""
+    """At rest, power off, OFF on the state page. `hurry` leaves the ramp out: then the lines brake
+    as they end. A procedure that is under way must have been cancelled before."""
     async with operation.busy:
         for problem in await _come_down(operation, SHUTDOWN_RAMP_MAX_S, hurry):
             _log.warning("at the end: %s", problem)
@@ -135,22 +135,19 @@ async def _alone(operation: Operation) -> AsyncIterator[None]:
         yield
 
 
-async def _come_down(
-    operation: Operation, ramp_max_s: float, hurry: asyncio.Event | None
-) -> list[str]:
+async def _come_down(operation: Operation, ramp_max_s: float, hurry: asyncio.Event) -> list[str]:
     """Ramp, disarm the core, then the drives. Returns what went wrong; the state is true anyway."""
     operation.disarming = True
     try:
         operation.take(Event.DISARM)
         deadline_s = ramp_s(operation, ramp_max_s)
-        if operation.snapshot.armed and not await operation.until(
-            lambda: (
-                operation.snapshot.at_rest
-                or not operation.snapshot.armed
-                or (hurry is not None and hurry.is_set())
-            ),
+        rests = await operation.until(
+            lambda: operation.snapshot.at_rest or not operation.snapshot.enabled or hurry.is_set(),
             deadline_s,
-        ):
+        )
+        if hurry.is_set():
+            return ["asked not to wait for rest"]
+        if not rests:
             _log.warning("not at rest after %.1f s: the power goes off anyway", deadline_s)
         operation.set_armed(False)
         await operation.until(lambda: not operation.snapshot.armed, CORE_WITHIN_S)

@@ -116,7 +116,10 @@ def listening(path: Path) -> Iterator[socket.socket]:
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as listener:
         _clear_away(path)
-        listener.bind(str(path))
+        try:
+            listener.bind(str(path))
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
         made = path.stat()
         try:
             path.chmod(SOCKET_MODE)

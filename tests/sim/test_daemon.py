@@ -4,6 +4,7 @@
 import contextlib
 import json
 import math
+import signal
 import subprocess
 import sys
 import threading
@@ -216,6 +217,49 @@ def test_a_drive_fault_at_rest_refuses_arming_with_its_words(stage):
     assert stage.robot.arm() == "armed"
 
 
+def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
+    stage.sim.inject("exception:code=4,p=1")
+    with pytest.raises(Refused, match=r"not armed|not ready"):
+        stage.robot.arm()
+    stage.sim.clear_faults_script()
+    stage.wait_for("idle")
+    wait_until(lambda: not any(power(stage)), "the power is off")
+    assert stage.robot.arm() == "armed"
+
+
+def test_what_cannot_be_disarmed_is_told_and_its_watchdog_named(stage):
+    stage.robot.arm()
+    stage.sim.pull("rs485")
+    with pytest.raises(Refused, match="watchdog"):
+        stage.robot.disarm()
+    stage.sim.plug("rs485")
+    wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "the line")
+    wait_until(lambda: not any(power(stage)), "the power is off")
+
+
+def test_a_line_lost_under_power_is_a_fault_that_reset_clears_when_it_is_back(stage):
+    with set_off(stage):
+        stage.sim.pull("rs485")
+        stage.wait_for("fault")
+    assert "rs485" in " ".join(stage.robot.status()["why"])
+    at_rest(stage)
+    with pytest.raises(Refused, match="not ready: line rs485 is closed"):
+        stage.robot.reset()
+    stage.sim.plug("rs485")
+    wait_until(lambda: stage.robot.status()["joints"]["left"]["drive"] == "ready", "the drive")
+    wait_until(lambda: not stage.robot.status()["joints"]["left"]["stale"], "feedback")
+    assert stage.robot.reset() == "idle"
+
+
+def test_a_drive_that_reboots_under_power_is_a_fault_and_comes_back_disarmed(stage):
+    with set_off(stage):
+        stage.sim.inject("reboot:at_s=0,unit=1,for_s=0.1")
+        stage.wait_for("fault")
+    at_rest(stage)
+    wait_until(lambda: stage.robot.status()["joints"]["left"]["drive"] == "ready", "the drive")
+    assert not any(power(stage))
+
+
 def test_a_pulled_cable_is_told_and_its_return_too(stage):
     stage.sim.pull("rs485")
     stage.wait_for("configuring")
@@ -313,6 +357,21 @@ def test_the_commands_do_what_they_say(stage):
     assert everything["limits.linear_m_s"] == 0.3
 
 
+def test_ctrl_c_ends_the_drive_command_and_the_robot_stops(stage):
+    stage.robot.arm()
+    driving = subprocess.Popen(
+        [sys.executable, "-m", "motord", "drive", "0.4", "0", "--socket", str(stage.socket)],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    with driving:
+        wait_until(lambda: wheels_turn(stage), "the wheels turn")
+        driving.send_signal(signal.SIGINT)
+        _, complaint = driving.communicate(timeout=30)
+        assert (driving.returncode, complaint) == (0, b"")
+    at_rest(stage)
+    assert stage.wait_for("armed")
+
+
 def test_the_commands_exit_status_tells_a_fault_from_a_refusal(stage):
     assert motord(stage, "drive", "0.1", "0").returncode == 1
     assert motord(stage, "params", "set", "limits.linear_m_s").returncode == 2
@@ -320,7 +379,8 @@ def test_the_commands_exit_status_tells_a_fault_from_a_refusal(stage):
     latched = motord(stage, "status")
     assert (latched.returncode, "asked for by process" in latched.stdout) == (3, True)
     refused = motord(stage, "arm")
-    assert (refused.returncode, "motord reset" in refused.stderr) == (1, True)
+    assert (refused.returncode, "motord reset" in refused.stderr) == (3, True)
+    assert motord(stage, "disarm").returncode == 3
     assert motord(stage, "reset").returncode == 0
 
 

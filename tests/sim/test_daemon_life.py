@@ -94,6 +94,16 @@ def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
+def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
+    with running(tmp_path, "safety.on_timeout=coast") as stage:
+        moving(stage)
+        stage.wait_for("idle")
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+        assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
+        assert stage.said().count("disarmed by itself") == 1
+        assert stage.robot.status()["faults"] == []
+
+
 def test_without_a_port_it_waits_says_so_once_and_ends_well(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "nothing" in stage.said(), "the port is missed")

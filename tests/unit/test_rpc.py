@@ -371,6 +371,12 @@ def test_a_file_that_is_no_socket_is_left_alone(path):
     assert path.read_text(encoding="ascii") == "precious"
 
 
+def test_a_path_that_cannot_be_is_named(path):
+    with pytest.raises(FileNotFoundError) as error, listening(path / "below.sock"):
+        pass
+    assert error.value.filename == str(path / "below.sock")
+
+
 def test_a_socket_that_replaced_ours_is_not_removed(path):
     with listening(path):
         path.unlink()

@@ -18,6 +18,7 @@ from motord.client import Client, ClientError, Refused, find_socket
 
 SEND_PERIOD_S = 0.05
 _LATCHED = ("fault", "estop")
+_HINDERED = ("configuring", *_LATCHED)
 
 
 def talking(command: Callable[..., None]) -> Callable[..., None]:
@@ -35,13 +36,19 @@ def talking(command: Callable[..., None]) -> Callable[..., None]:
     def connected(*, robot: str | None, path: Path | None, **options: Any) -> None:
         try:
             with Client(path or find_socket(robot)) as client:
-                command(client, **options)
-        except Refused as error:
-            raise Failure(str(error)) from error
+                try:
+                    command(client, **options)
+                except Refused as error:
+                    raise Failure(str(error), _status_of_refusal(client)) from error
         except ClientError as error:
-            raise Failure(str(error), Exit.FAULT) from error
+            raise Failure(str(error)) from error
 
     return connected
+
+
+def _status_of_refusal(client: Client) -> Exit:
+    """Refused because of what the robot is in, or because of how it was asked?"""
+    return Exit.FAULT if client.status()["state"] in _HINDERED else Exit.FAILED
 
 
 def _said(client: Client, state: str, *, as_json: bool) -> None:
