@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motord.client import Client, ClientError
+from motord.page_file import FOLDER, PREFIX
 from motord_hal.sim.control import SimControl, start_simulator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,7 +84,13 @@ def ended(daemon):
 
 @contextlib.contextmanager
 def running(
-    folder, *settings, environ=None, robot=ROBOT, stdout=subprocess.DEVNULL, simulated=True
+    folder,
+    *settings,
+    environ=None,
+    robot=ROBOT,
+    stdout=subprocess.DEVNULL,
+    simulated=True,
+    motord=("-m", "motord"),
 ):
     """Its name is its own: tests run side by side, and a robot's state page is there once."""
     with contextlib.ExitStack() as cleanup:
@@ -91,12 +98,14 @@ def running(
         if simulated:
             simulator = cleanup.enter_context(start_simulator(robot, link_dir=folder))
             sim, ports = simulator.control, simulator.ports
-        overrides = [f"robot.name=t{uuid.uuid4().hex[:12]}", *PATIENT, *settings]
+        name = f"t{uuid.uuid4().hex[:12]}"
+        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        overrides = [f"robot.name={name}", *PATIENT, *settings]
         overrides += [f"line.{name}.port={json.dumps(port)}" for name, port in ports.items()]
         log, socket = folder / "daemon.log", folder / "daemon.sock"
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
-                [sys.executable, "-m", "motord", "run", str(robot), "--socket", str(socket),
+                [sys.executable, *motord, "run", str(robot), "--socket", str(socket),
                  *(part for setting in overrides for part in ("--set", setting))],
                 stdin=subprocess.DEVNULL, stdout=stdout, stderr=sink, cwd=ROOT,
                 env={**os.environ, **(environ or {})},
