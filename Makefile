@@ -66,7 +66,7 @@ san: $(VENV)/built $(VENV)/test
 coverage: $(VENV)/built $(VENV)/test
 	@$(MAKE) -C tests/c coverage PYTHON=$(abspath $(PYTHON)) >&2
 	@rm -f .coverage .coverage.*
-	@$(PYTHON) -m coverage run -m pytest -q $(ARGS)
+	@$(PYTHON) -m coverage run -m pytest -q -n 2 --dist loadfile $(ARGS)
 	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report
 

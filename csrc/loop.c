@@ -25,13 +25,6 @@ static pthread_once_t exchange_made = PTHREAD_ONCE_INIT;
 
 static const int64_t NS_PER_S = 1000000000;
 
-int64_t clock_now_ns(void)
-{
-    struct timespec now;
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * NS_PER_S + now.tv_nsec;
-}
-
 static void sleep_until(int64_t deadline_ns)
 {
     struct timespec until = {.tv_sec = deadline_ns / NS_PER_S, .tv_nsec = deadline_ns % NS_PER_S};
