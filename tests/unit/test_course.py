@@ -98,7 +98,8 @@ def result(**changes):
             }
         },
     }  # fmt: skip
-    return Result("demo", 8.0, score(HERE, HERE), [(0.0, 0.0), (1.0, 0.0)], status | changes, True)
+    path = [(0.0, 0.0), (1.0, 0.0)]
+    return Result("demo", 8.0, score(HERE, HERE), path, status | changes, clean_exit=True)
 
 
 def test_a_person_sees_what_was_measured_and_refused(capsys):
