@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
@@ -12,7 +12,7 @@ from motord_hal.errors import BadReply, DriveFault, HalError, NoReply, Refused
 from motord_hal.modbus.codec import Request
 from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.guard import Answer
-from motord_hal.modbus.job import Job, configure_steps
+from motord_hal.modbus.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, DrivePlan, ReadRange
 from motord_hal.ports import DriveState, EventKind
@@ -43,10 +43,14 @@ class Drive:
         self.was_enabled = False
         """Set-points were enabled since it was armed: the next disable takes its power."""
         self.probe_at_s = 0.0
+        self.told_motion = False
+        """The newest set-points that it was sent are not all zero."""
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self._link = link
         self._exchange = exchange
-        self._watchdog_s = watchdog_s
+        self._watchdog_s = watchdog_time_s(plan.profile, watchdog_s)
+        self._setup = configure_steps(plan.profile, watchdog_s)
+        self._kept = kept_steps(self._setup)
         self._say = say
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._values: dict[str, int] = {}
@@ -58,6 +62,15 @@ class Drive:
         self._epoch = 0
         self._cycles = 0
         self._said_quiet = False
+        self._may_turn = False
+        """It has been armed since it was last seen set up: at rest and without power."""
+        self._probes: deque[Request] = deque()
+        self._probes_at_once = 0
+        self._still_enabled = 0
+        self._asked_s = 0.0
+        """When it got the newest request that it has answered."""
+        self._left_alone = False
+        """Its watchdog has bitten since it was armed."""
         self._power_off_by_s: float | None = None
 
     def __str__(self) -> str:
@@ -71,6 +84,9 @@ class Drive:
         answer = await self._link.ask(request, max(given, default=default_s))
         self._failures = 0
         self._stamp_ns = answer.stamp_ns
+        asked_s = answer.stamp_ns * 1e-9 - 0.5 * answer.round_trip_s
+        self._left_alone |= asked_s - self._asked_s > self._watchdog_s
+        self._asked_s = asked_s
         return answer
 
     async def _read(self, what: ReadRange) -> None:
@@ -93,6 +109,7 @@ class Drive:
             self._publish()
             if (extra := self._due_extra()) is not None:
                 await self._read(extra)
+                self._check_setup()
         except (NoReply, BadReply, Refused) as error:
             self._failed(error)
         else:
@@ -100,15 +117,35 @@ class Drive:
 
     async def _write_setpoints(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
+        self.told_motion = any(raw.values())
+        armed = self.state is DriveState.ARMED
+        ways = self.plan.directions(wanted, raw) if armed else {}
+        for register, way in ways.items():
+            # never a new magnitude the old way, also when the next frame is lost
+            if way not in (self._ways.get(register), self.plan.rests[register]):
+                await self._turn({register: self.plan.rests[register]})
         await self._write(raw)
-        if self.state is not DriveState.ARMED:
-            return
-        for register, way in self.plan.directions(wanted, raw).items():
+        if self.state is DriveState.ARMED:  # and not disarmed meanwhile
+            await self._turn(ways)
+
+    async def _turn(self, ways: Mapping[str, int]) -> None:
+        """Tell the directions that are not known to have been told."""
+        for register, way in ways.items():
             if self._ways.pop(register, None) != way:
                 await self._write({register: way})
             self._ways[register] = way
             if way != self.plan.rests[register]:
                 self._last_ways[register] = way
+
+    def _check_setup(self) -> None:
+        """A drive whose power failed for a moment answers as before, without its watchdog."""
+        for step in self._kept:
+            raw = self._values.get(step.register)
+            if raw is not None and raw & step.mask != step.equals:
+                text = f"{self} has lost its set-up ({step.register} is {raw:#x}): set up again"
+                self._say(EventKind.DRIVE_WARNING, self.names, f"{text}, disarmed")
+                self.configure(text)
+                return
 
     def _due_extra(self) -> ReadRange | None:
         """One range that may wait; first of all the one that says whether the drive is enabled."""
@@ -148,6 +185,18 @@ class Drive:
         if self._power_off_by_s is not None and (not moving or now_s() > self._power_off_by_s):
             self._power_off_by_s = None
             self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+        self._check_power(enabled)
+
+    def _check_power(self, enabled: bool | None) -> None:
+        """Nobody armed it, so it shall not be enabled: a power-off was refused, or never came."""
+        if self.state is not DriveState.READY or enabled is False:
+            self._still_enabled = 0
+        elif enabled and not self.jobs and self._power_off_by_s is None:
+            self._still_enabled += 1
+            if self._still_enabled == self.tries:
+                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
+                self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
     # ---------------------------------------------------------------------------- the acyclic part
     def submit(self, job: Job) -> Job:
@@ -162,7 +211,13 @@ class Drive:
         """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
         self._forget(NoReply(why))
         self.state = DriveState.UNKNOWN
-        self.submit(Job("configure", configure_steps(self.plan.profile, self._watchdog_s)))
+        self.submit(Job("configure", self._setup))
+
+    def arming(self) -> Job:
+        """Zero in its set-point registers, its set-up still there, then the profile's own steps."""
+        zeros = self.plan.setpoints({}).items()
+        rest = (Step(register=register, value=raw) for register, raw in zeros)
+        return Job("arm", (*rest, *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
         while self.jobs:
@@ -241,6 +296,7 @@ class Drive:
             self._configured()
         elif job.name == "arm":
             self.state, self.was_enabled = DriveState.ARMED, False
+            self._may_turn, self._left_alone = True, False
         job.finish()
 
     def _configured(self) -> None:
@@ -249,6 +305,7 @@ class Drive:
         self._cycles = 0
         self._failures = 0
         self._backoff.reset()
+        self._may_turn = self.told_motion = False
         if self._said_quiet:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
@@ -264,19 +321,38 @@ class Drive:
     def _go_quiet(self, error: HalError) -> None:
         self._forget(error)
         self.state = DriveState.QUIET
-        self.probe_at_s = now_s() + self._backoff.next_s()
         if not self._said_quiet:
             self._said_quiet = True
             self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
+            self._probes = deque(self._probe_requests())
+            self._probes_at_once = len(self._probes) - 1
+        self.probe_at_s = now_s() + self._probe_pause_s()
+
+    def _probe_requests(self) -> Iterable[Request]:
+        """It may hear us though we do not hear it. Then it still does what it was last told, as long
+        as questions keep its watchdog quiet: so one that may turn is told to stop."""
+        if self._may_turn:
+            for step in self.plan.profile.quick_stop:
+                if step.value is not None:
+                    yield from self.plan.writes({step.register: step.value})
+        ranges = (*self.plan.fast, *self.plan.extra)
+        if self._may_turn or not ranges:
+            yield from self.plan.writes(self.plan.setpoints({}))
+        if ranges:
+            yield ranges[0].request(self.plan.unit)
+
+    def _probe_pause_s(self) -> float:
+        """None until each request was sent once."""
+        self._probes_at_once -= 1
+        return 0.0 if self._probes_at_once >= 0 else self._backoff.next_s()
 
     async def probe(self) -> None:
         """Ask a quiet drive once whether it is back; PortError passes."""
-        self.probe_at_s = now_s() + self._backoff.next_s()
+        self.probe_at_s = now_s() + self._probe_pause_s()
+        request = self._probes[0]
+        self._probes.rotate(-1)
         try:
-            if ranges := (*self.plan.fast, *self.plan.extra):
-                await self._read(ranges[0])
-            else:
-                await self._write(self.plan.setpoints({}))
+            await self._ask(request)
         except (NoReply, BadReply, Refused):
             return
         self.configure(f"{self} is being configured")
@@ -293,6 +369,12 @@ class Drive:
         self._disarmed()
         self._power_off_by_s = None
         await self._write_now("disarm", self.plan.profile.disarm)
+
+    @property
+    def has_stopped_itself(self) -> bool:
+        """It was left alone for so long that its watchdog has bitten: a pause of the whole process.
+        A drive that cannot say so would start again with the next set-point."""
+        return self._left_alone or now_s() - self._asked_s > self._watchdog_s
 
     @property
     def is_stopping(self) -> bool:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 
 from motord_hal.drives.profile import DriveProfile, Step
@@ -50,16 +51,31 @@ class Job:
         return sum(step.within_s + slot_s * (tries + 1) for step in self.steps) + slot_s
 
 
+def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
+    """The drive stops by itself after such a silence: as wanted, within what it can; infinity: it
+    has no watchdog."""
+    watchdog = profile.watchdog
+    if watchdog is None:
+        return math.inf
+    return min(max(wanted_s, watchdog.minimum_s), watchdog.maximum_s)
+
+
 def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
     """The profile's own steps, then its watchdog written and read back."""
     watchdog = profile.watchdog
     if watchdog is None:
         return profile.configure
-    seconds = min(max(watchdog_s, watchdog.minimum_s), watchdog.maximum_s)
-    raw = profile.registers[watchdog.register].from_si(seconds)
+    raw = profile.registers[watchdog.register].from_si(watchdog_time_s(profile, watchdog_s))
     write = Step(register=watchdog.register, value=raw)
     verify = Step(register=watchdog.register, equals=raw, within_s=VERIFY_WITHIN_S)
     return (*profile.configure, write, verify)
+
+
+def kept_steps(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The waits for what the same steps have written: true until the drive loses its set-up, as by
+    a power cut too short to be missed."""
+    written = {(step.register, step.value) for step in steps if step.value is not None}
+    return tuple(step for step in steps if (step.register, step.equals) in written)
 
 
 def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:

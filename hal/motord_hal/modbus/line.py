@@ -39,6 +39,8 @@ REOPEN_LIMIT_S = 2.0
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+LOOK_EVERY_S = 0.02
+"""Between cycles: how often it is looked whether the wheels have to stop."""
 SLOT_ALLOWANCE_S = 0.1
 """On top of the slowest cycle: lost replies of this drive or of its neighbours."""
 JOB_ALLOWANCE_S = 1.0
@@ -154,7 +156,17 @@ class ModbusRtuLine:
             await self._acyclic_slot()
             self._backoff.reset()
             due_s = max(due_s + period_s, now_s())
-            await sleep_until_s(due_s)
+            await self._wait_for_cycle(due_s)
+            due_s = min(due_s, now_s())
+
+    async def _wait_for_cycle(self, due_s: float) -> None:
+        """A stop does not wait for the next cycle of a slow line."""
+        while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
+            await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
+
+    def _has_to_stop(self, drive: Drive) -> bool:
+        moving = drive.state is DriveState.ARMED and drive.told_motion
+        return moving and not any(any(wish) for wish in self._wanted(drive).values())
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: Drive) -> Wanted:
@@ -179,7 +191,7 @@ class ModbusRtuLine:
         newest = self._exchange.take_setpoints(self.spec.index)
         fresh = _fresh(newest)
         for drive in armed:
-            if not fresh:
+            if not fresh or drive.has_stopped_itself:
                 await drive.quick_stop()
             elif newest.enabled:
                 drive.was_enabled = True
@@ -187,10 +199,11 @@ class ModbusRtuLine:
                 await drive.power_off()
 
     async def _shut_down(self) -> None:
-        """Quick stop, then power off, on every drive that is there; within SHUTDOWN_WITHIN_S."""
+        """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
         if not self._open:
             return
-        drives = [drive for drive in self._drives if drive.state is not DriveState.QUIET]
+        # a quiet drive may hear it all the same, but it shall not keep the others waiting
+        drives = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
         stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
@@ -231,7 +244,7 @@ class ModbusRtuLine:
         """As ports.Line.arm."""
         self._check_ready_to_arm()
         jobs = [
-            drive.submit(Job("arm", drive.plan.profile.arm))
+            drive.submit(drive.arming())
             for drive in self._drives
             if drive.state is not DriveState.ARMED
         ]

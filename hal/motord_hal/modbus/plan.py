@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from motord_hal.drives.profile import Channel, DriveProfile, Register
 from motord_hal.modbus.codec import Function, Request, build_request, reply_bytes
+from motord_hal.modbus.job import kept_steps
 from motord_hal.ports import JointSpec
 
 EXTRA_EVERY_CYCLES = 4
@@ -83,6 +84,9 @@ class DrivePlan:
             channel = self.channel(joint)
             fast += [channel.position, channel.velocity, channel.fault]
             slow += [channel.current, channel.temperature]
+        if self.profile.watchdog:
+            slow.insert(0, self.profile.watchdog.register)
+        slow = [*(step.register for step in kept_steps(self.profile.configure)), *slow]
         if self.profile.enabled:
             slow.insert(0, self.profile.enabled.register)
         known = self.profile.registers

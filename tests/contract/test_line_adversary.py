@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line against drives that go on turning, start again or are on when they shall not be."""
+
+import time
+
+import pytest
+from loop_side import running, until
+from scripted_slave import ScriptedSlave, Unit
+from test_modbus_line import (
+    CONTROL,
+    ENABLE,
+    OFF,
+    QUICK_STOP,
+    RPM,
+    TARGET_1,
+    TARGET_2,
+    WATCHDOG,
+    hub_servo,
+    registers_of,
+    spec_of,
+)
+
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import HalError
+from motord_hal.modbus.codec import Function
+from motord_hal.ports import DriveState, EventKind, JointSpec
+
+DUTY, DUTY_WATCHDOG = 0x0100, 0x0110
+SPEED, RUN = 0x0056, 0x0066
+FORWARD, REVERSE, REST = 1, 2, 0
+
+
+@pytest.fixture
+async def peer(tmp_path):
+    peer = ScriptedSlave(tmp_path / "port")
+    peer.units = {1: Unit(registers_of("zlac8015d")), 2: Unit(registers_of("zlac8015d"))}
+    yield peer
+    peer.pull()
+
+
+@pytest.fixture
+async def rig(peer):
+    async with running(spec_of(peer, hub_servo())) as rig:
+        yield rig
+
+
+def single(name):
+    return JointSpec(index=0, name="wheel", profile=find_profile(name), unit=1)
+
+
+async def set_off(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: 60 in peer.written(TARGET_1))
+
+
+def mute(peer):
+    """From now on the drive hears and obeys, and no answer arrives."""
+
+    def swallow(request, honest):
+        peer.tricks.append(swallow)
+        return []
+
+    peer.tricks.append(swallow)
+
+
+async def test_a_drive_that_hears_but_is_not_heard_is_told_to_stop(rig, peer):
+    await set_off(rig, peer)
+    mute(peer)
+    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: QUICK_STOP in peer.written(CONTROL))
+    await until(lambda: peer.written(TARGET_1)[-1] == peer.written(TARGET_2)[-1] == 0)
+    peer.tricks.clear()
+    await rig.ready()
+    assert ENABLE not in peer.written(CONTROL)[peer.written(CONTROL).index(QUICK_STOP) :]
+
+
+async def test_a_drive_that_refuses_its_set_points_is_told_to_stop(rig, peer):
+    await set_off(rig, peer)
+    peer.units[1].refuses = {TARGET_1}
+    await until(lambda: QUICK_STOP in peer.written(CONTROL))
+    assert DriveState.ARMED not in rig.states()
+    peer.units[1].refuses = set()
+    await rig.ready()
+    assert peer.written(TARGET_1)[-1] == 0
+
+
+async def test_a_quiet_drive_that_was_never_armed_is_only_asked(rig, peer):
+    await rig.ready()
+    mute(peer)
+    await until(lambda: rig.states() == {DriveState.QUIET})
+    mark = len(peer.heard)
+    await until(lambda: len(peer.heard) > mark + 3)
+    assert {h.request.function for h in peer.heard[mark:]} == {Function.READ_HOLDING}
+
+
+async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, peer):
+    await rig.ready()
+    peer.units[1].registers[TARGET_1] = 60
+    peer.units[1].refuses = {TARGET_1}
+    with pytest.raises(HalError):
+        await rig.line.arm()
+    assert ENABLE not in peer.written(CONTROL)
+    assert DriveState.ARMED not in rig.states()
+
+
+async def test_a_drive_that_has_lost_its_watchdog_unseen_is_set_up_again(rig, peer):
+    await rig.ready()
+    peer.units[1].registers[WATCHDOG] = 0
+    await until(lambda: peer.written(WATCHDOG) == [500, 500])
+    await rig.ready()
+    assert EventKind.DRIVE_WARNING in rig.kinds()
+
+
+async def test_an_armed_drive_that_has_lost_its_watchdog_is_disarmed(peer):
+    peer.units[1] = Unit(registers_of("duty-register"))
+    async with running(spec_of(peer, [single("duty-register")])) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: 50 in peer.written(DUTY))
+        peer.units[1].registers[DUTY_WATCHDOG] = 0
+        await until(lambda: peer.written(DUTY_WATCHDOG) == [500, 500])
+        await rig.ready()
+        assert peer.written(DUTY)[-1] == 0
+
+
+async def test_no_drive_is_enabled_without_its_watchdog(rig, peer):
+    await rig.ready()
+    peer.units[1].on_write = lambda *_: peer.units[1].registers.update({WATCHDOG: 0})
+    with pytest.raises(HalError):
+        await rig.line.arm()
+    assert ENABLE not in peer.written(CONTROL)
+
+
+async def test_a_drive_that_is_enabled_unasked_is_switched_off_and_it_is_said_once(rig, peer):
+    await rig.ready()
+    offs = len(peer.written(CONTROL))
+
+    def stays_on(address, value):
+        if address == CONTROL:
+            peer.units[1].registers[CONTROL] = ENABLE
+
+    peer.units[1].on_write = stays_on
+    peer.units[1].registers[CONTROL] = ENABLE
+    await until(lambda: len(peer.written(CONTROL)) > offs + 6)
+    assert set(peer.written(CONTROL)[offs:]) == {OFF}
+    assert rig.kinds().count(EventKind.DRIVE_WARNING) == 1
+    peer.units[1].on_write = None
+    await until(lambda: peer.units[1].registers[CONTROL] == OFF)
+
+
+async def test_a_new_speed_never_goes_the_old_way(peer):
+    peer.units[1] = Unit(registers_of("bld-305s"))
+    async with running(spec_of(peer, [single("bld-305s")])) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+        await until(lambda: FORWARD in peer.written(RUN))
+        mark = len(peer.heard)
+        rig.loop.velocity_rad_s = {0: -90 * RPM}
+        await until(lambda: REVERSE in peer.written(RUN))
+        told = [
+            (request.address, *request.values)
+            for request in (heard.request for heard in peer.heard[mark:])
+            if request.values
+        ]
+        told = told[: told.index((RUN, REVERSE)) + 1]
+        assert told[-3:] == [(RUN, REST), (SPEED, 90), (RUN, REVERSE)]
+
+
+async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_again(peer):
+    """A pause of the whole process: the loop ticks again before the line has looked."""
+    peer.units[1] = Unit(registers_of("duty-register"))
+    async with running(spec_of(peer, [single("duty-register")], cycle_hz=10.0)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: 50 in peer.written(DUTY))
+        mark = len(peer.written(DUTY))
+        await until(lambda: len(peer.written(DUTY)) > mark)  # a cycle has just begun
+        time.sleep(0.6)  # nobody here does anything: line, loop and drive
+        rig.loop.put()
+        mark = len(peer.written(DUTY))
+        await until(lambda: rig.states() == {DriveState.READY})
+        await until(lambda: len(peer.written(DUTY)) > mark)
+        assert set(peer.written(DUTY)[mark:]) == {0}
+
+
+@pytest.mark.parametrize("how", ["zero", "power off", "the loop has died"])
+async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how):
+    peer.units[1] = Unit(registers_of("duty-register"))
+    spec = spec_of(peer, [single("duty-register")], cycle_hz=1.0, watchdog_s=9.0)
+    async with running(spec) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: 50 in peer.written(DUTY))
+        if how == "zero":
+            rig.loop.duty = {}
+        elif how == "power off":
+            rig.loop.enabled = False
+        else:
+            rig.loop.running = False
+        await until(lambda: peer.written(DUTY)[-1] == 0)
+        moving, zero = [
+            [h.at_s for h in peer.heard if h.request.address == DUTY and h.request.values == (raw,)]
+            for raw in (50, 0)
+        ]
+        assert zero[-1] - moving[-1] < 0.8
+
+
+async def test_shutting_down_tells_also_a_quiet_drive(peer):
+    async with running(spec_of(peer, hub_servo())) as rig:
+        await set_off(rig, peer)
+        peer.units[1].silent = True
+        await until(lambda: rig.states() == {DriveState.QUIET})
+        mark = len(peer.written(CONTROL))
+    assert OFF in peer.written(CONTROL)[mark:]
