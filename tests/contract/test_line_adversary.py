@@ -176,7 +176,7 @@ async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_agai
         await until(lambda: 50 in peer.written(DUTY))
         mark = len(peer.written(DUTY))
         await until(lambda: len(peer.written(DUTY)) > mark)  # a cycle has just begun
-        time.sleep(0.6)  # nobody here does anything: line, loop and drive
+        time.sleep(0.6)  # noqa: ASYNC251  # the pause: of line, loop and drive alike
         rig.loop.put()
         mark = len(peer.written(DUTY))
         await until(lambda: rig.states() == {DriveState.READY})

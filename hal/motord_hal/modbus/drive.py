@@ -329,8 +329,8 @@ class Drive:
         self.probe_at_s = now_s() + self._probe_pause_s()
 
     def _probe_requests(self) -> Iterable[Request]:
-        """It may hear us though we do not hear it. Then it still does what it was last told, as long
-        as questions keep its watchdog quiet: so one that may turn is told to stop."""
+        """It may hear us though we do not hear it, and then do what it was last told, as long as
+        questions keep its watchdog quiet: so one that may turn is told to stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
                 if step.value is not None:
