@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 import logging
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from motord import procedures
@@ -36,8 +36,11 @@ LINE_WITHIN_CYCLES = 5
 _log = logging.getLogger(__name__)
 
 
-async def run(robot: Robot, path: Path | None = None) -> None:
+async def run(
+    robot: Robot, path: Path | None = None, on_ready: Callable[[Path], None] = lambda _: None
+) -> None:
     """The daemon, until SIGINT, SIGTERM or SIGHUP: starts disarmed, ends at rest and disarmed.
+    `on_ready` is called once, with the socket's path, when it listens.
 
     Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
     PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
@@ -68,6 +71,7 @@ async def run(robot: Robot, path: Path | None = None) -> None:
             server = tasks.create_task(serve(listener, offered, operation.disconnect))
             _say_hello(operation, path)
             notifier.ready()
+            on_ready(path)
             await end.wait()
             _log.info("ending: the robot comes to rest first")
             notifier.stopping()

@@ -91,6 +91,8 @@ def running(
     stdout=subprocess.DEVNULL,
     simulated=True,
     motord=("-m", "motord"),
+    stderr=None,
+    options=(),
 ):
     """Its name is its own: tests run side by side, and a robot's state page is there once."""
     with contextlib.ExitStack() as cleanup:
@@ -105,9 +107,9 @@ def running(
         log, socket = folder / "daemon.log", folder / "daemon.sock"
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
-                [sys.executable, *motord, "run", str(robot), "--socket", str(socket),
+                [sys.executable, *motord, "run", str(robot), "--socket", str(socket), *options,
                  *(part for setting in overrides for part in ("--set", setting))],
-                stdin=subprocess.DEVNULL, stdout=stdout, stderr=sink, cwd=ROOT,
+                stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr or sink, cwd=ROOT,
                 env={**os.environ, **(environ or {})},
             )  # fmt: skip
         cleanup.callback(ended, daemon)

@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import subprocess
+from pathlib import Path
 
 import pytest
 from daemon_stage import DEADLINE_S, running, wait_until
@@ -114,6 +115,17 @@ def test_without_a_port_it_waits_says_so_once_and_ends_well(tmp_path):
         assert found["lines"]["rs485"]["state"] == "closed"
         assert stage.end() == 0
         assert len([line for line in stage.said().splitlines() if "No such file" in line]) == 1
+
+
+def test_it_says_in_one_object_that_it_listens_and_where(tmp_path):
+    with running(tmp_path, simulated=False, stdout=subprocess.PIPE, options=("--json",)) as stage:
+        ready = json.loads(stage.daemon.stdout.readline())
+        assert ready["pid"] == stage.daemon.pid
+        assert ready["socket"] == str(stage.socket)
+        assert Path(ready["state_page"]).exists()
+        assert stage.end() == 0
+        stage.daemon.stdout.close()
+    assert not Path(ready["state_page"]).exists()
 
 
 def test_a_reader_of_its_output_that_hangs_does_not_keep_it_from_driving(tmp_path):

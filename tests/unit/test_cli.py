@@ -136,6 +136,12 @@ def test_drives_checks_a_file_of_ones_own(motord, tmp_path):
     assert motord("drives", "x", "--check", bad).exit_code == Exit.USAGE
 
 
+def test_schema_on_one_line_is_the_same(motord):
+    short, long = motord("schema", "--json"), motord("schema")
+    assert short.stdout.count("\n") == 1
+    assert json.loads(short.stdout) == json.loads(long.stdout)
+
+
 def test_schema_is_json_for_an_editor(motord):
     schema = json.loads(motord("schema").stdout)
     assert schema["properties"]["limits"]

@@ -4,13 +4,23 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from pathlib import Path
 
 import click
 
 from motord import log
 from motord.app import run as run_daemon
-from motord.cli.common import Exit, Failure, load_or_exit, robot_argument, set_option
+from motord.cli.common import (
+    Exit,
+    Failure,
+    json_option,
+    load_or_exit,
+    print_json,
+    robot_argument,
+    set_option,
+)
+from motord.page_file import FOLDER, PREFIX
 from motord.rpc import SocketInUse
 from motord.rt import ConfigRefused, PageInUse
 from motord_hal.errors import ProfileError
@@ -26,12 +36,14 @@ from motord_hal.errors import ProfileError
     type=click.Path(path_type=Path, dir_okay=False),
     help="Local socket; /run/motord/ROBOT.sock or the user's own folder otherwise.",
 )
-def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None) -> None:
+@json_option
+def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None, as_json: bool) -> None:
     """The daemon, in the foreground; the log goes to stderr.
 
     Starts disarmed: motord arm lets the robot move. SIGINT and SIGTERM bring it to rest, take the
     power off and end; a second one does not wait for the ramp. Tells a service manager (sd_notify)
-    when it is ready and that everything still moves.
+    when it is ready and that everything still moves. With --json, one object on stdout when it
+    listens: robot, pid, socket, state_page.
 
     \b
     Example: motord run robot.toml
@@ -39,8 +51,16 @@ def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None) -> None
     """
     robot = load_or_exit(robot_file, overrides)
     log.set_up()
+
+    def say_ready(socket: Path) -> None:
+        name = robot.robot.name
+        page = FOLDER / f"{PREFIX}{name}"
+        print_json(
+            {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}
+        )
+
     try:
-        asyncio.run(run_daemon(robot, path))
+        asyncio.run(run_daemon(robot, path, say_ready if as_json else lambda _: None))
     except (ConfigRefused, ProfileError, LookupError) as error:
         raise Failure(str(error), Exit.USAGE) from error
     except (PageInUse, SocketInUse) as error:

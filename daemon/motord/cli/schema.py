@@ -7,14 +7,21 @@ import json
 
 import click
 
+from motord.cli.common import json_option, print_json
 from motord.config.schema import robot_schema
 
 
 @click.command
-def schema() -> None:
+@json_option
+def schema(as_json: bool) -> None:
     """JSON Schema of the robot file, each number with its SI unit: for editors.
+
+    It is JSON either way: indented for people, on one line with --json.
 
     \b
     Example: motord schema > robot.schema.json
     """
-    click.echo(json.dumps(robot_schema(), indent=2, ensure_ascii=False, allow_nan=False))
+    if as_json:
+        print_json(robot_schema())
+    else:
+        click.echo(json.dumps(robot_schema(), indent=2, ensure_ascii=False, allow_nan=False))
