@@ -2,10 +2,11 @@
  *
  * core_instructions.c: core_step() of a four-wheel skid drive at 1 kHz, for an instruction counter to look at.
  *
- *     core_instructions moving|rest TICKS FEEDBACK_EVERY_TICKS
+ *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS
  *
- * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a command that changes all the time, so
- * that ramps, easing, wheel saturation and curves all take their part. Rest: armed, a fresh command of zero.
+ * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new wish every 2 s, so that ramps, easing,
+ * wheel saturation and curves all take their part. Ramping: every 50 ms, so that no ramp ever ends. Rest: armed, a fresh
+ * command of zero.
  */
 #include "rt.h"
 
@@ -50,7 +51,8 @@ static void turn_wheels(const core_config *config, const setpoints *out, core_in
     }
 }
 
-static void command(core_input *input, long tick, int moving)
+/* leg_ticks: how long a wish lasts; 0: there is none */
+static void command(core_input *input, long tick, long leg_ticks)
 {
     input->now_ns += TICK_NS;
     input->control.heartbeat_ns = input->now_ns;
@@ -59,9 +61,9 @@ static void command(core_input *input, long tick, int moving)
     input->command.expires_ns = input->now_ns + 1000000000;
     input->command.linear_m_s = 0.0;
     input->command.angular_rad_s = 0.0;
-    if (moving && tick > 1) {
-        /* a new wish every two seconds: forward and back, straight and curved, beyond the wheels' limits at times */
-        long leg = tick / 2000;
+    if (leg_ticks > 0 && tick > 1) {
+        /* forward and back, straight and curved, beyond the wheels' limits at times */
+        long leg = tick / leg_ticks;
         input->command.linear_m_s = leg % 4 == 3 ? -0.8 : 0.4 + 0.2 * (double)(leg % 4);
         input->command.angular_rad_s = -1.8 + 0.6 * (double)(leg % 7);
     }
@@ -71,7 +73,7 @@ int main(int argc, char **argv)
 {
     if (argc != 4)
         return 2;
-    int moving = strcmp(argv[1], "moving") == 0;
+    long leg_ticks = strcmp(argv[1], "moving") == 0 ? 2000 : strcmp(argv[1], "ramping") == 0 ? 50 : 0;
     long ticks = atol(argv[2]), every = atol(argv[3]);
     static core_state state;
     static core_input input;
@@ -83,11 +85,11 @@ int main(int argc, char **argv)
         return 2;
     input.control.limits = config.limits;
     for (long tick = 0; tick < ticks; tick++) {
-        command(&input, tick, moving);
+        command(&input, tick, leg_ticks);
         if (tick % every == 0)
             turn_wheels(&config, &out, &input, position_rad, (double)every * 1e-3);
         core_step(&state, &input, 1e-3, &out, &snapshot);
     }
     /* a benchmark of a robot that is in fault, or stands when it should move, measures nothing */
-    return snapshot.armed && snapshot.faults == 0 && (snapshot.distance_m > 0.1) == moving ? 0 : 1;
+    return snapshot.armed && snapshot.faults == 0 && (snapshot.distance_m > 0.1) == (leg_ticks > 0) ? 0 : 1;
 }

@@ -3,8 +3,9 @@
 machine moves.
 
 Prints one JSON line; exit status 1 beyond the limits, 3 where valgrind is missing. `moving` and
-`rest` are means of a four-wheel base at 1 kHz with feedback of all wheels every 10th tick;
-`moving_with_feedback` is the mean where feedback comes in every tick.
+`rest` are means of a four-wheel base at 1 kHz with feedback of all wheels every 10th tick and, when
+moving, a new wish every 2 s. Beside them, without a limit: `ramping`, a new wish every 50 ms, so
+that no ramp ever ends; `moving_with_feedback`, feedback in every tick.
 """
 
 from __future__ import annotations
@@ -57,12 +58,13 @@ def main() -> int:
         program = Path(directory, "core_instructions")
         compile_to(program)
         moving, rest = count(program, "moving", 10), count(program, "rest", 10)
-        fresh = count(program, "moving", 1)
+        fresh, ramping = count(program, "moving", 1), count(program, "ramping", 10)
     ratio = rest / moving
     result = {
         "moving": round(moving, 1),
         "rest": round(rest, 1),
         "ratio": round(ratio, 3),
+        "ramping": round(ramping, 1),
         "moving_with_feedback": round(fresh, 1),
     }
     print(json.dumps(result))
