@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from sim_bench import ARRIVAL_DEADLINE_S
 
+from motord.tools.simulator import start_simulator
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply, reply_bytes
-from motord_hal.sim.control import ControlError, SimControl, start_simulator
+from motord_hal.sim.control import ControlError, SimControl
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "config/robots/demo.toml"

@@ -14,7 +14,8 @@ from pathlib import Path
 
 from motord.client import Client, ClientError
 from motord.page_file import FOLDER, PREFIX
-from motord_hal.sim.control import SimControl, start_simulator
+from motord.tools.simulator import start_simulator
+from motord_hal.sim.control import SimControl
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "config/robots/demo.toml"

@@ -24,7 +24,8 @@ from typing import Any
 from motord.client import Client, ClientError
 from motord.page_file import FOLDER, PREFIX
 from motord.tools.course import Pose, Score, command_at, score
-from motord_hal.sim.control import RobotTruth, SimControl, start_simulator
+from motord.tools.simulator import start_simulator
+from motord_hal.sim.control import RobotTruth, SimControl
 
 COMMAND_PERIOD_S = 0.05
 PATH_PERIOD_S = 0.1

@@ -1,26 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The other side of the simulator: start it as a process, ask it for the truth, hurt it."""
+"""The other side of the simulator: ask it for the truth, hurt it."""
 
 from __future__ import annotations
 
 import json
 import os
-import select
 import socket
-import subprocess
-import sys
-import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from motord_hal.sim.server import LINE_BYTES_MAX
 
 REPLY_TIMEOUT_S = 5.0
-START_TIMEOUT_S = 20.0
-STOP_TIMEOUT_S = 5.0
 
 
 class ControlError(RuntimeError):
@@ -132,83 +124,3 @@ class SimControl:
     def plug(self, line: str | None = None) -> None:
         """Plug it in again; the device file has another number then."""
         self.call("plug", line=line)
-
-
-class Simulator:
-    """A running simulator process. As a context it is stopped at the end; it also stops when this
-    process goes away. `control` is connected to it."""
-
-    def __init__(self, process: subprocess.Popen[bytes], hello: dict[str, Any]) -> None:
-        self.process = process
-        self.robot: str = hello["robot"]
-        self.ports: dict[str, str] = hello["ports"]
-        self.seed: int = hello["seed"]
-        self.control_path: str = hello["control"]
-        self.control = SimControl(self.control_path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        self.control.close()
-        _stop(self.process)
-
-
-def start_simulator(
-    robot: Path | str,
-    *,
-    faults: Iterable[str] = (),
-    seed: int | None = None,
-    link_dir: Path | str | None = None,
-    control: Path | str | None = None,
-    timeout_s: float = START_TIMEOUT_S,
-) -> Simulator:
-    """Start `motord simulate` and wait until its ports are there. Raises ControlError."""
-    command = [sys.executable, "-m", "motord", "simulate", os.fspath(robot), "--json"]
-    command += ["--stop-on-eof"]
-    for fault in faults:
-        command += ["--fault", fault]
-    options = {"--seed": seed, "--link-dir": link_dir, "--control": control}
-    for name, value in options.items():
-        command += [] if value is None else [name, str(value)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
-    line = _first_line(process, timeout_s)
-    if not line.endswith(b"\n"):
-        _stop(process)
-        raise ControlError(f"the simulator did not start: {' '.join(command)}: see stderr")
-    return Simulator(process, json.loads(line))
-
-
-def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
-    """What came until the newline, the end or the deadline."""
-    assert process.stdout is not None
-    deadline_s = time.monotonic() + timeout_s
-    line = b""
-    while not line.endswith(b"\n"):
-        left_s = deadline_s - time.monotonic()
-        ready = select.select([process.stdout], [], [], max(0.0, left_s))[0]
-        data = process.stdout.read(1) if ready else b""
-        if not data:
-            break
-        line += data
-    return line
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(STOP_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            stream.close()
