@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 async def run(
     robot: Robot, path: Path | None = None, on_ready: Callable[[Path], None] = lambda _: None
 ) -> None:
-    """The daemon, until SIGINT, SIGTERM or SIGHUP: starts disarmed, ends at rest and disarmed.
+    """The daemon, until a signal asks it to end: starts disarmed, ends at rest and disarmed.
     `on_ready` is called once, with the socket's path, when it listens.
 
     Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
@@ -88,7 +88,11 @@ def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     """Set by the first signal to end, and by the second."""
     loop = asyncio.get_running_loop()
     end, hurry = asyncio.Event(), asyncio.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    numbers = (
+        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+        # Ctrl-\ and Ctrl-Z: a daemon that is frozen or gone leaves the wheels to the drives
+        *(signal.SIGQUIT, signal.SIGTSTP),
+    )
 
     def asked() -> None:
         (hurry if end.is_set() else end).set()

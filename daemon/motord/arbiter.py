@@ -6,7 +6,7 @@ The fresh lease with the highest priority commands; among equals the one who cam
 belongs to a connection and an owner in it, and lives only as long as it is renewed: with each
 command, for its own lifetime. Who asks for motion while nobody may move is held: his lease says
 zero until he has asked for zero himself or has let it lapse. So a source that goes on sending
-through a stop, or before arming, moves nothing.
+through a stop, or before arming, moves nothing, also when it connects anew for each command.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ class Arbiter:
 
     def __init__(self) -> None:
         self._leases: dict[tuple[int, str], Lease] = {}
+        self._gone: dict[str, int] = {}
+        """Owners that were held when their connection ended, and when their lease would have."""
         self._numbers = itertools.count(1)
 
     def submit(
@@ -77,7 +79,9 @@ class Arbiter:
         if before is not None and now_ns >= before.expires_ns:
             before = None
         still = linear_m_s == 0.0 and angular_rad_s == 0.0
-        held = not still and (not may_move or (before is not None and before.held))
+        gone_until_ns = self._gone.pop(owner, 0)
+        barred = now_ns < gone_until_ns if before is None else before.held
+        held = not still and (not may_move or barred)
         lease = Lease(
             number=next(self._numbers) if before is None else before.number,
             owner=owner,
@@ -97,8 +101,13 @@ class Arbiter:
         self._leases.pop((connection, owner), None)
 
     def disconnect(self, connection: int) -> None:
-        """Every lease of a connection ends with it."""
-        self._leases = {key: lease for key, lease in self._leases.items() if key[0] != connection}
+        """Every lease of a connection ends with it. Who is held stays so on his next connection."""
+        for key, lease in list(self._leases.items()):
+            if key[0] == connection:
+                del self._leases[key]
+                if lease.held:
+                    until_ns = self._gone.get(lease.owner, 0)
+                    self._gone[lease.owner] = max(until_ns, lease.expires_ns)
 
     def hold(self) -> None:
         """Stop: everybody who asks for motion is held."""
@@ -107,6 +116,7 @@ class Arbiter:
 
     def leases(self, now_ns: int) -> list[Lease]:
         """The fresh ones, who commands first; what has lapsed is forgotten."""
+        self._gone = {owner: until for owner, until in self._gone.items() if now_ns < until}
         self._leases = {
             key: lease for key, lease in self._leases.items() if now_ns < lease.expires_ns
         }

@@ -63,7 +63,7 @@ def methods(
         "disarm": _acting(lambda _: procedures.disarm(operation)),
         "stop": _acting(lambda _: procedures.stop(operation)),
         "estop": _acting(
-            lambda who: procedures.estop(operation, f"asked for by process {who.pid}")
+            lambda who: procedures.estop(operation, f"asked for by process {who.pid}"), urgent=True
         ),
         "reset": _acting(lambda _: procedures.reset(operation)),
         "reset_odometry": _acting(lambda _: procedures.reset_odometry(operation)),
@@ -74,11 +74,11 @@ def _looking(look: Callable[[], Any]) -> Method:
     return Method(lambda caller, params: look(), commands=False)  # noqa: ARG005  # a Method's call
 
 
-def _acting(act: Callable[[Caller], Awaitable[State]]) -> Method:
+def _acting(act: Callable[[Caller], Awaitable[State]], *, urgent: bool = False) -> Method:
     async def call(caller: Caller, _: Params) -> dict[str, str]:
         return {"state": (await act(caller)).value}
 
-    return Method(call)
+    return Method(call, urgent=urgent)
 
 
 def _input(operation: Operation) -> SocketInput:

@@ -85,6 +85,8 @@ class Method:
     params: type[BaseModel] = Params
     commands: bool = True
     """Only for who may command."""
+    urgent: bool = False
+    """Never too many calls to be taken."""
 
 
 # --------------------------------------------------------------------------------- the socket file
@@ -289,7 +291,7 @@ class _Connection:
             number = request.get("id", _NOBODY)
             result = self._call(request["method"], request.get("params", {}))
             if inspect.iscoroutine(result):
-                self._admit(result)
+                self._admit(result, urgent=self._methods[request["method"]].urgent)
                 calls.create_task(self._finish(number, result))
             else:
                 self._answer(number, {"result": result})
@@ -311,8 +313,8 @@ class _Connection:
             raise RpcError(f"{name}: {words(error)}", INVALID_PARAMS) from error
         return method.call(self._caller, params)
 
-    def _admit(self, call: Coroutine[Any, Any, Any]) -> None:
-        if self._calls >= CALLS_MAX:
+    def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
+        if self._calls >= CALLS_MAX and not urgent:
             call.close()
             raise Refused(f"{CALLS_MAX} calls of yours are under way: wait for them")
         self._calls += 1

@@ -152,6 +152,25 @@ def test_what_is_not_finite_is_refused_and_leaves_the_lease_as_it_was(which, val
     assert arbiter.commander(START_NS + 10 * MS) == before
 
 
+def test_who_was_held_is_held_on_his_next_connection_until_his_lease_has_lapsed():
+    arbiter = Arbiter()
+    submit(arbiter, 0)
+    arbiter.hold()
+    arbiter.disconnect(1)
+    assert submit(arbiter, 100, connection=2).held
+    arbiter.disconnect(2)
+    assert not submit(arbiter, 400, connection=3).held
+
+
+def test_who_was_held_is_free_on_his_next_connection_when_he_has_sent_zero():
+    arbiter = Arbiter()
+    submit(arbiter, 0)
+    arbiter.hold()
+    arbiter.disconnect(1)
+    submit(arbiter, 100, connection=2, linear_m_s=0.0, angular_rad_s=0.0)
+    assert not submit(arbiter, 150, connection=2).held
+
+
 @given(lease_s=st.floats())
 def test_a_lifetime_out_of_bounds_is_refused(lease_s):
     arbiter = Arbiter()
@@ -175,17 +194,22 @@ class Sources(RuleBasedStateMachine):
         self.now_ns = START_NS
         self.stopped = set()
         """Sources that have asked for motion without a break since the last stop."""
+        self.left = {}
+        """Owners of those whose connection ended, and when their lease would have."""
 
     @rule(**KEYS, priority=st.integers(0, 3), lease_ms=st.integers(20, 5000),
           linear_m_s=st.sampled_from([0.0, -0.0, 0.5, 1e300]))  # fmt: skip
     def command(self, connection, owner, priority, lease_ms, linear_m_s):
         fresh = (connection, owner) in self.fresh()
+        left = self.now_ns < self.left.pop(owner, 0)
         lease = self.arbiter.submit(
             self.now_ns, owner=owner, connection=connection, priority=priority,
             lease_s=lease_ms / 1000, linear_m_s=linear_m_s, angular_rad_s=0.0, may_move=True,
         )  # fmt: skip
         if not fresh or linear_m_s == 0.0:
             self.stopped.discard((connection, owner))
+        if not fresh and left and linear_m_s != 0.0:
+            self.stopped.add((connection, owner))
         if (connection, owner) in self.stopped:
             assert lease.twist == (0.0, 0.0)
         else:
@@ -198,6 +222,9 @@ class Sources(RuleBasedStateMachine):
 
     @rule(connection=st.integers(1, 3))
     def disconnect(self, connection):
+        for key, lease in self.fresh().items():
+            if key[0] == connection and key in self.stopped:
+                self.left[lease.owner] = max(lease.expires_ns, self.left.get(lease.owner, 0))
         self.arbiter.disconnect(connection)
         assert not any(key[0] == connection for key in self.fresh())
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -15,7 +16,7 @@ from motord_hal.modbus.guard import Answer
 from motord_hal.modbus.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, DrivePlan, ReadRange
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
 
@@ -77,11 +78,11 @@ class Drive:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
 
     # ------------------------------------------------------------------------------------ talking
-    async def _ask(self, request: Request) -> Answer:
+    async def _ask(self, request: Request, send_by_s: float = math.inf) -> Answer:
         given = [j.reply_timeout_s for j in self.plan.joints if j.reply_timeout_s is not None]
         turnaround_s = self.plan.profile.turnaround_s
         default_s = self._link.client.reply_deadline_s(request, turnaround_s)
-        answer = await self._link.ask(request, max(given, default=default_s))
+        answer = await self._link.ask(request, max(given, default=default_s), send_by_s)
         self._failures = 0
         self._stamp_ns = answer.stamp_ns
         asked_s = answer.stamp_ns * 1e-9 - 0.5 * answer.round_trip_s
@@ -95,9 +96,9 @@ class Drive:
         self._values.update(values)
         self._stamps_ns.update(dict.fromkeys(values, answer.stamp_ns))
 
-    async def _write(self, raw: Mapping[str, int]) -> None:
+    async def _write(self, raw: Mapping[str, int], send_by_s: float = math.inf) -> None:
         for request in self.plan.writes(raw):
-            await self._ask(request)
+            await self._ask(request, send_by_s)
 
     # ----------------------------------------------------------------------------- the cyclic part
     async def cycle(self, wanted: Callable[[], Wanted]) -> None:
@@ -118,13 +119,16 @@ class Drive:
     async def _write_setpoints(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
         self.told_motion = any(raw.values())
+        # made before a pause of the process, motion is not told after it
+        good_for_s = min(self._watchdog_s, SETPOINT_TIMEOUT_S + self.plan.slowest_cycle_s())
+        send_by_s = now_s() + good_for_s if self.told_motion else math.inf
         armed = self.state is DriveState.ARMED
         ways = self.plan.directions(wanted, raw) if armed else {}
         for register, way in ways.items():
             # never a new magnitude the old way, also when the next frame is lost
             if way not in (self._ways.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
-        await self._write(raw)
+        await self._write(raw, send_by_s)
         if self.state is DriveState.ARMED:  # and not disarmed meanwhile
             await self._turn(ways)
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import termios
 from dataclasses import dataclass
@@ -193,13 +194,18 @@ class GuardedClient:
             self._last_byte_s += self.wire_time_s(len(data))
         return data
 
-    async def exchange(self, request: Request, within_s: float) -> Answer:
-        """Send and return the answer, `within_s` after the request's last byte.
+    async def exchange(
+        self, request: Request, within_s: float, send_by_s: float = math.inf
+    ) -> Answer:
+        """Send and return the answer, `within_s` after the request's last byte. After `send_by_s`
+        it is not sent any more: NoReply.
 
         Raises NoReply, BadReply, Refused, PortError. A broadcast answers at once with nothing.
         """
         async with self._lock:
             await self._wait_for_silence(request.unit)
+            if now_s() > send_by_s:
+                raise NoReply(f"{self.port} unit {request.unit}: too old to be sent")
             self._framer.arm(request)
             answered = False
             try:

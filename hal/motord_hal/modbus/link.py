@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from motord_hal.clock import now_s
@@ -28,10 +29,10 @@ class Link:
         self._round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
         self._cycle_starts_s: deque[float] = deque(maxlen=CYCLES_KEPT)
 
-    async def ask(self, request: Request, within_s: float) -> Answer:
+    async def ask(self, request: Request, within_s: float, send_by_s: float = math.inf) -> Answer:
         """As GuardedClient.exchange."""
         try:
-            answer = await self.client.exchange(request, within_s)
+            answer = await self.client.exchange(request, within_s, send_by_s)
         except (NoReply, BadReply, Refused, PortError) as error:
             kind = next(word for cls, word in _KINDS if isinstance(error, cls))
             self._errors[kind] = self._errors.get(kind, 0) + 1
