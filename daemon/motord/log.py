@@ -51,6 +51,8 @@ class _Writer(logging.Handler):
             self._lines.put_nowait(self.format(record).encode(errors="backslashreplace") + b"\n")
         except queue.Full:
             self._lost += 1
+        except (TypeError, ValueError):  # words and values that do not fit: never the robot's end
+            self.handleError(record)
 
     def _write(self) -> None:
         while (line := self._lines.get()) is not None:

@@ -113,5 +113,7 @@ def _release(operation: Operation, caller: Caller, params: ReleaseParams) -> dic
 
 def _set(operation: Operation, params: ValuesParams) -> dict[str, float | None]:
     wanted = params.model_extra or {}
-    operation.set_limits(parameters.changed(operation.limits, wanted))
+    now = operation.snapshot
+    moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s
+    operation.set_limits(parameters.changed(operation.limits, wanted, *moving))
     return parameters.values(operation.limits, wanted)

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from motord.assembly import base_limits
 from motord.config import Limits
+from motord.config.model import REST_MAX_S
 from motord.config.problems import nearest
 from motord.rpc import INVALID_PARAMS, RpcError, words
 from motord.rt import limits_problem
@@ -42,8 +43,11 @@ def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]
     return {_PREFIX + key: _plain(getattr(limits, key)) for key in keys}
 
 
-def changed(limits: Limits, wanted: Mapping[str, Any]) -> Limits:
-    """All of them as one group, whether they were set before or not. Raises RpcError: then none."""
+def changed(
+    limits: Limits, wanted: Mapping[str, Any], linear_m_s: float = 0.0, angular_rad_s: float = 0.0
+) -> Limits:
+    """All of them as one group, whether they were set before or not, for a robot that moves so.
+    Raises RpcError: then none."""
     asked = {_key(name): math.inf if value is None else value for name, value in wanted.items()}
     try:
         made = Limits.model_validate({**limits.model_dump(), **asked})
@@ -51,6 +55,12 @@ def changed(limits: Limits, wanted: Mapping[str, Any]) -> Limits:
         raise RpcError(f"{_PREFIX}{words(error)}", INVALID_PARAMS) from error
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
+    if (rest_s := made.rest_s(linear_m_s, angular_rad_s)) > REST_MAX_S:
+        raise RpcError(
+            f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
+            "and jerk, or less speed",
+            INVALID_PARAMS,
+        )
     return made
 
 

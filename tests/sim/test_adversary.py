@@ -13,7 +13,7 @@ import sys
 import pytest
 from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
 
-from motord.client import Client, Refused
+from motord.client import Client, ClientError, Refused
 
 SKID = ROOT / "config/robots/skid4.toml"
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
@@ -271,4 +271,71 @@ def test_a_client_closed_is_a_lease_ended(tmp_path):
         with Client(stage.socket) as source:
             wait_until(lambda: source.drive(0.4, 0.0, lease_s=5.0) and min(wheels_rad_s(stage)) > 3,
                        "the wheels turn")  # fmt: skip
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+BREAKING = """
+import os, sys
+from motord.__main__ import main
+from motord.bus.publish.stdout import StdoutPublisher
+def hand_over(publisher, line):
+    if os.path.exists(sys.argv[-1] + ".break"):
+        raise ValueError("nobody expected this")
+StdoutPublisher._hand_over = hand_over
+main()
+"""
+
+
+def test_an_error_that_nobody_expected_ends_the_daemon_at_rest_and_without_power(tmp_path):
+    code = BREAKING.replace("sys.argv[-1]", repr(str(tmp_path / "publisher")))
+    settings = ("publish.console.rate_hz=20",)
+    with running(tmp_path, *settings, motord=("-c", code)) as stage:
+        set_off(stage)
+        (tmp_path / "publisher.break").touch()
+        assert stage.daemon.wait(DEADLINE_S) != 0
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+        assert not powered(stage)
+        assert "nobody expected this" in stage.said()
+
+
+def test_a_signal_in_the_middle_of_arming_ends_it_without_power(tmp_path):
+    with running(tmp_path, "line.rs485.cycle_hz=2") as stage, raw_connection(stage) as peer:
+        stage.wait_for("idle")
+        peer.sendall(request(1, "arm"))
+        wait_until(lambda: stage.robot.status()["lines"]["rs485"]["exchanges"] > 0, "an exchange")
+        assert stage.end() == 0
+        assert not powered(stage)
+
+
+def test_a_plug_that_is_out_for_a_moment_while_it_arms_leaves_it_disarmed(tmp_path):
+    with running(tmp_path, "line.rs485.cycle_hz=5") as stage, raw_connection(stage) as peer:
+        stage.wait_for("idle")
+        peer.sendall(request(1, "arm"))
+        stage.sim.pull("rs485")
+        stage.sim.plug("rs485")
+        with peer.makefile() as answers:
+            assert "error" in json.loads(answers.readline())
+        assert not powered(stage)
+
+        def armed():
+            with contextlib.suppress(Refused):
+                return stage.robot.arm() == "armed"
+
+        wait_until(armed, "it arms again when asked to")
+
+
+def test_a_limit_changed_under_way_never_makes_it_faster_than_before(tmp_path):
+    with running(tmp_path) as stage:
+        set_off(stage)
+        for name, value in (
+            ("limits.linear_m_s", 0.001), ("limits.linear_m_s2", 100.0),
+            ("limits.linear_m_s3", None), ("limits.linear_deceleration_m_s2", 100.0),
+        ):  # fmt: skip
+            stage.robot.params_set(**{name: value})
+            stage.robot.drive(0.4, 0.0)
+        with pytest.raises(ClientError, match="to rest"):
+            stage.robot.params_set(**{"limits.linear_deceleration_m_s2": 0.001})
+        wait_until(lambda: stage.robot.drive(1e308, 0.0) and max(wheels_rad_s(stage)) < 0.3, "slow")
+        stage.robot.estop()
+        stage.robot.params_set(**{"limits.linear_m_s": 1.0})
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")

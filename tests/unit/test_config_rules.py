@@ -70,6 +70,22 @@ def line_that_says(path, text):
         ),
         (
             "demo",
+            [("linear_deceleration_m_s2 = 1.5", "linear_deceleration_m_s2 = 0.01")],
+            (
+                "limits: from full speed it takes 100 s to rest (at most 20 s): "
+                "more deceleration and jerk, or less speed"
+            ),
+        ),
+        (
+            "demo",
+            [("angular_rad_s3 = 30.0", "angular_rad_s3 = 0.01")],
+            (
+                "limits: from full speed it takes 28 s to rest (at most 20 s): "
+                "more deceleration and jerk, or less speed"
+            ),
+        ),
+        (
+            "demo",
             [('side = "right"', 'side = "left"')],
             'joint: no joint is on the right (side = "right")',
         ),
@@ -255,7 +271,7 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
         (
             "demo",
             [("cycle_hz = 50", "cycle_hz = 200")],
-            "line.rs485.cycle_hz: 200 Hz is more than the wire carries: about 73.6 Hz",
+            "line.rs485.cycle_hz: 200 Hz is more than the wire carries: about 73.5 Hz",
         ),
         (
             "demo",

@@ -136,6 +136,31 @@ class Limits(Section):
     )
     angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
 
+    def rest_s(self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0) -> float:
+        """How long a stop takes at most: from full speed, or from these where they are more."""
+        linear_s = _ramp_s(
+            max(self.linear_m_s, abs(linear_m_s)),
+            self.linear_deceleration_m_s2,
+            self.linear_m_s3,
+        )
+        angular_s = _ramp_s(
+            max(self.angular_rad_s, abs(angular_rad_s)),
+            self.angular_deceleration_rad_s2,
+            self.angular_rad_s3,
+        )
+        return max(linear_s, angular_s)
+
+
+REST_MAX_S = 20.0
+"""A stop that takes longer is none."""
+
+
+def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:
+    """From a velocity to rest: the deceleration rises by the jerk, and may not get to its limit."""
+    if velocity * jerk < deceleration**2:
+        return 2.0 * math.sqrt(velocity / jerk)
+    return velocity / deceleration + deceleration / jerk
+
 
 class Safety(Section):
     """When to stop, and how."""

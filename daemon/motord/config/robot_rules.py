@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
-from motord.config.model import Robot, SkidBase
+from motord.config.model import REST_MAX_S, Robot, SkidBase
 from motord.config.problems import nearest
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
@@ -50,6 +50,12 @@ def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
             yield Finding(paths, f'line "{one}" has this port already')
 
 
+def _stops_in_time(robot: Robot) -> Iterator[Finding]:
+    if (rest_s := robot.limits.rest_s()) > REST_MAX_S:
+        text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
+        yield Finding((("limits",),), f"{text}: more deceleration and jerk, or less speed")
+
+
 def _slip_factor(robot: Robot) -> Iterator[Finding]:
     if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
         text = "a skid base without track_slip_factor turns less than it is told (1.5 is usual)"
@@ -61,5 +67,6 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _known_lines,
     _line_count,
     _one_port_a_line,
+    _stops_in_time,
     _slip_factor,
 )
