@@ -184,7 +184,7 @@ async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_agai
         assert set(peer.written(DUTY)[mark:]) == {0}
 
 
-@pytest.mark.parametrize("how", ["zero", "power off", "the loop has died"])
+@pytest.mark.parametrize("how", ["zero", "power off", "disarm", "the loop has died"])
 async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how):
     peer.units[1] = Unit(registers_of("duty-register"))
     spec = spec_of(peer, [single("duty-register")], cycle_hz=1.0, watchdog_s=9.0)
@@ -194,6 +194,8 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
         await until(lambda: 50 in peer.written(DUTY))
         if how == "zero":
             rig.loop.duty = {}
+        elif how == "disarm":
+            await rig.line.disarm()
         elif how == "power off":
             rig.loop.enabled = False
         else:
@@ -204,6 +206,26 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
             for raw in (50, 0)
         ]
         assert zero[-1] - moving[-1] < 0.8
+
+
+async def test_a_stop_that_was_lost_on_a_slow_line_is_told_again_at_once(peer):
+    def lose_one_zero(request, honest):
+        if (request.address, request.values) == (DUTY, (0,)):
+            return []
+        peer.tricks.append(lose_one_zero)
+        return [(0.0, honest)]
+
+    peer.units[1] = Unit(registers_of("duty-register"))
+    spec = spec_of(peer, [single("duty-register")], cycle_hz=1.0, watchdog_s=9.0)
+    async with running(spec) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: peer.written(DUTY)[-2:] == [50, 50])
+        peer.tricks.append(lose_one_zero)
+        rig.loop.duty = {}
+        await until(lambda: peer.written(DUTY)[-2:] == [0, 0])
+        first, second = [h.at_s for h in peer.heard if h.request.address == DUTY][-2:]
+        assert second - first < 0.8
 
 
 async def test_shutting_down_tells_also_a_quiet_drive(peer):

@@ -45,7 +45,7 @@ class Drive:
         """Set-points were enabled since it was armed: the next disable takes its power."""
         self.probe_at_s = 0.0
         self.told_motion = False
-        """The newest set-points that it was sent are not all zero."""
+        """It was sent set-points that are not zero, and has not acknowledged zero since."""
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self._link = link
         self._exchange = exchange
@@ -118,10 +118,11 @@ class Drive:
 
     async def _write_setpoints(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
-        self.told_motion = any(raw.values())
+        motion = any(raw.values())
+        self.told_motion |= motion
         # made before a pause of the process, motion is not told after it
         good_for_s = min(self._watchdog_s, SETPOINT_TIMEOUT_S + self.plan.slowest_cycle_s())
-        send_by_s = now_s() + good_for_s if self.told_motion else math.inf
+        send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
         ways = self.plan.directions(wanted, raw) if armed else {}
         for register, way in ways.items():
@@ -129,6 +130,7 @@ class Drive:
             if way not in (self._ways.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
         await self._write(raw, send_by_s)
+        self.told_motion = motion
         if self.state is DriveState.ARMED:  # and not disarmed meanwhile
             await self._turn(ways)
 

@@ -165,8 +165,9 @@ class ModbusRtuLine:
             await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
 
     def _has_to_stop(self, drive: Drive) -> bool:
-        moving = drive.state is DriveState.ARMED and drive.told_motion
-        return moving and not any(any(wish) for wish in self._wanted(drive).values())
+        heard = drive.state in (DriveState.READY, DriveState.ARMED)
+        wishes = self._wanted(drive).values()
+        return heard and drive.told_motion and not any(any(wish) for wish in wishes)
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: Drive) -> Wanted:
