@@ -35,6 +35,8 @@ def stage(everyone):
     everyone.robot.reset()
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
+    everyone.robot.drive(0.0, 0.0)  # who was held in the test before, is held no more
+    everyone.robot.release()
     everyone.sim.reset_truth()
     return everyone
 
