@@ -35,6 +35,7 @@ def stage(everyone):
     everyone.robot.reset()
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
+    wait_until(lambda: not everyone.robot.status()["leases"], "the last test's sources are gone")
     everyone.robot.drive(0.0, 0.0)  # who was held in the test before, is held no more
     everyone.robot.release()
     everyone.sim.reset_truth()
@@ -82,7 +83,7 @@ def set_off(stage, *more, **lease):
     stage.robot.arm()
     with contextlib.ExitStack() as unless_off:
         source = unless_off.enter_context(Source(stage, SPEED_M_S, *(more or (0.0,)), **lease))
-        wait_until(lambda: wheels_turn(stage), f"the wheels turn: {source.refusals}")
+        wait_until(lambda: wheels_turn(stage), "the wheels turn")
         unless_off.pop_all()
     return source
 
