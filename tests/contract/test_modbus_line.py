@@ -391,7 +391,8 @@ async def test_an_absent_port_is_said_once_and_opened_when_it_comes(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await until(lambda: rig.kinds() == [EventKind.LINE_LOST])
         assert "No such file" in rig.events[0].text
-        await asyncio.sleep(0.3)  # some tries more
+        pause_s = rig.line._backoff._next_s
+        await until(lambda: rig.line._backoff._next_s > pause_s, "it has tried again")
         assert rig.kinds() == [EventKind.LINE_LOST]
         peer.plug()
         await rig.ready()
