@@ -22,6 +22,10 @@ BAUDRATE = 115200
 TURNAROUND_S = 0.002
 
 
+def profiles_that(have_it):
+    return [name for name in list_profiles() if have_it(find_profile(name))]
+
+
 @pytest.fixture(params=list_profiles())
 def profile(request):
     found = find_profile(request.param)
@@ -108,9 +112,8 @@ async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig,
             await until(agrees, f"{joint.name} says how fast it is")
 
 
+@pytest.mark.parametrize("profile", profiles_that(can_reverse), indirect=True)
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
-    if not can_reverse(profile):
-        pytest.skip(f"{profile.name} turns one way")
     await set_off(rig, sim, way=-1.0)
     for joint in rig.line.spec.joints:
         await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
@@ -118,9 +121,8 @@ async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     assert sim.truth().joints["left"].velocity_rad_s > 0
 
 
+@pytest.mark.parametrize("profile", profiles_that(lambda p: p.counter_bits), indirect=True)
 async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
-    if not profile.counter_bits:
-        pytest.skip(f"{profile.name} has no counter")
     await rig.ready()
     joints = rig.line.spec.joints
     await until(lambda: all(feedback(rig, joint).stamp_ns for joint in joints), "first counts")
