@@ -187,7 +187,7 @@ class Operation:
             how = "wait until it is at rest" if self.state is State.STOPPING else "motord arm"
             if self.state in _LATCHED:
                 how = "motord reset, then motord arm"
-            raise Refused(f"the robot is {self.state}, so it does not move: {how}")
+            raise Refused(f"the state is {self.state}, so the robot does not move: {how}")
         if lease.held:
             raise Refused(
                 f"{owner} went on asking for motion while nobody might move: "

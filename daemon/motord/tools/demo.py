@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motord.client import Client, ClientError
+from motord.client import Client, ClientError, Refused
 from motord.page_file import FOLDER, PREFIX
 from motord.tools.course import Pose, Score, command_at, score
 from motord.tools.simulator import start_simulator
@@ -204,8 +204,11 @@ def run_demo(
         stage.robot.reset_odometry()
         stage.robot.arm()
         start = time.monotonic()
-        path = drive(stage, seconds, progress)
-        stage.robot.stop()
+        try:
+            path = drive(stage, seconds, progress)
+            stage.robot.stop()
+        except Refused as refusal:
+            raise DemoError(f"{refusal}\n{stage.tail()}") from refusal
         stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
         seconds = time.monotonic() - start
         stage.robot.disarm()
