@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,6 @@ class Stage:
     robot: Client
     sim: SimControl
     socket: Path
-    folder: Path
 
     def check(self) -> None:
         if self.daemon.poll() is not None:
@@ -134,11 +133,7 @@ def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
 
 
 @contextlib.contextmanager
-def staged(
-    robot_file: Path,
-    lines: list[str],
-    motord: Sequence[str] = (sys.executable, "-m", "motord"),
-) -> Iterator[Stage]:
+def staged(robot_file: Path, lines: list[str]) -> Iterator[Stage]:
     """Simulated drives and a daemon on them; both are gone afterwards, whatever happened."""
     with contextlib.ExitStack() as cleanup:
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motord-demo-")))
@@ -151,14 +146,23 @@ def staged(
         cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
-                [*motord, "run", str(robot_file), *settings, "--socket", str(socket)],
+                [
+                    sys.executable,
+                    "-m",
+                    "motord",
+                    "run",
+                    str(robot_file),
+                    *settings,
+                    "--socket",
+                    str(socket),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=sink,
             )
         cleanup.callback(end, daemon)
         client = cleanup.enter_context(connect(daemon, socket, log))
-        yield Stage(daemon, log, client, sim.control, socket, folder)
+        yield Stage(daemon, log, client, sim.control, socket)
 
 
 def end(daemon: subprocess.Popen[bytes]) -> None:
