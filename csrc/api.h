@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the whole border between Python and C. Two readers: the C compiler (through rt.h) and cffi
- * (through build_ffi.py). So it holds typedefs, enums, comments and prototypes, and no preprocessor line.
+ * api.h: the border between Python and C; what serial lines add is in api_line.h. Two readers: the C compiler
+ * (through rt.h) and cffi (through build_ffi.py). So both hold typedefs, enums, comments and prototypes, and no
+ * preprocessor line.
  *
  * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
  * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.
@@ -379,6 +380,9 @@ int exchange_take_command(exchange *x, twist_command *out);
 int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
+/* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
+int exchange_set_line_wake(exchange *x, uint32_t line, int fd);
+int exchange_line_wake(const exchange *x, uint32_t line);
 
 /* ---------------------------------------------------------------------------------------------- state page
  * Shared memory, one writer, any number of readers, who need no lock and cannot disturb. docs/state-page.md */

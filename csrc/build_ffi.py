@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds `_motord_rt` from api.h: cffi API mode, so the C compiler checks every field's place.
+"""Builds `_motord_rt` from api.h and api_line.h by cffi in API mode: the C compiler checks every
+field's place.
 
 ABI mode was tried and refused: two swapped fields went through without a word.
 `MOTORD_CFLAGS` adds compiler flags (sanitizers, -Werror in CI).
@@ -27,7 +28,8 @@ FLAGS = [
 ]
 
 ffi = FFI()
-ffi.cdef((HERE / "api.h").read_text(encoding="utf-8"))
+for header in ("api.h", "api_line.h"):
+    ffi.cdef((HERE / header).read_text(encoding="utf-8"))
 ffi.set_source(
     "_motord_rt",
     '#include "rt.h"',

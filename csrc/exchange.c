@@ -19,6 +19,7 @@ void exchange_init(exchange *x)
     }
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         mailbox_init(&x->setpoints[line].box);
+        atomic_store(&x->line_wake_fd[line], -1);
     }
 }
 
@@ -78,4 +79,18 @@ int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out)
     }
     setpoints_box *from = &x->setpoints[line];
     return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}
+
+int exchange_set_line_wake(exchange *x, uint32_t line, int fd)
+{
+    if (line >= LINES_MAX) {
+        return -EINVAL;
+    }
+    atomic_store(&x->line_wake_fd[line], fd);
+    return 0;
+}
+
+int exchange_line_wake(const exchange *x, uint32_t line)
+{
+    return line < LINES_MAX ? atomic_load(&x->line_wake_fd[line]) : -1;
 }

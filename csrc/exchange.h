@@ -31,6 +31,7 @@ struct exchange {
     control_box control;
     feedback_box feedback[JOINTS_MAX];
     setpoints_box setpoints[LINES_MAX];
+    _Atomic int line_wake_fd[LINES_MAX];
 };
 
 #endif

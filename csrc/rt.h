@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rt.h: api.h for the C compiler. api.h itself has no preprocessor line, because cffi reads it too. */
+ * rt.h: api.h and api_line.h for the C compiler; they have no preprocessor line, because cffi reads them too. */
 #ifndef MOTORD_RT_H
 #define MOTORD_RT_H
 
@@ -8,5 +8,6 @@
 #include <stdint.h>
 
 #include "api.h"
+#include "api_line.h"
 
 #endif

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.profile import DriveProfile, Gap
 
 SETPOINT_TIMEOUT_S = 0.1
 """A line takes set-points older than this for none: it stops and disarms its drives."""
@@ -29,6 +29,8 @@ class JointSpec:
     profile: DriveProfile
     unit: int
     channel: int = 1
+    cycle_hz: float | None = None
+    """Wished rate of this joint's drive; None: the line's."""
     gear_ratio: float = 1.0
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
@@ -39,6 +41,42 @@ class JointSpec:
     turn-around."""
 
 
+class DirectionKind(enum.StrEnum):
+    """Who turns an RS485 transceiver from listening to talking and back."""
+
+    AUTO = "auto"
+    """The adapter itself: there is nothing to do."""
+    KERNEL = "kernel"
+    """The UART's driver, by RTS (kernel: Documentation/driver-api/serial/serial-rs485.rst)."""
+    GPIO = "gpio"
+    """The line's own thread, by a GPIO line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionSpec:
+    """How the transceiver is turned. The delays are between the edge and the first bit, and between
+    the last bit and the edge back."""
+
+    kind: DirectionKind = DirectionKind.AUTO
+    active_high: bool = True
+    """The level of RTS or of the GPIO line while talking."""
+    before_s: float = 0.0
+    after_s: float = 0.0
+    gpio_chip: str = ""
+    """GPIO: the chip's label or device file."""
+    gpio_line: str = ""
+    """GPIO: the line's name or its number on the chip."""
+
+
+class Echo(enum.StrEnum):
+    """Whether the adapter hears what it says itself."""
+
+    NO = "no"
+    YES = "yes"
+    AUTO = "auto"
+    """Found out by the first read after opening."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineSpec:
     """One medium and the joints on it. `index` is the line's place in the exchange."""
@@ -46,7 +84,10 @@ class LineSpec:
     index: int
     name: str
     kind: str
+    """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
+    gateway."""
     port: str
+    """A device file, "usb:SERIAL" for the adapter with that serial number, or HOST:PORT."""
     baudrate: int
     parity: str
     """"none" | "even" | "odd"."""
@@ -54,10 +95,17 @@ class LineSpec:
     cycle_hz: float
     """Wished cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
     gap_s: float | None
-    """Silent interval between frames; None: the standard's rule (3.5 characters, 1.75 ms above
-    19200)."""
+    """Silent interval between frames; None: by `gap`."""
     engine: str
-    """"asyncio" (this issue's only one) | "rt" | "auto"."""
+    """"asyncio" | "rt" | "auto": rt where the line has a serial port, else asyncio."""
+    gap: Gap | None = None
+    """Rule for the silent interval; None: what the most demanding drive of the line needs."""
+    direction: DirectionSpec = DirectionSpec()
+    echo: Echo = Echo.AUTO
+    priority: int = 70
+    """SCHED_FIFO priority of the line's thread (rt engine); 0: ordinary scheduling."""
+    cpu: tuple[int, ...] = ()
+    """CPUs of the line's thread (rt engine); none: all."""
     joints: tuple[JointSpec, ...]
     watchdog_s: float
     """Wanted communication watchdog of the drives, written and read back where the profile has
@@ -134,6 +182,11 @@ class Line(Protocol):
     spec: LineSpec
 
     @property
+    def engine(self) -> str:
+        """ "asyncio" or "rt": what `spec.engine` came to."""
+        ...
+
+    @property
     def state(self) -> LineState: ...
 
     @property
@@ -168,4 +221,15 @@ class Line(Protocol):
 
     async def clear_faults(self) -> None:
         """Run the profile's fault-clearing steps; raise DriveFault if a drive still reports one."""
+        ...
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """A register of the joint's drive by its profile's name, in SI, read now in acyclic slots.
+        LookupError: no such joint or register; HalError: not read."""
+        ...
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """Write it (SI), read it back and return what is in force. ValueError: out of the
+        register's range, or the register is one that the cycle or the steps of the profile write;
+        LookupError and HalError as `read_register`."""
         ...

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from motord_hal.modbus.codec import character_bits, frame_time_s, silent_interval_s
+from motord_hal.modbus.codec import frame_time_s
 from motord_hal.modbus.plan import DrivePlan
+from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import LineSpec
 
 
@@ -14,18 +15,9 @@ def cycle_limit_hz(spec: LineSpec) -> float:
     def wire_time_s(size_bytes: int) -> float:
         return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)
 
-    gap_s = _gap_s(spec)
+    gap_s = line_gap_s(spec)
     total_s = 0.0
     for unit in {joint.unit for joint in spec.joints}:
         joints = {joint.channel: joint for joint in spec.joints if joint.unit == unit}
         total_s += DrivePlan(joints.values(), gap_s, wire_time_s).cycle_time_s()
     return 1 / total_s
-
-
-def _gap_s(spec: LineSpec) -> float:
-    """As given; else what the most demanding drive needs."""
-    if spec.gap_s is not None:
-        return spec.gap_s
-    standard_s = silent_interval_s(spec.baudrate, character_bits(spec.parity, spec.stop_bits))
-    gaps_s = (joint.profile.gap_s for joint in spec.joints)
-    return max(standard_s if gap_s is None else gap_s for gap_s in gaps_s)

@@ -20,6 +20,7 @@ from motord_hal.drives.profile import (
     DriveProfile,
     Enabled,
     FaultBit,
+    Gap,
     Register,
     RegisterType,
     Step,
@@ -104,9 +105,14 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         stop_bits=serial.one_of("stop_bits", (1, 2)),
         unit=serial.integer("unit", 1, 247),
         turnaround_s=serial.number("turnaround_s", 1e-5, 1.0, unit="s"),
+        gap=Gap(serial.text("gap", "spec", choices=[rule.value for rule in Gap]) or "spec"),
         gap_s=serial.number("gap_s", 1e-5, 0.1, unit="s") if "gap_s" in serial else None,
         max_registers=serial.integer("max_registers", 1, 123),
         write_function=serial.one_of("write_function", (6, 16)),
+        read_write_function=(
+            serial.one_of("read_write_function", (23,)) if "read_write_function" in serial else None
+        ),
+        broadcast_stop=serial.flag("broadcast_stop", default=False),
         counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
         counter_bits=motor.one_of("counter_bits", (0, 8, 16, 24, 32), 0),
         registers=registers,

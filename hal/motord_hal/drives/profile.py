@@ -191,6 +191,15 @@ class FaultBit:
     """"fault" stops the robot; "warning" is only said."""
 
 
+class Gap(enum.StrEnum):
+    """Rules for the silent interval (MODBUS over Serial Line V1.02, 2.5.1.1)."""
+
+    SPEC = "spec"
+    """3.5 characters; above 19200 baud 1.75 ms."""
+    CHARACTERS = "3.5char"
+    """3.5 characters at every baud rate."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveProfile:
     name: str
@@ -204,12 +213,18 @@ class DriveProfile:
     unit: int
     turnaround_s: float
     """Longest time from the request's last byte to the reply's first one."""
+    gap: Gap = Gap.SPEC
+    """Silent interval that this drive needs before a request."""
     gap_s: float | None
-    """Silent interval this drive is content with; None: the standard's."""
+    """The same as a number, where it is neither of the two rules."""
     max_registers: int
     """Most registers in one request."""
     write_function: int
     """6 or 16: how set-points are written."""
+    read_write_function: int | None = None
+    """23 where the drive reads and writes in one exchange; None: it cannot."""
+    broadcast_stop: bool = False
+    """The drive obeys writes to unit 0: one frame stops all drives of the line."""
     counts_per_turn: int
     """Of the motor shaft; 0: no position counter."""
     counter_bits: int

@@ -145,6 +145,16 @@ class Table:
             return choices[0]
         return value
 
+    def flag(self, key: str, *, default: bool) -> bool:
+        """true or false."""
+        value = self._take(key, required=False)
+        if value is None:
+            return default
+        if not isinstance(value, bool):
+            self.complain(key, f"{value!r} must be true or false")
+            return default
+        return value
+
     def table(self, key: str, *, required: bool = True) -> Table:
         """A table below this one; an empty one where it is missing or none."""
         value = self._take(key, required=required)

@@ -14,12 +14,12 @@ from functools import partial
 
 from motord_hal.clock import now_ns, now_s, sleep_until_s
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.modbus.codec import character_bits, silent_interval_s
 from motord_hal.modbus.drive import Drive, Wanted
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.job import Job, clear_steps
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import DrivePlan
+from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,
@@ -55,7 +55,9 @@ class ModbusRtuLine:
         self.spec = spec
         self._exchange = exchange
         self._listener = listener
-        client = GuardedClient(spec.port, spec.baudrate, spec.parity, spec.stop_bits, _gap_s(spec))
+        client = GuardedClient(
+            spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec)
+        )
         self._link = Link(client)
         self._drives = [
             Drive(
@@ -73,6 +75,10 @@ class ModbusRtuLine:
         self._turn = 0
 
     # ------------------------------------------------------------------------------------ what is
+    @property
+    def engine(self) -> str:
+        return "asyncio"
+
     @property
     def state(self) -> LineState:
         if not self._open:
@@ -332,12 +338,3 @@ def _units(spec: LineSpec) -> Iterable[list[JointSpec]]:
             raise ProfileError(f"{joint.name}: {joint.profile.name} has no channel {joint.channel}")
         others.append(joint)
     return units.values()
-
-
-def _gap_s(spec: LineSpec) -> float:
-    """The line's silent interval: as given, else what the most demanding drive needs."""
-    if spec.gap_s is not None:
-        return spec.gap_s
-    standard_s = silent_interval_s(spec.baudrate, character_bits(spec.parity, spec.stop_bits))
-    gaps_s = [joint.profile.gap_s for joint in spec.joints]
-    return max((standard_s if gap_s is None else gap_s for gap_s in gaps_s), default=standard_s)

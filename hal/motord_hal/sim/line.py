@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from motord_hal.drives.profile import Gap
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
     FrameError,
@@ -26,6 +27,7 @@ from motord_hal.modbus.codec import (
     sealed,
     silent_interval_s,
 )
+from motord_hal.modbus.timing import drive_gap_s, line_gap_s
 from motord_hal.ports import LineSpec
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.faults import FaultScript
@@ -189,8 +191,9 @@ class SimulatedLine:
 
     def _due_gap_s(self, drive: SimulatedDrive | None) -> float:
         """The drive's own word, else the robot file's, else the standard's."""
-        own_s = drive.profile.gap_s if drive else None
-        return next(gap for gap in (own_s, self.spec.gap_s, self._silence_s) if gap is not None)
+        if drive is None or (drive.profile.gap is Gap.SPEC and drive.profile.gap_s is None):
+            return line_gap_s(self.spec)
+        return drive_gap_s(drive.profile, self.spec)
 
     def _answer(self, frame: bytes, ended_s: float, now_s: float) -> None:
         hearing = {
