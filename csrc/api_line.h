@@ -164,6 +164,7 @@ enum {
 typedef struct {
     uint32_t count;
     uint32_t mode;              /* DRIVE_OFF, DRIVE_READY, DRIVE_ARMED */
+    int64_t arming_until_ns;    /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
 } drive_wish;
 
 typedef struct {
@@ -234,6 +235,7 @@ typedef struct {
     uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
     uint64_t noise_bytes;       /* bytes that belonged to no answer */
     uint64_t page_faults;       /* of the thread since its first exchange */
+    int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];
 } line_report;
