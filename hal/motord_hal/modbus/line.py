@@ -9,22 +9,21 @@ costs its neighbours one reply deadline now and then, and a job costs them one e
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
 from functools import partial
 
 from motord_hal.clock import now_ns, now_s, sleep_until_s
-from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
+from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.modbus.drive import Drive, Wanted
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.job import Job, clear_steps
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
+from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,
     EventKind,
-    JointSpec,
     LineEvent,
     LineSpec,
     LineState,
@@ -67,7 +66,7 @@ class ModbusRtuLine:
                 spec.watchdog_s,
                 self._say,
             )
-            for joints in _units(spec)
+            for joints in joints_by_unit(spec)
         ]
         self._open = False
         self._said_lost = False
@@ -316,25 +315,3 @@ class ModbusRtuLine:
 
 def _fresh(newest: Setpoints) -> bool:
     return newest.stamp_ns > 0 and now_ns() - newest.stamp_ns <= SETPOINT_TIMEOUT_S * 1e9
-
-
-def _units(spec: LineSpec) -> Iterable[list[JointSpec]]:
-    """Joints by unit. Raises ProfileError where two joints cannot be on one unit."""
-    units: dict[int, list[JointSpec]] = {}
-    for joint in spec.joints:
-        others = units.setdefault(joint.unit, [])
-        for other in others:
-            if other.profile.name != joint.profile.name:
-                raise ProfileError(
-                    f"{spec.name}: {other.name} and {joint.name} share unit {joint.unit} "
-                    f"but not the drive: {other.profile.name}, {joint.profile.name}"
-                )
-            if other.channel == joint.channel:
-                raise ProfileError(
-                    f"{spec.name}: {other.name} and {joint.name} are both channel "
-                    f"{joint.channel} of unit {joint.unit}"
-                )
-        if joint.channel not in joint.profile.channels:
-            raise ProfileError(f"{joint.name}: {joint.profile.name} has no channel {joint.channel}")
-        others.append(joint)
-    return units.values()
