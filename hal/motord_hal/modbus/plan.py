@@ -56,6 +56,26 @@ class Reading:
     fault_word: int
 
 
+def wanted_registers(
+    profile: DriveProfile, joints: Iterable[JointSpec]
+) -> tuple[list[Register], list[Register]]:
+    """Registers that are read in every cycle, and those that may wait."""
+    fast, slow = [], [profile.bus_voltage]
+    for joint in joints:
+        channel = profile.channels[joint.channel]
+        fast += [channel.position, channel.velocity, channel.fault]
+        slow += [channel.current, channel.temperature]
+    if profile.watchdog:
+        slow.insert(0, profile.watchdog.register)
+    slow = [*(step.register for step in kept_steps(profile.configure)), *slow]
+    if profile.enabled:
+        slow.insert(0, profile.enabled.register)
+    return (
+        [profile.registers[name] for name in dict.fromkeys(fast) if name],
+        [profile.registers[name] for name in dict.fromkeys(slow) if name],
+    )
+
+
 class DrivePlan:
     """One unit with one or more joints on its channels."""
 
@@ -65,7 +85,7 @@ class DrivePlan:
         self.unit = self.joints[0].unit
         self._gap_s = gap_s
         self._wire_time_s = wire_time_s
-        fast, slow = self._wanted()
+        fast, slow = wanted_registers(self.profile, self.joints)
         ranges = self._merge([*fast, *slow])
         names = {register.name for register in fast}
         self.fast = tuple(r for r in ranges if any(x.name in names for x in r.registers))
@@ -76,24 +96,6 @@ class DrivePlan:
 
     def channel(self, joint: JointSpec) -> Channel:
         return self.profile.channels[joint.channel]
-
-    def _wanted(self) -> tuple[list[Register], list[Register]]:
-        """Registers of every cycle, and those that may wait."""
-        fast, slow = [], [self.profile.bus_voltage]
-        for joint in self.joints:
-            channel = self.channel(joint)
-            fast += [channel.position, channel.velocity, channel.fault]
-            slow += [channel.current, channel.temperature]
-        if self.profile.watchdog:
-            slow.insert(0, self.profile.watchdog.register)
-        slow = [*(step.register for step in kept_steps(self.profile.configure)), *slow]
-        if self.profile.enabled:
-            slow.insert(0, self.profile.enabled.register)
-        known = self.profile.registers
-        return (
-            [known[name] for name in dict.fromkeys(fast) if name],
-            [known[name] for name in dict.fromkeys(slow) if name],
-        )
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
         """Few requests: a hole of known registers is read along where that is faster."""
