@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of a real-time line as plain values, named as in csrc/api_line.h, where each field's
+meaning stands. Who makes one need not know C; `rt_line.py` hands it over."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+
+class Seal(enum.IntEnum):
+    """Check sum at a frame's end."""
+
+    NONE = 0
+    CRC16 = 1
+    CRC8 = 2
+
+
+class Form(enum.IntEnum):
+    """How a number stands in a frame."""
+
+    U8 = 0
+    I8 = 1
+    U16 = 2
+    I16 = 3
+    U32 = 4
+    I32 = 5
+    U32_LOW_FIRST = 6
+    I32_LOW_FIRST = 7
+
+    @property
+    def bits(self) -> int:
+        return int(self.name[1:].split("_")[0])
+
+
+class SetpointKind(enum.IntEnum):
+    VELOCITY = 0
+    DUTY = 1
+
+
+class FieldKind(enum.IntEnum):
+    COUNT = 0
+    VELOCITY = 1
+    CURRENT = 2
+    VOLTAGE = 3
+    TEMPERATURE = 4
+    FAULT = 5
+    ENABLED = 6
+    KEPT = 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineFrame:
+    request: bytes
+    reply_bytes: int
+    echo_bytes: int = 0
+    match: bytes = b""
+    request_seal: Seal
+    reply_seal: Seal
+    has_exceptions: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineSetpoint:
+    joint: int
+    kind: SetpointKind
+    byte: int
+    form: Form
+    magnitude: int
+    raw_per_si: float
+    raw_min: float
+    raw_max: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineField:
+    joint: int = 0
+    kind: FieldKind
+    byte: int
+    form: Form
+    mask: int = 0
+    equals_mask: int = 0
+    equals: int = 0
+    way: int = 0
+    si_per_raw: float = 1.0
+    harmless_bits: int = 0
+    is_code: int = 0
+    harmless: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineExchange:
+    frame: LineFrame
+    setpoint: tuple[LineSetpoint, ...] = ()
+    field: tuple[LineField, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineWay:
+    joint: int
+    kind: SetpointKind
+    inverted: int
+    rest: LineFrame
+    forward: LineFrame
+    reverse: LineFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineDrive:
+    tries: int
+    extra_every: int
+    period_ns: int
+    turnaround_ns: int
+    reply_timeout_ns: int
+    watchdog_ns: int
+    probe: int
+    cyclic: tuple[LineExchange, ...]
+    extra: tuple[LineExchange, ...]
+    way: tuple[LineWay, ...]
+    quick_stop: tuple[LineFrame, ...]
+    disarm: tuple[LineFrame, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineTable:
+    echo: int
+    character_ns: float
+    gap_ns: int
+    setpoint_timeout_ns: int
+    broadcast_stop: tuple[LineFrame, ...]
+    drive: tuple[LineDrive, ...]
