@@ -202,7 +202,7 @@ def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[Li
             FieldKind.FAULT: channel.fault,
         }
         for kind, name in sources.items():
-            if name in places:
+            if name is not None and name in places:
                 yield _joint_field(frames, joint, kind, profile.registers[name], places[name])
 
 
