@@ -147,7 +147,10 @@ typedef struct {
  * ARMED   cyclic, with the core's set-points while they are fresh and enabled
  * QUIET   it did not answer `tries` times: probed with back-off, told to stop where it may turn
  * BACK    a quiet drive has answered, and was told to disarm: as OFF, until Python has set it up */
-typedef enum { DRIVE_OFF = 0, DRIVE_READY = 1, DRIVE_ARMED = 2, DRIVE_QUIET = 3, DRIVE_BACK = 4 } drive_mode;
+typedef enum {
+    DRIVE_OFF = 0, DRIVE_READY = 1, DRIVE_ARMED = 2, DRIVE_QUIET = 3, DRIVE_BACK = 4,
+    DRIVE_STAND_DOWN = 5        /* only as a wish: from ARMED to READY, else nothing */
+} drive_mode;
 
 /* Why the line itself took a drive back; OR of all since the last wish was obeyed. */
 enum {
@@ -163,7 +166,8 @@ enum {
 /* Python's wish for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
 typedef struct {
     uint32_t count;
-    uint32_t mode;              /* DRIVE_OFF, DRIVE_READY, DRIVE_ARMED */
+    uint32_t mode;              /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED: from READY
+                                   only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is all */
     int64_t arming_until_ns;    /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
 } drive_wish;
 
