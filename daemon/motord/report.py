@@ -115,8 +115,7 @@ def _line(line: Line) -> dict[str, Any]:
     return {
         "state": line.state.value,
         "port": line.spec.port,
-        # the only engine there is so far: what "auto" comes to
-        "engine": "asyncio" if line.spec.engine == "auto" else line.spec.engine,
+        "engine": line.engine,
         "exchanges": stats.exchanges,
         "cycles": stats.cycles,
         "reopened": stats.reopened,

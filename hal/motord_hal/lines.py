@@ -11,14 +11,33 @@ from motord_hal.errors import HalError
 from motord_hal.ports import Line, LineSpec, Listener
 from motord_hal.rt import Exchange
 
-# A table of strings: a robot loads only the lines that it has.
-KINDS = MappingProxyType({"modbus-rtu": "motord_hal.modbus.line:ModbusRtuLine"})
+# Tables of strings: a robot loads only the lines that it has.
+KINDS = MappingProxyType(
+    {
+        ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
+        ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
+    }
+)
+
+
+def engine_of(spec: LineSpec) -> str:
+    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is asyncio where there is one."""
+    if spec.engine != "auto":
+        return spec.engine
+    return "asyncio" if (spec.kind, "asyncio") in KINDS else "rt"
 
 
 def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
     """The line for a spec; nothing is opened before its `run()`. Raises HalError for an unknown
-    kind and ProfileError for joints that cannot be together."""
-    if spec.kind not in KINDS:
-        raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {", ".join(KINDS)}')
-    module, _, name = KINDS[spec.kind].partition(":")
+    kind or engine and ProfileError for joints that cannot be together."""
+    engine = engine_of(spec)
+    place = KINDS.get((spec.kind, engine))
+    if place is None:
+        engines = [known for kind, known in KINDS if kind == spec.kind]
+        if engines:
+            raise HalError(f'{spec.name}: no engine "{engine}" for {spec.kind}: {engines[0]} only')
+        kinds = ", ".join(dict.fromkeys(kind for kind, _ in KINDS))
+        raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {kinds}')
+    module, _, name = place.partition(":")
     return cast("Line", getattr(import_module(module), name)(spec, exchange, listener))

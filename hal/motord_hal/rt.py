@@ -91,6 +91,11 @@ class Exchange:
         lib.exchange_init(handle)
         return cls(handle, memory)
 
+    @property
+    def handle(self) -> object:
+        """For C only: the mailboxes themselves, alive as long as this object."""
+        return self._exchange
+
     def take_setpoints(self, line: int) -> Setpoints:
         """The line's side: the newest set-points of all joints."""
         raw = self._setpoints

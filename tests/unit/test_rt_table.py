@@ -19,7 +19,7 @@ from motord_hal.modbus.codec import (
 )
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import Echo, JointSpec, LineSpec
-from motord_hal.rt_engine.frames import ModbusFrames
+from motord_hal.rt_engine.modbus_frames import ModbusFrames
 from motord_hal.rt_engine.table import drive_table, line_table
 from motord_hal.rt_table import FieldKind, Form
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One DDSM drive as frames for its line (rt_engine.frames.DriveFrames)."""
+"""One DDSM drive as frames for its line (frames.DriveFrames)."""
 
 from __future__ import annotations
 
@@ -43,6 +43,9 @@ class DdsmFrames:
         cyclic = {command_of(register) for register in (*self._setpoints(), *fast)}
         rest = {command_of(register): None for register in slow}
         return tuple(self._planned(command, slow) for command in rest if command not in cyclic)
+
+    def setpoint_names(self) -> tuple[str, ...]:
+        return tuple(register.name for register in self._setpoints())
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
         """One frame a command; what is not named in it is 0, so that it moves nothing."""

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive of a real-time line: it is set up, armed and disarmed here, and watched.
+
+Its cycle and what takes it back to rest are C's (csrc/api_line.h). Here are only wishes, which C
+obeys where it is safe, and sequences of requests.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from types import MappingProxyType
+
+from motord_hal.clock import NS_PER_S, now_ns
+from motord_hal.drives.profile import Step
+from motord_hal.errors import HalError, PortError
+from motord_hal.modbus.faults import FaultWatch, Say
+from motord_hal.modbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
+from motord_hal.ports import DriveState, EventKind
+from motord_hal.retry import Backoff
+from motord_hal.rt_engine.asks import exception_text
+from motord_hal.rt_engine.jobs import DriveJobs
+from motord_hal.rt_line import AnswerKind, Demoted, DriveReport, LineThread, Mode
+
+RETRY_FIRST_S = 0.1
+RETRY_LIMIT_S = 2.0
+OBEYED_WITHIN_S = 1.0
+"""C obeys or refuses a wish within milliseconds; asyncio may hear of it later."""
+
+Until = Callable[[Callable[[], bool]], Awaitable[None]]
+"""Returns when the condition holds; it is looked at after every report."""
+
+_STATES = MappingProxyType(
+    {
+        Mode.OFF: DriveState.UNKNOWN,
+        Mode.READY: DriveState.READY,
+        Mode.ARMED: DriveState.ARMED,
+        Mode.QUIET: DriveState.QUIET,
+        Mode.BACK: DriveState.UNKNOWN,
+    }
+)
+_WARNINGS = MappingProxyType(
+    {
+        Demoted.LOST_SETUP: "has lost its set-up: set up again, disarmed",
+        Demoted.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
+        Demoted.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
+    }
+)
+
+
+class RtDrive:
+    """Number `index` of the line's table."""
+
+    def __init__(
+        self,
+        index: int,
+        jobs: DriveJobs,
+        watchdog_s: float,
+        thread: LineThread,
+        until: Until,
+        say: Say,
+    ) -> None:
+        self.jobs = jobs
+        self.frames = jobs.frames
+        self.names = tuple(joint.name for joint in self.frames.joints)
+        self.faults = {name: FaultWatch(name, self.frames.profile, say) for name in self.names}
+        self._index = index
+        self._setup = configure_steps(self.frames.profile, watchdog_s)
+        self._thread = thread
+        self._until = until
+        self._say = say
+        self._report: DriveReport | None = None
+        self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
+        self._failed_setup = False
+        self._said_quiet = False
+        self._stops = 0
+        """How often it was told to stand down: an arming that began before is over."""
+        self._powering_off: asyncio.Future[None] | None = None
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.names)} (unit {self.frames.unit})"
+
+    # --------------------------------------------------------------------------------- what it is
+    @property
+    def mode(self) -> Mode:
+        return Mode.OFF if self._report is None else self._report.mode
+
+    @property
+    def state(self) -> DriveState:
+        state = _STATES[self.mode]
+        failed = state is DriveState.UNKNOWN and self._failed_setup
+        return DriveState.QUIET if failed else state
+
+    def lose(self, error: HalError) -> None:
+        """The line is gone: nothing is known of the drive."""
+        self._report = None
+        self._failed_setup = False
+        self._stops += 1
+        self._powered_off(error)
+
+    def update(self, report: DriveReport, fault_words: Sequence[int]) -> None:
+        """Note what C reports, and say what is new."""
+        before = self.mode
+        said = Demoted(0) if self._report is None else self._report.demoted
+        self._report = report
+        for joint in self.frames.joints:
+            self.faults[joint.name].update(fault_words[joint.index])
+        if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
+            self._is_ready()
+        elif report.mode in (Mode.QUIET, Mode.BACK):
+            self._is_quiet(_why_quiet(report))
+        for bit in report.demoted & ~said:
+            if bit in _WARNINGS:
+                self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
+
+    def _is_ready(self) -> None:
+        self._backoff.reset()
+        if self._said_quiet:
+            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
+        else:
+            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
+        self._said_quiet = False
+
+    def _is_quiet(self, why: str) -> None:
+        if not self._said_quiet:
+            self._said_quiet = True
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+
+    # -------------------------------------------------------------------------------- its two tasks
+    async def keep_set_up(self) -> None:
+        """Whenever C holds it for not set up: set it up, and wish it ready. For ever."""
+        while True:
+            await self._until(lambda: self.mode in (Mode.OFF, Mode.BACK))
+            self._failed_setup = False
+            try:
+                await self.jobs.run("configure", self._setup)
+            except PortError:
+                pass  # the line has seen it, too, and ends this task
+            except HalError as error:
+                self._failed_setup = True
+                self._is_quiet(str(error))
+            else:
+                await self._obeyed(self._thread.wish(self._index, Mode.READY))
+                continue
+            await asyncio.sleep(self._backoff.next_s())
+
+    async def keep_powered_off(self) -> None:
+        """Whenever it has been told to stand down: power off, ahead of all other requests. For
+        ever."""
+        while True:
+            await self._until(lambda: self._powering_off is not None)
+            try:
+                await self.jobs.run("disarm", self.frames.profile.disarm, urgent=True)
+            except HalError as error:
+                self._powered_off(error)
+            else:
+                self._powered_off(None)
+
+    def _powered_off(self, error: HalError | None) -> None:
+        future, self._powering_off = self._powering_off, None
+        if future is None:
+            return
+        if error is None:
+            future.set_result(None)
+        else:
+            future.set_exception(error)
+            future.exception()  # nobody may be waiting for it
+
+    async def _obeyed(self, wish: int) -> None:
+        """Until C has seen it: then it is obeyed, or refused."""
+        await self._until(lambda: self._report is not None and self._report.wish_seen >= wish)
+
+    # --------------------------------------------------------------------------- what it is told
+    def stand_down(self) -> asyncio.Future[None]:
+        """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
+        for it shields it."""
+        self._stops += 1
+        self._thread.wish(self._index, Mode.STAND_DOWN)
+        self._thread.allow_arming(self._index, 0)
+        if self._powering_off is None:
+            self._powering_off = asyncio.get_running_loop().create_future()
+        return self._powering_off
+
+    async def enable(self) -> None:
+        """The first half of arming: zero in its set-point registers, its set-up still there, the
+        profile's own steps, and it says that it is enabled. Raises HalError."""
+        began = self._stops
+
+        def check() -> None:
+            if self._stops != began or self.mode is not Mode.READY:
+                raise HalError(f"{self}: stopped while it was being armed")
+            limit_ns = round(2 * self.jobs.request_limit_s * NS_PER_S)
+            self._thread.allow_arming(self._index, now_ns() + limit_ns)
+
+        await self.jobs.run("arm", self._arming_steps(), check=check)
+        check()
+
+    def _arming_steps(self) -> tuple[Step, ...]:
+        profile = self.frames.profile
+        zeros = (Step(register=name, value=0) for name in self.frames.setpoint_names())
+        said = profile.enabled
+        enabled: tuple[Step, ...] = ()
+        if said is not None:
+            enabled = (
+                Step(
+                    register=said.register,
+                    mask=said.mask,
+                    equals=said.equals,
+                    within_s=VERIFY_WITHIN_S,
+                ),
+            )
+        return (*zeros, *kept_steps(self._setup), *profile.arm, *enabled)
+
+    async def go(self) -> None:
+        """The second half: from now on it is told the core's set-points. Raises HalError."""
+        wish = self._thread.wish(self._index, Mode.ARMED)
+        try:
+            async with asyncio.timeout(OBEYED_WITHIN_S):
+                await self._obeyed(wish)
+        except TimeoutError:
+            raise HalError(f"{self}: the line's thread does not answer") from None
+        if self.mode is not Mode.ARMED:
+            raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+
+    async def clear_faults(self) -> None:
+        """Power off, then the profile's steps. Raises DriveFault if a fault stays."""
+        await asyncio.shield(self.stand_down())
+        await self.jobs.run("clear", clear_steps(self.frames.profile))
+
+
+def _why_quiet(report: DriveReport) -> str:
+    match report.last_failure:
+        case AnswerKind.REFUSED:
+            return exception_text(report.last_exception)
+        case AnswerKind.BAD_REPLY:
+            return "what came is no answer"
+        case _:
+            return f"nothing within {report.deadline_ns / 1e6:.1f} ms"

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which protocol a line's drives speak."""
+
+from __future__ import annotations
+
+from motord_hal.errors import ProfileError
+from motord_hal.modbus.codec import frame_time_s
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.modbus.timing import line_gap_s
+from motord_hal.modbus.units import joints_by_unit
+from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.rt_engine.ddsm_frames import DdsmFrames
+from motord_hal.rt_engine.frames import DriveFrames
+from motord_hal.rt_engine.modbus_frames import ModbusFrames
+
+
+def frames_of(spec: LineSpec) -> list[DriveFrames]:
+    """One a unit. Raises ProfileError for joints that cannot be together on the line."""
+    for joint in spec.joints:
+        if joint.profile.protocol != spec.kind:
+            raise ProfileError(
+                f"{joint.name}: {joint.profile.name} speaks {joint.profile.protocol}, "
+                f"and {spec.name} is a {spec.kind} line"
+            )
+    return [_frames(spec, joints) for joints in joints_by_unit(spec)]
+
+
+def _frames(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
+    def wire_time_s(size_bytes: int) -> float:
+        return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)
+
+    if spec.kind == "ddsm":
+        return DdsmFrames(joints, line_gap_s(spec), wire_time_s)
+    return ModbusFrames(DrivePlan(joints, line_gap_s(spec), wire_time_s))

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The door to the lines that run in C: one thread a line, its table, its asks, its report.
+
+The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
+is done when a person, a fault or a parameter asks for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import errno
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.errors import HalError, ProfileError
+from motord_hal.ports import RoundTrips
+from motord_hal.rt import Exchange
+from motord_hal.rt_table import LineFrame, LineTable
+
+DRIVES_MAX: int = lib.LINE_DRIVES_MAX
+ASKS_MAX: int = lib.LINE_ASKS_MAX
+FAULT_WORDS: int = lib.JOINTS_MAX
+
+
+class Mode(enum.IntEnum):
+    OFF = lib.DRIVE_OFF
+    READY = lib.DRIVE_READY
+    ARMED = lib.DRIVE_ARMED
+    QUIET = lib.DRIVE_QUIET
+    BACK = lib.DRIVE_BACK
+    STAND_DOWN = lib.DRIVE_STAND_DOWN
+    """Only as a wish."""
+
+
+class Demoted(enum.IntFlag):
+    SETPOINTS_OLD = lib.DEMOTED_SETPOINTS_OLD
+    NOT_ENABLED = lib.DEMOTED_NOT_ENABLED
+    LEFT_ALONE = lib.DEMOTED_LEFT_ALONE
+    LOST_SETUP = lib.DEMOTED_LOST_SETUP
+    DISABLED_ITSELF = lib.DEMOTED_DISABLED_ITSELF
+    QUIET = lib.DEMOTED_QUIET
+    STILL_ENABLED = lib.DEMOTED_STILL_ENABLED
+
+
+class AnswerKind(enum.IntEnum):
+    OK = lib.ANSWER_OK
+    NO_REPLY = lib.ANSWER_NO_REPLY
+    BAD_REPLY = lib.ANSWER_BAD_REPLY
+    REFUSED = lib.ANSWER_REFUSED
+    EXPIRED = lib.ANSWER_EXPIRED
+    PORT = lib.ANSWER_PORT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThreadSpec:
+    """The thread's port and place. The file descriptors stay the caller's: he closes them after
+    `LineThread.stop`."""
+
+    fd: int
+    event_fd: int
+    priority: int
+    cpu_mask: int = 0
+    de_fd: int = -1
+    de_active_high: bool = True
+    de_before_ns: int = 0
+    de_after_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ask:
+    id: int
+    drive: int
+    frame: LineFrame
+    expires_ns: int
+    turnaround_ns: int
+    urgent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    id: int
+    kind: AnswerKind
+    exception: int
+    stamp_ns: int
+    sent_ns: int
+    done_ns: int
+    reply: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    mode: Mode
+    demoted: Demoted
+    wish_seen: int
+    enabled: bool | None
+    """None: it cannot say, or has not said since the last wish."""
+    stopping: bool
+    told_motion: bool
+    failures: int
+    last_failure: AnswerKind
+    last_exception: int
+    cycles: int
+    exchanges: int
+    no_reply: int
+    bad_reply: int
+    refused: int
+    deadline_ns: int
+    cycle_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class LineReport:
+    running: bool
+    error: int
+    shut_down: bool
+    policy: int
+    scheduler_errno: int
+    exchanges: int
+    noise_bytes: int
+    page_faults: int
+    setpoints_ns: int
+    fault_words: tuple[int, ...]
+    drives: tuple[DriveReport, ...]
+
+
+class LineThread:
+    """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        self._line = line
+        self._exchange = exchange
+        self._drives = 0
+        self._control = ffi.new("line_control *")
+        self._ask = ffi.new("line_ask *")
+        self._answer = ffi.new("line_answer *")
+        self._report = ffi.new("line_report *")
+        self._histogram = ffi.new("histogram *")
+
+    def start(self, spec: ThreadSpec, table: LineTable) -> None:
+        """Raises ProfileError where the table cannot be run, HalError where the line cannot."""
+        raw = ffi.new("line_table *", _plain(table))
+        name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+        found = lib.line_table_check(raw, name)
+        if found != ffi.NULL:
+            raise ProfileError(f"the line's table: {ffi.string(found).decode()} cannot be")
+        values = dataclasses.asdict(spec) | {"exchange": self._exchange.handle}
+        config = ffi.new("line_config *", values)
+        ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
+        _check(lib.line_start(self._line, config, raw), "the line cannot be started")
+        self._drives = len(table.drive)
+
+    def stop(self) -> None:
+        """The thread has ended when this returns. Nothing happens where there is none."""
+        code = lib.line_stop(self._line)
+        if code != -errno.ESRCH:
+            _check(code, "the line cannot be stopped")
+
+    def wish(self, drive: int, mode: Mode) -> int:
+        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
+        raw = self._control.drive[drive]
+        raw.count += 1
+        raw.mode = mode
+        self._put_control()
+        return int(raw.count)
+
+    def allow_arming(self, drive: int, until_ns: int) -> None:
+        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
+        self._control.drive[drive].arming_until_ns = until_ns
+        self._put_control()
+
+    def shut_down(self) -> None:
+        """Quick stop, power off, silence: see LineReport.shut_down."""
+        self._control.shut_down = 1
+        self._put_control()
+
+    def _put_control(self) -> None:
+        lib.line_put_control(self._line, self._control)
+
+    def put_ask(self, ask: Ask) -> bool:
+        """False: the queue is full. Raises HalError where the thread has ended."""
+        raw = self._ask
+        raw.id, raw.drive, raw.urgent = ask.id, ask.drive, ask.urgent
+        raw.expires_ns, raw.turnaround_ns = ask.expires_ns, ask.turnaround_ns
+        raw.frame = _frame(ask.frame)
+        code = lib.line_put_ask(self._line, raw)
+        if code == -errno.EAGAIN:
+            return False
+        _check(code, "the line takes no request")
+        return True
+
+    def take_answer(self) -> Answer | None:
+        raw = self._answer
+        if lib.line_take_answer(self._line, raw) != 1:
+            return None
+        return Answer(
+            id=raw.id,
+            kind=AnswerKind(raw.kind),
+            exception=raw.exception,
+            stamp_ns=raw.stamp_ns,
+            sent_ns=raw.sent_ns,
+            done_ns=raw.done_ns,
+            reply=bytes(ffi.buffer(raw.reply, raw.reply_bytes)),
+        )
+
+    def report(self) -> LineReport:
+        """As the line has it now."""
+        raw = self._report
+        lib.line_read_report(self._line, raw)
+        return LineReport(
+            running=raw.running != 0,
+            error=raw.error,
+            shut_down=raw.shut_down != 0,
+            policy=raw.policy,
+            scheduler_errno=raw.scheduler_errno,
+            exchanges=raw.exchanges,
+            noise_bytes=raw.noise_bytes,
+            page_faults=raw.page_faults,
+            setpoints_ns=raw.setpoints_ns,
+            fault_words=tuple(raw.fault_word),
+            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
+        )
+
+    def round_trips(self) -> RoundTrips:
+        """Since the start of the line."""
+        lib.line_histogram_read(self._line, self._histogram)
+        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
+        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
+
+
+def _drive_report(raw: Any) -> DriveReport:
+    return DriveReport(
+        mode=Mode(raw.mode),
+        demoted=Demoted(raw.demoted),
+        wish_seen=raw.wish_seen,
+        enabled=None if raw.enabled > 1 else raw.enabled == 1,
+        stopping=raw.stopping != 0,
+        told_motion=raw.told_motion != 0,
+        failures=raw.failures,
+        last_failure=AnswerKind(raw.last_failure),
+        last_exception=raw.last_exception,
+        cycles=raw.cycles,
+        exchanges=raw.exchanges,
+        no_reply=raw.no_reply,
+        bad_reply=raw.bad_reply,
+        refused=raw.refused,
+        deadline_ns=raw.deadline_ns,
+        cycle_ns=raw.cycle_ns,
+    )
+
+
+def _frame(frame: LineFrame) -> dict[str, Any]:
+    values = {field.name: getattr(frame, field.name) for field in dataclasses.fields(frame)}
+    sizes = {"request_bytes": len(frame.request), "match_bytes": len(frame.match)}
+    return values | sizes | {"request": list(frame.request), "match": list(frame.match)}
+
+
+def _plain(value: Any) -> Any:
+    """What cffi makes C structs of; tuples of structs get their count beside them."""
+    if isinstance(value, LineFrame):
+        return _frame(value)
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    plain: dict[str, Any] = {}
+    for field in dataclasses.fields(value):
+        one = getattr(value, field.name)
+        plain[field.name] = _plain(one)
+        if field.name == "harmless":
+            plain["harmless_codes"] = len(one)
+        elif isinstance(one, tuple):
+            plain[f"{field.name}_count"] = len(one)
+    return plain
+
+
+def _check(code: int, what: str) -> None:
+    if code < 0:
+        raise HalError(f"{what}: {os.strerror(-code)}")
