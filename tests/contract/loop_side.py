@@ -38,13 +38,16 @@ class LoopSide:
     velocity_rad_s: dict[int, float] = field(default_factory=dict)
     duty: dict[int, float] = field(default_factory=dict)
     running: bool = True
+    put_ns: int = 0
+    """Stamp of the newest set-points."""
 
     def put(self) -> None:
+        self.put_ns = now_ns()
         wheels = tuple(
             JointSetpoint(self.velocity_rad_s.get(n, 0.0), self.duty.get(n, 0.0))
             for n in range(self.joints)
         )
-        self.exchange.put_setpoints(self.line, Setpoints(now_ns(), 1, self.enabled, wheels))
+        self.exchange.put_setpoints(self.line, Setpoints(self.put_ns, 1, self.enabled, wheels))
 
     async def tick(self) -> None:
         while True:

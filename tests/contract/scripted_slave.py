@@ -47,8 +47,10 @@ class Unit:
 class ScriptedSlave:
     """Answers on `path` (a symlink to the pty) from the running event loop."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, engine: str = "asyncio") -> None:
         self.path = path
+        self.engine = engine
+        """The engine of the line that is tried on it."""
         self.units: dict[int, Unit] = {1: Unit()}
         self.tricks: deque[Trick] = deque()
         self.heard: list[Heard] = []

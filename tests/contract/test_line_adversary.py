@@ -9,6 +9,7 @@ from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import (
     CONTROL,
     ENABLE,
+    ENGINES,
     OFF,
     QUICK_STOP,
     RPM,
@@ -30,9 +31,9 @@ SPEED, RUN = 0x0056, 0x0066
 FORWARD, REVERSE, REST = 1, 2, 0
 
 
-@pytest.fixture
-async def peer(tmp_path):
-    peer = ScriptedSlave(tmp_path / "port")
+@pytest.fixture(params=ENGINES)
+async def peer(tmp_path, request):
+    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
     peer.units = {1: Unit(registers_of("zlac8015d")), 2: Unit(registers_of("zlac8015d"))}
     yield peer
     peer.pull()
