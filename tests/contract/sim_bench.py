@@ -11,6 +11,7 @@ from motord_hal.modbus.codec import Function, Request, build_request, parse_repl
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
+from motord_hal.sim.runner import run
 
 ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
@@ -73,7 +74,7 @@ def simulated(profile, folder, **options):
     watchdog_s = 0.0 if profile.watchdog else WATCHDOG_S
     stopped = threading.Event()
     with rig_of(profile, folder, gear_ratio=GEAR, watchdog_s=watchdog_s, **options) as rig:
-        thread = threading.Thread(target=rig.run, args=(stopped.is_set,))
+        thread = threading.Thread(target=run, args=(rig, stopped.is_set))
         thread.start()
         try:
             with SimControl(rig.server.path) as control:
@@ -107,12 +108,16 @@ class Bench:
         self.rig.close()
 
     def open(self):
-        self.fd = os.open(self.line.link, os.O_RDWR | os.O_NOCTTY)
+        self.fd = os.open(self.link, os.O_RDWR | os.O_NOCTTY)
         self.go_on(0.01)  # the rig looks again whether somebody is there
 
     def hang_up(self):
         with contextlib.suppress(OSError):
             os.close(self.fd)
+
+    @property
+    def link(self):
+        return self.line.port.link
 
     @property
     def drive(self):
@@ -132,7 +137,7 @@ class Bench:
     def send(self, frame):
         """Bytes on the wire; the rig has them when this returns."""
         os.write(self.fd, frame)
-        assert select.select([self.line.fileno_at(self.now_s)], [], [], ARRIVAL_DEADLINE_S)[0]
+        assert select.select(self.line.port.filenos(self.now_s), [], [], ARRIVAL_DEADLINE_S)[0]
         self.rig.work(self.now_s)
 
     def receive(self, size):
@@ -145,10 +150,10 @@ class Bench:
 
     def exchange(self, frame, seconds=0.06):
         """What comes back within this time."""
-        before = self.line.counters.bytes_sent
+        before = self.line.wire.bytes_sent
         self.send(frame)
         self.go_on(seconds)
-        return self.receive(self.line.counters.bytes_sent - before)
+        return self.receive(self.line.wire.bytes_sent - before)
 
     def ask(self, request):
         return parse_reply(request, self.exchange(build_request(request)))

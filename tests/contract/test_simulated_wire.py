@@ -16,7 +16,7 @@ from motord_hal.modbus.codec import (
     sealed,
     silent_interval_s,
 )
-from motord_hal.sim.faults import FaultError
+from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.line import TURNAROUND_PART
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)
@@ -36,12 +36,12 @@ def test_a_reply_takes_the_time_that_the_wire_and_the_drive_take(bench):
     begins_s = bench.now_s + len(FRAME) * CHARACTER_S + turnaround_s
     bench.send(FRAME)
     bench.go_on(begins_s - bench.now_s)
-    assert bench.line.counters.bytes_sent == 0
+    assert bench.line.wire.bytes_sent == 0
     for _ in range(40):
         bench.go_on(0.0002)
         passed = int((bench.now_s - begins_s) / CHARACTER_S + 0.001)
-        assert bench.line.counters.bytes_sent <= min(passed, len(REPLY))
-    assert bench.line.counters.bytes_sent == len(REPLY)
+        assert bench.line.wire.bytes_sent <= min(passed, len(REPLY))
+    assert bench.line.wire.bytes_sent == len(REPLY)
     assert bench.receive(len(REPLY)) == REPLY
 
 
@@ -115,7 +115,7 @@ def test_too_early_a_request_is_answered_and_counted(bench):
     bench.exchange(FRAME)
     assert bench.drive.stats.gap_violations == 0
     bench.send(FRAME)
-    while bench.line.counters.bytes_sent < 2 * len(REPLY):
+    while bench.line.wire.bytes_sent < 2 * len(REPLY):
         bench.go_on(0.0001)
         exchange_s += 0.0001
     bench.go_on(0.8 * quiet_s)
@@ -203,16 +203,16 @@ def test_a_fault_that_this_robot_cannot_have_is_refused(bench, fault, says):
 
 # ----------------------------------------------------------------------------------------- plugging
 def test_a_pulled_plug_is_a_hang_up_and_a_new_plug_a_new_port(bench):
-    old = os.readlink(bench.line.link)
+    old = os.readlink(bench.link)
     keeper = os.open(os.ttyname(bench.fd), os.O_RDWR | os.O_NOCTTY)
     bench.rig.pull()
     assert os.read(bench.fd, 10) == b""
-    assert not bench.line.link.is_symlink()
+    assert not bench.link.is_symlink()
     bench.rig.pull()
     bench.go_on(0.1)
     bench.rig.plug()
     bench.rig.plug()
-    assert os.readlink(bench.line.link) != old
+    assert os.readlink(bench.link) != old
     os.close(keeper)
     bench.hang_up()
     bench.open()
@@ -222,11 +222,11 @@ def test_a_pulled_plug_is_a_hang_up_and_a_new_plug_a_new_port(bench):
 def test_a_script_can_pull_and_plug(tmp_path):
     with Bench(tmp_path, faults=("unplug:at_s=1,for_s=0.5",)) as bench:
         bench.go_on(0.9)
-        assert bench.line.link.is_symlink()
+        assert bench.link.is_symlink()
         bench.go_on(0.2)
-        assert not bench.line.link.is_symlink()
+        assert not bench.link.is_symlink()
         bench.go_on(0.5)
-        assert bench.line.link.is_symlink()
+        assert bench.link.is_symlink()
 
 
 def test_whoever_opens_the_port_after_another_gets_no_old_bytes(bench):

@@ -14,10 +14,16 @@ from motord_hal.modbus.codec import (
     parse_request,
     sealed,
 )
-from motord_hal.sim.faults import KINDS, FaultError, FaultScript, parse_fault
+from motord_hal.sim.fault_kinds import KINDS, FaultError, parse_fault
+from motord_hal.sim.faults import FaultScript
+from motord_hal.sim.framing import ModbusFraming
 
 READ = Request(1, Function.READ_HOLDING, 0x100, 3)
 REPLY = build_reply(READ, (1, 2, 3))
+
+
+def spoil(made, frame=REPLY, now_s=0.0):
+    return made.spoil(frame[0], frame, ModbusFraming(), now_s)
 
 
 def script(*texts, seed=1):
@@ -61,7 +67,7 @@ def test_any_text_is_a_fault_or_a_fault_error(text):
     except FaultError:
         return
     for name, value in values.items():
-        assert KINDS[kind][name].low <= value <= KINDS[kind][name].high
+        assert KINDS[kind].keys[name].low <= value <= KINDS[kind].keys[name].high
 
 
 def test_defaults_are_filled_in():
@@ -72,14 +78,14 @@ def test_defaults_are_filled_in():
 def test_nth_counts_the_replies_it_could_have_hit():
     made = script("drop:nth=3,unit=1")
     other = bytes([2]) + REPLY[1:]
-    hits = [made.spoil(frame, 0.0).frame == b"" for frame in (REPLY, other, REPLY, REPLY) * 3]
+    hits = [spoil(made, frame, 0.0).frame == b"" for frame in (REPLY, other, REPLY, REPLY) * 3]
     assert [place for place, hit in enumerate(hits) if hit] == [3, 7, 11]
 
 
 def test_a_probability_comes_from_the_seed():
     def hits(seed):
         made = script("drop:p=0.3", seed=seed)
-        return [made.spoil(REPLY, 0.0).frame == b"" for _ in range(200)]
+        return [spoil(made).frame == b"" for _ in range(200)]
 
     assert hits(1) == hits(1)
     assert hits(1) != hits(2)
@@ -89,14 +95,12 @@ def test_a_probability_comes_from_the_seed():
 def test_an_entry_more_does_not_change_what_the_first_one_does():
     alone = script("drop:p=0.3")
     both = script("drop:p=0.3", "delay:p=0.5")
-    assert [alone.spoil(REPLY, 0.0).frame for _ in range(100)] == [
-        both.spoil(REPLY, 0.0).frame for _ in range(100)
-    ]
+    assert [spoil(alone).frame for _ in range(100)] == [spoil(both).frame for _ in range(100)]
 
 
 def test_a_time_window_opens_and_closes():
     made = script("drop:from_s=2,for_s=1")
-    dropped = [made.spoil(REPLY, now_s).frame == b"" for now_s in (1.9, 2.0, 2.9, 3.0)]
+    dropped = [spoil(made, REPLY, now_s).frame == b"" for now_s in (1.9, 2.0, 2.9, 3.0)]
     assert dropped == [False, True, True, False]
 
 
@@ -117,25 +121,25 @@ def test_silence_is_of_one_unit_and_has_an_end():
 def test_a_cleared_script_does_nothing_more():
     made = script("drop")
     made.clear()
-    assert made.spoil(REPLY, 0.0).frame == REPLY
+    assert spoil(made).frame == REPLY
 
 
 def test_each_spoiling_leaves_its_mark():
-    torn = script("tear:after_bytes=4").spoil(REPLY, 0.0).frame
+    torn = spoil(script("tear:after_bytes=4")).frame
     assert torn == REPLY[:4]
-    corrupt = script("corrupt").spoil(REPLY, 0.0).frame
+    corrupt = spoil(script("corrupt")).frame
     assert len(corrupt) == len(REPLY)
     assert not sealed(corrupt)
-    glitch = script("glitch").spoil(REPLY, 0.0).frame
+    glitch = spoil(script("glitch")).frame
     assert glitch == b"\x00" + REPLY
-    foreign = script("wrong-unit").spoil(REPLY, 0.0).frame
+    foreign = spoil(script("wrong-unit")).frame
     assert sealed(foreign)
     assert foreign[0] != 1
     assert foreign[1:-2] == REPLY[1:-2]
-    refused = script("exception:code=6").spoil(REPLY, 0.0).frame
+    refused = spoil(script("exception:code=6")).frame
     assert refused == build_exception(1, 3, 6)
-    assert script("late").spoil(REPLY, 0.0).held
-    delayed = script("delay:ms=40", "delay:ms=2").spoil(REPLY, 0.0)
+    assert spoil(script("late")).held
+    delayed = spoil(script("delay:ms=40", "delay:ms=2"))
     assert (delayed.frame, delayed.delay_s) == (REPLY, pytest.approx(0.042))
 
 
@@ -143,4 +147,4 @@ def test_a_corrupt_frame_is_never_a_good_one():
     made = script("corrupt")
     for _ in range(300):
         with pytest.raises(FrameError):
-            parse_request(made.spoil(REPLY, 0.0).frame)
+            parse_request(spoil(made).frame)

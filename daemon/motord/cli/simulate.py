@@ -7,7 +7,9 @@ import secrets
 import signal
 import sys
 import threading
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,22 +19,39 @@ from motord.cli.common import (
     json_option,
     load_or_exit,
     print_json,
-    robot_argument,
     set_option,
 )
 from motord.config import Joint, Robot
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
-from motord_hal.sim.faults import FaultError
-from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
+from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
+from motord_hal.sim.rig import PortSpec, Rig, RigSpec, WheelSpec
+from motord_hal.sim.runner import run
 
 SEED_MAX = 1 << 32
+PORT_MAX = 65535
 FULL_DUTY_RAD_S = 15.0
 """Of duty drives whose robot file does not say."""
 
 
-@click.command
-@robot_argument
+@dataclass(frozen=True, slots=True)
+class _Address:
+    host: str
+    port: int
+
+
+class _AddressType(click.ParamType[_Address]):
+    name = "address"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> _Address:
+        host, _, port = str(value).rpartition(":")
+        if not port.isascii() or not port.isdigit() or int(port) > PORT_MAX:
+            self.fail(f'expected [HOST:]PORT, got "{value}"', param, ctx)
+        return _Address(host or "127.0.0.1", int(port))
+
+
+@click.command(epilog=f"Faults: {', '.join(KINDS)}.")
+@click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path), required=False)
 @set_option
 @click.option(
     "--fault",
@@ -41,10 +60,34 @@ FULL_DUTY_RAD_S = 15.0
     multiple=True,
     help="Something that goes wrong, as in drop:p=0.05 or reboot:at_s=3,unit=1; may be repeated.",
 )
+@click.option("--list-faults", is_flag=True, help="Say which faults and keys there are, and end.")
 @click.option(
     "--seed",
     type=click.IntRange(0, SEED_MAX),
     help="Of the faults; the same seed, the same faults.",
+)
+@click.option(
+    "--tcp",
+    type=_AddressType(),
+    metavar="[HOST:]PORT",
+    help="Each line behind a Modbus TCP gateway, on this port, the next, ...; 0: free ones.",
+)
+@click.option(
+    "--rtu-over-tcp",
+    type=_AddressType(),
+    metavar="[HOST:]PORT",
+    help="Each line's RTU frames through a TCP connection, on this port, the next, ...",
+)
+@click.option(
+    "--tagged",
+    is_flag=True,
+    help="Counters tell their unit, and what is answered is kept for the control socket.",
+)
+@click.option(
+    "--priority",
+    type=click.IntRange(0, 98),
+    default=0,
+    help="SCHED_FIFO priority, with precise wake-ups; 0: ordinary scheduling.",
 )
 @click.option(
     "--link-dir",
@@ -59,10 +102,15 @@ FULL_DUTY_RAD_S = 15.0
 @click.option("--stop-on-eof", is_flag=True, help="End when stdin does: for who starts it.")
 @json_option
 def simulate(
-    robot_file: Path,
+    robot_file: Path | None,
     overrides: tuple[str, ...],
     faults: tuple[str, ...],
+    list_faults: bool,
     seed: int | None,
+    tcp: _Address | None,
+    rtu_over_tcp: _Address | None,
+    tagged: bool,
+    priority: int,
     link_dir: Path | None,
     control: Path | None,
     stop_on_eof: bool,
@@ -76,24 +124,61 @@ def simulate(
     \b
     Example: motord simulate robot.toml --link-dir /tmp/robot
              motord simulate robot.toml --fault drop:p=0.05 --fault unplug:at_s=10 --seed 7
+             motord simulate robot.toml --tcp 1502
     """
+    if list_faults:
+        _say_faults(as_json=as_json)
+        return
+    if robot_file is None:
+        raise click.UsageError("Missing argument 'ROBOT.toml'.")
+    if tcp is not None and rtu_over_tcp is not None:
+        raise click.UsageError("either --tcp or --rtu-over-tcp")
     robot = load_or_exit(robot_file, overrides)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
-    spec = rig_spec(robot, faults, secrets.randbelow(SEED_MAX) if seed is None else seed)
+    spec = rig_spec(
+        robot,
+        faults,
+        secrets.randbelow(SEED_MAX) if seed is None else seed,
+        _ports(robot, tcp or rtu_over_tcp, raw=rtu_over_tcp is not None),
+        tagged=tagged,
+    )
+    with _rig(spec, link_dir, control) as rig:
+        _say_where(rig, robot_file, as_json=as_json)
+        try:
+            run(rig, stopped.is_set, sys.stdin.fileno() if stop_on_eof else None, priority=priority)
+        except PermissionError as error:
+            raise Failure(f"--priority {priority}: {error.strerror}", Exit.USAGE) from error
+
+
+def _rig(spec: RigSpec, link_dir: Path | None, control: Path | None) -> Rig:
     try:
-        rig = Rig(spec, link_dir=link_dir, control=control)
+        return Rig(spec, link_dir=link_dir, control=control)
     except FaultError as error:
         raise Failure(str(error), Exit.USAGE) from error
     except OSError as error:
         raise Failure(f"{error.filename}: {error.strerror}") from error
-    with rig:
-        _say_where(rig, robot_file, as_json=as_json)
-        rig.run(stopped.is_set, sys.stdin.fileno() if stop_on_eof else None)
 
 
-def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
+def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, PortSpec]:
+    """Each line's socket, one port after the other."""
+    if first is None:
+        return {}
+    return {
+        name: PortSpec(host=first.host, port=first.port and first.port + place, raw=raw)
+        for place, name in enumerate(robot.line)
+    }
+
+
+def rig_spec(
+    robot: Robot,
+    faults: tuple[str, ...],
+    seed: int,
+    ports: dict[str, PortSpec],
+    *,
+    tagged: bool = False,
+) -> RigSpec:
     """The robot file as the simulator wants to be told."""
     profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
     return RigSpec(
@@ -103,6 +188,8 @@ def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
         wheels={name: _wheel(robot, name, joint) for name, joint in robot.joint.items()},
         seed=seed,
         faults=faults,
+        ports=ports,
+        tagged=tagged,
     )
 
 
@@ -113,6 +200,18 @@ def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
         full_duty_rad_s=joint.full_duty_rad_s or FULL_DUTY_RAD_S,
         counts_per_turn=joint.counts_per_turn or 0,
     )
+
+
+def _say_faults(*, as_json: bool) -> None:
+    if as_json:
+        print_json(list_kinds())
+        return
+    for name, kind in KINDS.items():
+        click.echo(f"{name}: {kind.text}")
+        for key, limits in kind.keys.items():
+            default = "" if limits.default is None else f", {limits.default:g} unless told"
+            needed = ", needed" if limits.needed else ""
+            click.echo(f"    {key}= {limits.low:g} to {limits.high:g}{default}{needed}")
 
 
 def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:

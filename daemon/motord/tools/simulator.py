@@ -55,15 +55,17 @@ def start_simulator(
     seed: int | None = None,
     link_dir: Path | str | None = None,
     control: Path | str | None = None,
+    options: Iterable[str] = (),
     timeout_s: float = START_TIMEOUT_S,
 ) -> Simulator:
-    """Start `motord simulate` and wait until its ports are there. Raises ControlError."""
+    """Start `motord simulate` and wait until its ports are there. `options` are further ones of its
+    command line, as in ("--tcp", "0"). Raises ControlError."""
     command = [sys.executable, "-m", "motord", "simulate", os.fspath(robot), "--json"]
-    command += ["--stop-on-eof"]
+    command += ["--stop-on-eof", *options]
     for fault in faults:
         command += ["--fault", fault]
-    options = {"--seed": seed, "--link-dir": link_dir, "--control": control}
-    for name, value in options.items():
+    named = {"--seed": seed, "--link-dir": link_dir, "--control": control}
+    for name, value in named.items():
         command += [] if value is None else [name, str(value)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
     line = _first_line(process, timeout_s)

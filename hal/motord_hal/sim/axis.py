@@ -63,18 +63,23 @@ class Motor:
         if self.encoder is not None:
             self.encoder.restart(self.axis.shaft_rad, self.counter_start)
 
+    def start_at(self, count: int) -> None:
+        """Let the counter start there, now and at each power-up."""
+        if self.encoder is not None:
+            self.counter_start = count & self.encoder.mask
+            self.restart_counter()
+
     def start_near_wrap(self, profile: DriveProfile) -> None:
         """Let the counter start where a quarter turn forward wraps it."""
         if self.encoder is None:
             return
         register = profile.registers[self.channel.position or ""]
         bits = profile.counter_bits
-        signed = register.type.signed and bits == 16 * register.type.words
+        low, high = register.raw_range
+        signed = register.type.signed and high - low == (1 << bits) - 1
         edge = 1 << (bits - 1) if signed else 1 << bits
         quarter = (self.axis.counts_per_turn or profile.counts_per_turn) // 4
-        start = edge + quarter if self.axis.inverted else edge - quarter
-        self.counter_start = start % (1 << bits)
-        self.restart_counter()
+        self.start_at(edge + quarter if self.axis.inverted else edge - quarter)
 
 
 def new_motor(profile: DriveProfile, number: int, axis: Axis) -> Motor:

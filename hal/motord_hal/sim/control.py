@@ -105,6 +105,12 @@ class SimControl:
         result: dict[str, Any] = self.call("stats")
         return result
 
+    def journal(self, line: str, unit: int, since: int = 0) -> list[dict[str, Any]]:
+        """What a unit of a tagged robot has really answered, from this entry on, at most 1000
+        entries: number, monotonic_ns, function, address, words."""
+        result: list[dict[str, Any]] = self.call("journal", line=line, unit=unit, since=since)
+        return result
+
     def reset_truth(self) -> None:
         """The pose to the origin, distance, turn and fastest wheel to zero."""
         self.call("reset_truth")

@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
-from motord_hal.sim.registers import ILLEGAL_FUNCTION, Refusal, RegisterFile
+from motord_hal.sim.content import FrameContent
+from motord_hal.sim.journal import Journal
+from motord_hal.sim.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
 from motord_hal.sim.reports import Reports
 
 
@@ -28,6 +30,8 @@ class DriveStats:
     """Requests that came before the silent interval was over."""
     watchdog_bites: int = 0
     reboots: int = 0
+    flashed: int = 0
+    """Settings that took their time to be stored (slow-flash)."""
 
 
 class _Sequence:
@@ -65,7 +69,13 @@ class SimulatedDrive:
         self.profile = profile
         self.unit = unit
         self.stats = DriveStats()
-        self.registers = RegisterFile(profile)
+        self.journal = Journal()
+        self.registers: RegisterFile | FrameContent = (
+            FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
+        )
+        self._settings = {step.register for step in profile.configure if step.value is not None}
+        self._settings |= {profile.watchdog.register} if profile.watchdog else set()
+        self._setting_taken = False
         self._watchdog_s = watchdog_s
         self._motors = {
             number: new_motor(profile, number, axes[number]) for number in profile.channels
@@ -78,15 +88,18 @@ class SimulatedDrive:
         self._switch(on=self._always_on)
         self._heard_s = math.inf
         self._off_until_s = -math.inf
+        self._keeps_counter = False
+        self._flash_until_s = -math.inf
+        self._flash_busy = False
         Reports(profile, self.registers, self._motors, self.enabled)
 
     # ------------------------------------------------------------------------------- state, read
     @property
     def functions(self) -> frozenset[int]:
         """What the profile says that it speaks."""
-        return frozenset(
-            {Function.READ_HOLDING, Function.WRITE_SINGLE, self.profile.write_function}
-        )
+        spoken = {Function.READ_HOLDING, Function.WRITE_SINGLE, self.profile.write_function}
+        both = self.profile.read_write_function
+        return frozenset(spoken if both is None else spoken | {both})
 
     @property
     def on(self) -> bool:
@@ -99,26 +112,65 @@ class SimulatedDrive:
         return self.on and motor.switched_on and not motor.stopped_by_fault
 
     # -------------------------------------------------------------------------------- the wire
+    def hears(self, now_s: float) -> bool:
+        """False while it stores a setting and listens to nobody."""
+        return self._flash_busy or now_s >= self._flash_until_s
+
+    def takes_setting(self) -> bool:
+        """Whether the last request wrote one of the registers that are set up once."""
+        taken, self._setting_taken = self._setting_taken, False
+        return taken
+
+    def flash(self, until_s: float, *, busy: bool) -> None:
+        """Store a setting until then: deaf, or refusing with exception 6."""
+        self.stats.flashed += 1
+        self._flash_until_s, self._flash_busy = until_s, busy
+
     def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
         """Do what a request says; the words read. Raises Refusal."""
         self.stats.requests += 1
         self._heard_s = now_s
         try:
-            return self._execute(request)
+            if now_s < self._flash_until_s:
+                raise Refusal(BUSY, "a setting is being stored")
+            words = self._execute(request)
         except Refusal:
             self.stats.exceptions += 1
             raise
+        if words:
+            self.journal.add(now_s, request.function, request.address, words)
+        return words
 
     def _execute(self, request: Request) -> tuple[int, ...]:
-        if request.function not in self.functions:
+        registers = self.registers
+        if request.function not in self.functions or isinstance(registers, FrameContent):
             raise Refusal(ILLEGAL_FUNCTION, f"function {request.function}")
         if request.function == Function.READ_HOLDING:
-            return self.registers.read(request.address, request.count)
-        written = self.registers.write(request.address, request.values)
+            return registers.read(request.address, request.count)
+        if request.function != Function.READ_WRITE:
+            self._obey(registers.write(request.address, request.values))
+            return ()
+        registers.read(request.address, request.count)  # refused as a whole, before it is obeyed
+        self._obey(registers.write(request.write_address, request.values))
+        return registers.read(request.address, request.count)
+
+    def execute_ddsm(self, frame: bytes, now_s: float) -> bytes | None:
+        """Do what a good DDSM frame says; what is answered, None where it is not known."""
+        assert isinstance(self.registers, FrameContent)
+        self.stats.requests += 1
+        self._heard_s = now_s
+        self._obey(self.registers.write(frame))
+        reply = self.registers.reply(self.unit, frame[1])
+        if reply is not None:
+            self.journal.add(now_s, frame[1], 0, tuple(reply))
+        return reply
+
+    def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
             self._follow_sequences(name, raw)
-        self._apply()
-        return ()
+            self._setting_taken |= name in self._settings
+        if written:
+            self._apply()
 
     def _follow_sequences(self, name: str, raw: int) -> None:
         done = {key for key, sequence in self._sequences.items() if sequence.feed(name, raw)}
@@ -205,9 +257,12 @@ class SimulatedDrive:
             limit_s = register.to_si(self.registers.stored(watchdog.register))
         return limit_s > 0.0 and now_s - self._heard_s > limit_s
 
-    def reboot(self, now_s: float, for_s: float) -> None:
-        """Power fails for this long; then everything is as after power-up."""
+    def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
+        """Power fails for this long; then everything is as after power-up, but for the counter of
+        a drive that keeps it (its logic lived through the dip)."""
         self.stats.reboots += 1
+        self._keeps_counter = keeps_counter
+        self._flash_until_s = -math.inf
         self._off_until_s = now_s + for_s
         self._switch(on=False)
         self._apply()
@@ -219,7 +274,8 @@ class SimulatedDrive:
         self._switch(on=self._always_on)
         for motor in self._motors.values():
             motor.faults.clear()
-            motor.restart_counter()
+            if not self._keeps_counter:
+                motor.restart_counter()
         self._apply()
 
     # ---------------------------------------------------------------------------------- faults
@@ -247,3 +303,15 @@ class SimulatedDrive:
         """Set the counters so that a quarter turn forward wraps them, now and at each power-up."""
         for motor in self._motors.values():
             motor.start_near_wrap(self.profile)
+
+    def tag_counters(self) -> None:
+        """Let each motor of the robot count from a number of its own, so that a count tells whose
+        it is."""
+        for number, motor in self._motors.items():
+            motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
+
+
+def tagged_count(bits: int, unit: int, channel: int) -> int:
+    """Where a tagged counter starts: the unit is its highest byte, then three bits for the
+    channel."""
+    return (unit << bits >> 8) + (channel - 1 << bits >> 11)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A script of faults: what the wire and the drives do wrong, and when. The same seed and the same
-requests give the same faults.
-
-    KIND[:KEY=VALUE,...]        which ones there are: docs/simulator.md
+requests give the same faults. What there is: `fault_kinds`.
 
 A fault of replies happens to every one, or with `p=` to this part of them, or with `nth=` to each
 nth one; `unit=` keeps it to one drive, `from_s=` and `for_s=` to a time.
@@ -10,60 +8,14 @@ nth one; `unit=` keeps it to one drive, `from_s=` and `for_s=` to a time.
 
 from __future__ import annotations
 
-import difflib
 import math
 import random
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
-from motord_hal.modbus.codec import UNIT_MAX, build_exception, seal
-
-
-class FaultError(ValueError):
-    """The text is no fault; the message says why and what would be."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Key:
-    low: float
-    high: float
-    whole: bool = False
-    default: float | None = None
-    needed: bool = False
-
-
-_UNIT = _Key(1, UNIT_MAX, whole=True)
-_TIME_S = _Key(0.0, 1e6)
-_WHEN = {"unit": _UNIT, "from_s": _TIME_S, "for_s": _TIME_S}
-_REPLY = {**_WHEN, "p": _Key(0.0, 1.0), "nth": _Key(1, 1e9, whole=True)}
-_AT = {"at_s": _Key(0.0, 1e6, default=0.0)}
-
-KINDS = MappingProxyType(
-    {
-        "drop": _REPLY,
-        "delay": {**_REPLY, "ms": _Key(0.0, 10_000.0, default=50.0)},
-        "late": _REPLY,
-        "tear": {**_REPLY, "after_bytes": _Key(0, 255, whole=True, default=4)},
-        "corrupt": _REPLY,
-        "glitch": _REPLY,
-        "wrong-unit": _REPLY,
-        "exception": {**_REPLY, "code": _Key(1, 255, whole=True, default=4)},
-        "silence": {**_WHEN, "for_s": _Key(0.0, 1e6, needed=True)},
-        "reboot": {**_AT, "unit": _UNIT, "for_s": _Key(0.0, 1e6, default=0.5)},
-        "fault": {
-            **_AT,
-            "unit": _UNIT,
-            "channel": _Key(1, 8, whole=True, default=1),
-            "bit": _Key(0, 31, whole=True),
-            "code": _Key(1, 0xFFFF, whole=True),
-        },
-        "encoder-wrap": {**_AT, "unit": _UNIT},
-        "unplug": {**_AT, "for_s": _Key(0.0, 1e6, default=1.0)},
-    }
-)
-ONCE = ("reboot", "fault", "encoder-wrap", "unplug")
-"""Those that happen at a time, not to a reply."""
+from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.sim.fault_kinds import KINDS, parse_fault
+from motord_hal.sim.framing import Framing
 
 
 @dataclass(slots=True)
@@ -78,8 +30,15 @@ class Fault:
     seen: int = 0
     """Replies that it could have happened to."""
     fired: int = 0
+    waits_until_s: float = 0.0
+    """Of babble: when it speaks next."""
 
-    def matches(self, unit: int, now_s: float) -> bool:
+    @property
+    def once(self) -> bool:
+        return KINDS[self.kind].happens == "once"
+
+    def matches(self, unit: int | None, now_s: float) -> bool:
+        """Whether it concerns this unit (None: the line itself) now."""
         ends_s = self.starts_s + self.values.get("for_s", math.inf)
         return self.values.get("unit", unit) == unit and self.starts_s <= now_s < ends_s
 
@@ -105,6 +64,10 @@ class Spoiled:
     held: bool = False
     """Kept back until the next request has come: the late reply that must not be taken for its
     answer."""
+    deafening_s: float = 0.0
+    """For so long after the request's end the adapter drives the wire itself."""
+    segments_s: float = 0.0
+    """TCP: this long between the pieces of the reply."""
 
 
 @dataclass(slots=True)
@@ -119,7 +82,7 @@ class FaultScript:
         starts_s = now_s + values.get("at_s", values.get("from_s", 0.0))
         seeded = random.Random(f"{self.seed} {self._added} {kind}")
         self._added += 1
-        fault = Fault(text, kind, values, starts_s, seeded)
+        fault = Fault(text, kind, values, starts_s, seeded, waits_until_s=starts_s)
         self.faults.append(fault)
         return fault
 
@@ -129,30 +92,47 @@ class FaultScript:
     def due(self, now_s: float) -> Iterable[Fault]:
         """Those that happen once and whose time has come."""
         for fault in self.faults:
-            if fault.kind in ONCE and not fault.fired and now_s >= fault.starts_s:
+            if fault.once and not fault.fired and now_s >= fault.starts_s:
                 fault.fired = 1
+                yield fault
+
+    def states(self, kind: str, unit: int | None, now_s: float) -> Iterator[Fault]:
+        """Those of a kind that are so now, for a unit or (None) for the line; counted when they
+        are taken."""
+        for fault in self.faults:
+            if fault.kind == kind and fault.matches(unit, now_s):
+                fault.fired += 1
                 yield fault
 
     def silent(self, unit: int, now_s: float) -> bool:
         """Whether this unit hears nothing now."""
-        for fault in self.faults:
-            if fault.kind == "silence" and fault.matches(unit, now_s):
-                fault.fired += 1
-                return True
-        return False
+        return any(True for _ in self.states("silence", unit, now_s))
 
-    def spoil(self, frame: bytes, now_s: float) -> Spoiled:
+    def turnaround_s(self, unit: int, now_s: float) -> float | None:
+        """How long this unit takes to answer; None: as its profile says."""
+        for fault in self.states("turnaround", unit, now_s):
+            spread_ms = fault.random.uniform(0.0, fault.values["spread_ms"])
+            return (fault.values["ms"] + spread_ms) / 1000.0
+        return None
+
+    def flash(self, unit: int, now_s: float) -> Fault | None:
+        """The slow-flash that this write of a setting meets."""
+        for fault in self.faults:
+            if fault.kind == "slow-flash" and fault.strikes(unit, now_s):
+                return fault
+        return None
+
+    def spoil(self, unit: int, frame: bytes, framing: Framing, now_s: float) -> Spoiled:
         """A good reply as it goes on the wire; nothing is left of a dropped one."""
         spoiled = Spoiled(frame)
-        unit = frame[0]
         for fault in self.faults:
-            on_replies = fault.kind not in ONCE and fault.kind != "silence"
+            on_replies = KINDS[fault.kind].happens == "reply" and fault.kind != "slow-flash"
             if on_replies and spoiled.frame and fault.strikes(unit, now_s):
-                _spoil(spoiled, fault)
+                _spoil(spoiled, unit, framing, fault)
         return spoiled
 
 
-def _spoil(spoiled: Spoiled, fault: Fault) -> None:
+def _spoil(spoiled: Spoiled, unit: int, framing: Framing, fault: Fault) -> None:
     frame = spoiled.frame
     match fault.kind:
         case "drop":
@@ -170,49 +150,11 @@ def _spoil(spoiled: Spoiled, fault: Fault) -> None:
         case "glitch":
             spoiled.frame = b"\x00" + frame
         case "wrong-unit":
-            other = fault.random.choice([unit for unit in range(1, UNIT_MAX) if unit != frame[0]])
-            spoiled.frame = seal(bytes([other]) + frame[1:-2])
+            other = fault.random.choice([one for one in range(1, UNIT_MAX) if one != unit])
+            spoiled.frame = framing.readdressed(frame, other)
         case "exception":
-            spoiled.frame = build_exception(frame[0], frame[1], int(fault.values["code"]))
-
-
-def parse_fault(text: str) -> tuple[str, dict[str, float]]:
-    """Kind and values of one entry, defaults filled in. Raises FaultError."""
-    kind, _, rest = text.strip().partition(":")
-    if kind not in KINDS:
-        raise FaultError(f'"{text}": no fault "{kind}"{_hint(kind, KINDS)}')
-    keys = KINDS[kind]
-    values = {name: key.default for name, key in keys.items() if key.default is not None}
-    for pair in filter(None, rest.split(",")):
-        name, equals, value = (part.strip() for part in pair.partition("="))
-        if name not in keys:
-            raise FaultError(f'"{text}": {kind} has no key "{name}"{_hint(name, keys)}')
-        if not equals:
-            raise FaultError(f'"{text}": {name} needs a value: {name}=...')
-        values[name] = _number(text, name, value, keys[name])
-    missing = [name for name, key in keys.items() if key.needed and name not in values]
-    if missing:
-        raise FaultError(f'"{text}": {kind} needs {missing[0]}=...')
-    if "p" in values and "nth" in values:
-        raise FaultError(f'"{text}": either p or nth')
-    if kind == "fault" and ("bit" in values) == ("code" in values):
-        raise FaultError(f'"{text}": fault needs either bit= or code=')
-    return kind, values
-
-
-def _number(text: str, name: str, value: str, key: _Key) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        raise FaultError(f'"{text}": {name}: expected a number, got "{value}"') from None
-    if not key.low <= number <= key.high:
-        raise FaultError(f'"{text}": {name}: {value} is not in {key.low:g} to {key.high:g}')
-    if key.whole and number != int(number):
-        raise FaultError(f'"{text}": {name}: {value} is not a whole number')
-    return number
-
-
-def _hint(word: str, known: Iterable[str]) -> str:
-    known = list(known)
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
+            spoiled.frame = framing.refusal(frame, int(fault.values["code"]))
+        case "stuck-de":
+            spoiled.deafening_s = max(spoiled.deafening_s, fault.values["ms"] / 1000.0)
+        case "segments":
+            spoiled.segments_s = max(spoiled.segments_s, fault.values["ms"] / 1000.0)

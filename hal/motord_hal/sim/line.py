@@ -1,188 +1,169 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One line of a simulated robot: a pseudo-terminal whose bytes come when a UART would bring them.
+"""One line of a simulated robot: drives behind a port whose bytes come as a UART would bring them.
 
-A pty carries a frame in no time. Here a request ends when its bytes would have passed the wire, the
-reply begins after the drive's turn-around and each of its bytes is there when the wire would have
-brought it, in pieces of about a millisecond, as a UART's receive buffer hands them over.
-Frames end and begin by silence: MODBUS over Serial Line V1.02, 2.5.1.1.
+A request ends when its bytes would have passed the wire, the reply begins after the drive's
+turn-around. Modbus frames end and begin by silence: MODBUS over Serial Line V1.02, 2.5.1.1.
 """
 
 from __future__ import annotations
 
-import errno
 import math
-import os
-import tty
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from motord_hal.drives.profile import Gap
-from motord_hal.modbus.codec import (
-    BROADCAST_UNIT,
-    FrameError,
-    character_bits,
-    request_bytes,
-    sealed,
-    silent_interval_s,
-)
+from motord_hal.modbus.codec import character_bits, silent_interval_s
 from motord_hal.modbus.timing import drive_gap_s, line_gap_s
 from motord_hal.ports import LineSpec
 from motord_hal.sim.drive import SimulatedDrive
-from motord_hal.sim.faults import FaultScript
-from motord_hal.sim.slave import answer
+from motord_hal.sim.faults import FaultScript, Spoiled
+from motord_hal.sim.framing import framing_of
+from motord_hal.sim.noise import disturb
+from motord_hal.sim.port import MasterSettings, Port
+from motord_hal.sim.wire import Clock, Wire
 
-PIECE_S = 0.001
 TURNAROUND_PART = 0.5
 """Drives take half of the longest turn-around that their manual names."""
-ABSENT_RETRY_S = 0.005
-"""How often to look whether somebody has opened the port."""
 GAP_TOLERANCE = 0.97
 """A silence this part of the due one is none too short: the clocks of both sides round."""
+BABBLE_BYTES_MAX = 3
 
 
 @dataclass(slots=True)
 class LineCounters:
     frames: int = 0
     bad_crc: int = 0
-    """Frames with a wrong check sum, torn ones and those that ran into each other."""
+    """Frames with a wrong check sum, torn ones, those that ran into each other and those at a baud
+    rate or parity that nobody here is set to."""
     unanswered: int = 0
     """Requests for units that are not on this line, have no power or are silenced."""
     replies: int = 0
-    bytes_sent: int = 0
     gap_violations: int = 0
+    bits_hit: int = 0
+    """By noise."""
     plugged: int = 0
 
 
-@dataclass(slots=True)
-class _Reply:
-    starts_s: float
-    frame: bytes
-    sent: int = 0
-
-
 class SimulatedLine:
-    """A pty master, half-duplex. `link` is the path that a robot file would name as its port."""
+    """Half-duplex: a master on the port, drives on the wire behind it."""
 
     def __init__(
         self,
         spec: LineSpec,
         drives: Mapping[int, SimulatedDrive],
         script: FaultScript,
-        link: Path,
+        port: Port,
     ) -> None:
         self.spec = spec
         self.drives = drives
-        self.link = link
+        self.port = port
         self.counters = LineCounters()
         self._script = script
-        bits = character_bits(spec.parity, spec.stop_bits)
-        self._character_s = bits / spec.baudrate
-        self._silence_s = silent_interval_s(spec.baudrate, bits)
-        self._piece_bytes = max(1, round(PIECE_S / self._character_s))
-        self._fd: int | None = None
-        self._absent_until_s = -math.inf
+        self._framing = framing_of(spec.kind)
+        self._bits = character_bits(spec.parity, spec.stop_bits)
+        self._master: MasterSettings | None = None
+        self.wire = Wire(port, self._bits / spec.baudrate)
         self._quiet()
 
     def _quiet(self) -> None:
         self._request = bytearray()
         self._frame_ends_s = math.inf
         self._gap_s = math.inf
-        self._wire_free_s = -math.inf
-        self._replies: deque[_Reply] = deque()
+        self.wire.quiet()
         self._held: list[bytes] = []
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """A new pty, and the link to it. Does nothing while one is plugged. Raises OSError."""
-        if self._fd is not None:
-            return
-        if self.link.exists() and not self.link.is_symlink():
-            raise FileExistsError(errno.EEXIST, "is in the way of a line's port", str(self.link))
-        self._fd, slave_fd = os.openpty()
-        os.set_blocking(self._fd, False)
-        # A pty's modes are set from its master as well, so nothing keeps the other side open and a
-        # client that goes away is seen.
-        tty.setraw(self._fd)
-        fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(os.ttyname(slave_fd))
-        fresh.replace(self.link)
-        os.close(slave_fd)
-        self.counters.plugged += 1
-        self._quiet()
+        """Does nothing while it is plugged. Raises OSError."""
+        if not self.port.plugged:
+            self.port.plug()
+            self.counters.plugged += 1
+            self._quiet()
 
     def pull(self) -> None:
-        """The adapter is gone, with its device file: whoever has the port open gets a hang-up."""
-        if self._fd is None:
-            return
-        os.close(self._fd)
-        self._fd = None
-        self.link.unlink(missing_ok=True)
+        self.port.pull()
         self._quiet()
 
     # ------------------------------------------------------------------------------- the poll loop
-    def fileno_at(self, now_s: float) -> int | None:
-        """What to wait for with select; None while nobody has the port open."""
-        return None if now_s < self._absent_until_s else self._fd
-
-    def due_s(self) -> float:
+    def due_s(self, now_s: float) -> float:
         """When `work` has to be called next, bytes or not."""
-        due_s = self._frame_ends_s
-        if self._replies:
-            reply = self._replies[0]
-            upto = min(reply.sent + self._piece_bytes, len(reply.frame))
-            due_s = min(due_s, reply.starts_s + upto * self._character_s)
-        if self._absent_until_s > -math.inf:
-            due_s = min(due_s, self._absent_until_s)
-        return due_s
+        if not self.port.plugged:
+            return math.inf
+        babble_s = (fault.waits_until_s for fault in self._script.faults if fault.kind == "babble")
+        return min(
+            self._frame_ends_s, self.wire.due_s(), self.port.due_s(now_s), *babble_s, math.inf
+        )
 
-    def work(self, now_s: float) -> None:
-        """Take in what has come, do what is due."""
-        if self._fd is None:
+    def work(self, now_s: float, clock: Clock | None = None) -> None:
+        """Take in what has come, do what is due. `clock` tells the time while that goes on; without
+        it, it stands still."""
+        if not self.port.plugged:
             return
-        if now_s >= self._absent_until_s:
-            self._absent_until_s = -math.inf
-            self._take_in(self._fd, now_s)
+        connected = self._take_in(now_s)
         if now_s >= self._frame_ends_s:
             self._end_frame(now_s)
-        self._send(now_s)
+        self._babble(now_s, connected=connected)
+        self.wire.work(clock or (lambda: now_s))
 
-    def _take_in(self, fd: int, now_s: float) -> None:
-        try:
-            data = os.read(fd, 4096)
-        except BlockingIOError:
-            return
-        except OSError:  # nobody has the other side open
+    def stats(self) -> dict[str, Any]:
+        return {
+            **asdict(self.counters),
+            "bytes_sent": self.wire.bytes_sent,
+            "reply_lateness_us": self.wire.lateness.percentiles(),
+            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
+        }
+
+    # ----------------------------------------------------------------------------- from the master
+    def _take_in(self, now_s: float) -> bool:
+        """Whether somebody is connected."""
+        data = self.port.take_in(now_s)
+        if data is None:
             self._quiet()
-            self._absent_until_s = now_s + ABSENT_RETRY_S
-            return
-        if not self._request:
-            self._gap_s = now_s - self._wire_free_s
-        self._request += data
-        self._wire_free_s = max(self._wire_free_s, now_s) + len(data) * self._character_s
-        self._frame_ends_s = self._wire_free_s + (0.0 if self._whole() else self._silence_s)
+        elif data:
+            self._hear(data, now_s)
+        return data is not None
 
-    def _whole(self) -> bool:
-        frame = bytes(self._request)
-        try:
-            return request_bytes(frame) == len(frame) and sealed(frame)
-        except FrameError:
-            return False
+    def _hear(self, data: bytes, now_s: float) -> None:
+        if not self._request:
+            self._gap_s = now_s - self.wire.free_s
+            self._follow_settings()
+        starts_s = max(self.wire.free_s, now_s)
+        self.wire.hear(len(data), now_s)
+        for _ in self._script.states("echo", None, now_s):
+            self.wire.send(self._disturbed(data, now_s), starts_s)
+        self._request += self._disturbed(data, now_s)
+        whole = self._framing.whole(bytes(self._request))
+        self._frame_ends_s = self.wire.free_s + (0.0 if whole else self._silence_s())
+
+    def _follow_settings(self) -> None:
+        """The wire has the pace that the master gives it."""
+        self._master = self.port.settings()
+        baudrate = self.spec.baudrate if self._master is None else self._master.baudrate
+        self.wire.character_s = self._bits / baudrate
+
+    def _silence_s(self) -> float:
+        return silent_interval_s(round(self._bits / self.wire.character_s), self._bits)
+
+    def _disturbed(self, data: bytes, now_s: float) -> bytes:
+        for fault in self._script.states("noise", None, now_s):
+            data, hits = disturb(data, fault.values["ber"], self._bits, fault.random)
+            self.counters.bits_hit += hits
+        return data
 
     def _end_frame(self, now_s: float) -> None:
-        frame, ended_s = bytes(self._request), self._wire_free_s
-        drive = self.drives.get(frame[0])
-        too_early = self._gap_s < GAP_TOLERANCE * self._due_gap_s(drive)
+        frame, ended_s = bytes(self._request), self.wire.free_s
         self._request.clear()
         self._frame_ends_s = math.inf
         self.counters.frames += 1
+        drive = self.drives.get(frame[0]) if frame else None
+        too_early = self._gap_s < GAP_TOLERANCE * self._due_gap_s(drive)
         self.counters.gap_violations += too_early
         for held in self._held:
-            self._queue(held, now_s)
+            self._reply(held, now_s)
         self._held.clear()
-        if not sealed(frame):
+        good = self._framing.good(frame) and (drive is None or self._understands(drive, now_s))
+        if not good:
             self.counters.bad_crc += 1
             return
         if drive is not None:
@@ -195,46 +176,72 @@ class SimulatedLine:
             return line_gap_s(self.spec)
         return drive_gap_s(drive.profile, self.spec)
 
+    def _understands(self, drive: SimulatedDrive, now_s: float) -> bool:
+        """Whether the master talks at the drive's baud rate and parity. What no one has set up is
+        taken to fit."""
+        baudrate = self.spec.baudrate
+        for fault in self._script.states("wrong-baud", drive.unit, now_s):
+            baudrate = int(fault.values["baudrate"])
+        if any(True for _ in self._script.states("wrong-parity", drive.unit, now_s)):
+            return False
+        if self._master is None:
+            return baudrate == self.spec.baudrate
+        odd_fits = self._master.odd_parity == (self.spec.parity == "odd")
+        return self._master.baudrate == baudrate and odd_fits
+
+    # ----------------------------------------------------------------------------- from the drives
     def _answer(self, frame: bytes, ended_s: float, now_s: float) -> None:
+        broadcast = self._framing.is_broadcast(frame)
         hearing = {
             unit: drive
             for unit, drive in self.drives.items()
-            if frame[0] in (BROADCAST_UNIT, unit) and not self._script.silent(unit, now_s)
+            if (broadcast or unit == frame[0])
+            and drive.hears(now_s)
+            and self._understands(drive, now_s)
+            and not self._script.silent(unit, now_s)
         }
-        reply = answer(frame, hearing, now_s)
-        if reply is None:
-            self.counters.unanswered += frame[0] != BROADCAST_UNIT
+        answered = self._framing.answer(frame, hearing, now_s)
+        for unit, drive in hearing.items():
+            if drive.takes_setting() and (fault := self._script.flash(unit, now_s)):
+                drive.flash(now_s + fault.values["ms"] / 1000.0, busy=bool(fault.values["busy"]))
+        if answered is None:
+            self.counters.unanswered += not broadcast and self._framing.is_answered(frame)
             return
-        spoiled = self._script.spoil(reply.frame, now_s)
-        if spoiled.held:
-            self._held.append(spoiled.frame)
-        elif spoiled.frame:
-            turnaround_s = TURNAROUND_PART * reply.drive.profile.turnaround_s
-            self._queue(spoiled.frame, ended_s + turnaround_s + spoiled.delay_s)
+        unit = answered.drive.unit
+        spoiled = self._script.spoil(unit, answered.frame, self._framing, now_s)
+        self._send_spoiled(spoiled, answered.drive, ended_s, now_s)
 
-    def _queue(self, frame: bytes, starts_s: float) -> None:
-        if self._replies:
-            last = self._replies[-1]
-            starts_s = max(starts_s, last.starts_s + len(last.frame) * self._character_s)
-        self._replies.append(_Reply(starts_s, frame))
+    def _send_spoiled(
+        self, spoiled: Spoiled, drive: SimulatedDrive, ended_s: float, now_s: float
+    ) -> None:
+        self.port.segments_s = spoiled.segments_s
+        if spoiled.held and not self.port.hold_reply():
+            self._held.append(spoiled.frame)
+            return
+        turnaround_s = self._script.turnaround_s(drive.unit, now_s)
+        if turnaround_s is None:
+            turnaround_s = TURNAROUND_PART * drive.profile.turnaround_s
+        starts_s = ended_s + turnaround_s + spoiled.delay_s
+        deaf_s = ended_s + spoiled.deafening_s - starts_s
+        lost = max(0, math.ceil(deaf_s / self.wire.character_s))
+        if lost < len(spoiled.frame):
+            heard = self._disturbed(spoiled.frame[lost:], now_s)
+            self._reply(heard, starts_s + lost * self.wire.character_s)
+
+    def _reply(self, frame: bytes, starts_s: float) -> None:
+        self.wire.send(frame, starts_s)
         self.counters.replies += 1
 
-    def _send(self, now_s: float) -> None:
-        while self._replies and self._fd is not None:
-            reply = self._replies[0]
-            passed = (now_s - reply.starts_s) / self._character_s
-            # half a thousandth of a character: what is due now must not wait for a rounding error
-            upto = max(reply.sent, min(len(reply.frame), math.floor(passed + 0.0005)))
-            self._put(self._fd, reply.frame[reply.sent : upto])
-            reply.sent = upto
-            if upto < len(reply.frame):
-                return
-            self._wire_free_s = max(self._wire_free_s, now_s)
-            self._replies.popleft()
-
-    def _put(self, fd: int, data: bytes) -> None:
-        if data:
-            try:
-                self.counters.bytes_sent += os.write(fd, data)
-            except BlockingIOError:
-                return  # nobody reads: the bytes are lost, as in a UART's full buffer
+    def _babble(self, now_s: float, *, connected: bool) -> None:
+        """Bytes out of nothing: the master hears them, and so do the drives while a request comes
+        in."""
+        for fault in self._script.faults:
+            if fault.kind != "babble" or now_s < fault.waits_until_s:
+                continue
+            if connected and fault.matches(None, now_s):
+                fault.fired += 1
+                data = fault.random.randbytes(fault.random.randint(1, BABBLE_BYTES_MAX))
+                self.wire.send(data, now_s)
+                if self._request:
+                    self._request += data
+            fault.waits_until_s = now_s + fault.random.expovariate(fault.values["hz"])

@@ -266,13 +266,13 @@ class Encoder:
 
     def __init__(self, counts_per_turn: int, bits: int, start: int = 0) -> None:
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
-        self._mask = (1 << bits) - 1
+        self.mask = (1 << bits) - 1
         self._start = start
         self._origin_rad = 0.0
 
     def count(self, shaft_rad: float) -> int:
         turned = math.floor((shaft_rad - self._origin_rad) * self._counts_per_rad)
-        return (self._start + turned) & self._mask
+        return (self._start + turned) & self.mask
 
     def restart(self, shaft_rad: float, start: int) -> None:
         """Power came back: the counter is at `start` where the shaft stands now."""

@@ -7,12 +7,14 @@ Refusals are Modbus exceptions (MODBUS Application Protocol V1.1b3, section 7).
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from motord_hal.drives.profile import DriveProfile, Register
 
 ILLEGAL_FUNCTION = 1
 ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
+BUSY = 6
 
 
 class Refusal(Exception):
@@ -32,6 +34,18 @@ def raw_of(register: Register, value: float) -> int:
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if low else (0, (1 << bits) - 1)
     raw = register.from_si(value if low else abs(value))
     return max(low, min(high, raw))
+
+
+class Registers(Protocol):
+    """What a drive's insides need of its registers."""
+
+    def power_up(self) -> None: ...
+
+    def make_live(self, name: str, value: Callable[[], int]) -> None: ...
+
+    def stored(self, name: str) -> int: ...
+
+    def put(self, name: str, raw: int) -> None: ...
 
 
 class RegisterFile:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.sim.axis import Motor
-from motord_hal.sim.registers import RegisterFile, raw_of
+from motord_hal.sim.registers import Registers, raw_of
 
 SUPPLY_V = 24.0
 """Of drives whose profile gives no default for the bus voltage."""
@@ -21,7 +21,7 @@ class Reports:
     def __init__(
         self,
         profile: DriveProfile,
-        registers: RegisterFile,
+        registers: Registers,
         motors: Mapping[int, Motor],
         enabled: Callable[[int], bool],
     ) -> None:
@@ -58,7 +58,8 @@ class Reports:
         return word if word <= high else word - self._span(name)
 
     def _span(self, name: str) -> int:
-        return 1 << 16 * self._profile.registers[name].type.words
+        low, high = self._profile.registers[name].raw_range
+        return high - low + 1
 
     def _supply_v(self) -> float:
         register = self._profile.registers[self._profile.bus_voltage or ""]

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole simulated robot: lines, drives, wheels and ground, a fault script, a control socket.
 
-One thread waits in select(), which has microseconds where poll() and epoll have milliseconds. All
-that happens is a function of the requests and of the time handed to `work`, so a test may drive the
-clock by hand.
+All that happens is a function of the requests and of the time handed to `work`, so a test may drive
+the clock by hand. In real time: `runner`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
-import select
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -19,16 +16,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from motord_hal.modbus.codec import character_bits
+from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.drive import SimulatedDrive
-from motord_hal.sim.faults import Fault, FaultError, FaultScript
+from motord_hal.sim.fault_kinds import FaultError
+from motord_hal.sim.faults import Fault, FaultScript
+from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
+from motord_hal.sim.port import Port, PtyPort
 from motord_hal.sim.server import ControlServer
+from motord_hal.sim.tcp import RawTcpPort
+from motord_hal.sim.wire import Clock
 
-WAIT_MAX_S = 0.02
-"""Longest sleep: bounds how much physics has to be caught up at once."""
+JOURNAL_REPLY_ENTRIES = 1000
+"""Most of one answer of the control socket; ask again with `since`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +50,16 @@ class WheelSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PortSpec:
+    """A TCP socket that a line is behind. Port 0: any free one."""
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    raw: bool = False
+    """RTU frames as they are; else a Modbus TCP gateway."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RigSpec:
     robot: str
     track_m: float
@@ -58,6 +72,11 @@ class RigSpec:
     slip_variance_m2_per_m: float = 0.0
     watchdog_s: float = 0.0
     """A watchdog for drives whose profile has none; 0: none, as in life."""
+    ports: Mapping[str, PortSpec] = field(default_factory=dict)
+    """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
+    machine where its kind says TCP."""
+    tagged: bool = False
+    """Counters start at a number that tells the unit, and what is answered is kept (Journal)."""
 
 
 class Rig:
@@ -78,6 +97,9 @@ class Rig:
         self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
         self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
         self._replug_s: dict[str, float] = {}
+        self.began_ns = time.monotonic_ns()
+        if spec.tagged:
+            self._tag()
         for text in spec.faults:
             self.inject(text)
         self.server = ControlServer(control or link_dir / "control.sock", self._methods())
@@ -137,7 +159,23 @@ class Rig:
             axes |= {joint.channel: self._axis(joint) for joint in joints}
             watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
             drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
-        return SimulatedLine(line, drives, self.script, link_dir / line.name)
+        return SimulatedLine(line, drives, self.script, self._make_port(line, link_dir))
+
+    def _make_port(self, line: LineSpec, link_dir: Path) -> Port:
+        wanted = self.spec.ports.get(line.name)
+        if wanted is None and line.kind not in ("modbus-tcp", "rtu-over-tcp"):
+            return PtyPort(link_dir / line.name)
+        tcp = wanted or PortSpec(raw=line.kind == "rtu-over-tcp")
+        if tcp.raw:
+            return RawTcpPort(tcp.host, tcp.port)
+        character_s = character_bits(line.parity, line.stop_bits) / line.baudrate
+        gap_s = line_gap_s(line)
+        return GatewayPort(tcp.host, tcp.port, character_s=character_s, gap_s=gap_s)
+
+    def _tag(self) -> None:
+        for drive in self._drives:
+            drive.tag_counters()
+            drive.journal.kept = True
 
     def _axis(self, joint: JointSpec) -> Axis:
         wheel = self.spec.wheels[joint.name]
@@ -150,40 +188,37 @@ class Rig:
         )
 
     # ------------------------------------------------------------------------------------- running
-    def run(self, stopped: Callable[[], bool], until_fd_ends: int | None = None) -> None:
-        """Be the robot, in real time, until `stopped()` or until that file descriptor ends."""
-        began_s = time.monotonic() - self.plant.time_s
-        watched = [] if until_fd_ends is None else [until_fd_ends]
-        while not stopped():
-            now_s = time.monotonic() - began_s
-            ready = set(self._wait(min(self.due_s() - now_s, WAIT_MAX_S), watched))
-            self.work(time.monotonic() - began_s)
-            self.server.work(ready)
-            if ready & set(watched) and not _readable(watched[0]):
-                return
+    def filenos(self, now_s: float) -> list[int]:
+        """What to wait for with select."""
+        ports = [fd for line in self.lines.values() for fd in line.port.filenos(now_s)]
+        return [*ports, *self.server.filenos()]
 
-    def _wait(self, timeout_s: float, watched: list[int]) -> list[int]:
-        now_s = self.plant.time_s
-        ports = [fd for line in self.lines.values() if (fd := line.fileno_at(now_s)) is not None]
-        files = [*ports, *self.server.filenos(), *watched]
-        return select.select(files, [], [], max(0.0, timeout_s))[0]
-
-    def due_s(self) -> float:
+    def due_s(self, now_s: float | None = None) -> float:
         """When something happens next without a request."""
-        return min((line.due_s() for line in self.lines.values()), default=math.inf)
+        at_s = self.plant.time_s if now_s is None else now_s
+        return min((line.due_s(at_s) for line in self.lines.values()), default=math.inf)
 
     def work(self, now_s: float) -> None:
         """Bring everything to now_s (since the start); time that goes backward does nothing."""
-        self._advance(now_s)
+        while self.substep_due(now_s):
+            self.substep()
         for line in self.lines.values():
             line.work(now_s)
 
-    def _advance(self, now_s: float) -> None:
-        while self.plant.time_s + SUBSTEP_S <= now_s:
-            self.plant.substep()
-            for drive in self._drives:
-                drive.tick(self.plant.time_s)
-            self._do_due(self.plant.time_s)
+    def work_lines(self, clock: Clock) -> None:
+        """Only the wires, on a clock that goes on meanwhile."""
+        for line in self.lines.values():
+            line.work(clock(), clock)
+
+    def substep_due(self, now_s: float) -> bool:
+        return self.plant.time_s + SUBSTEP_S <= now_s
+
+    def substep(self) -> None:
+        """One step of the physics, the drives' clocks and the script."""
+        self.plant.substep()
+        for drive in self._drives:
+            drive.tick(self.plant.time_s)
+        self._do_due(self.plant.time_s)
 
     def _do_due(self, now_s: float) -> None:
         for fault in self.script.due(now_s):
@@ -218,10 +253,18 @@ class Rig:
         if fault.kind == "unplug":
             self.pull()
             self._replug_s = dict.fromkeys(self.lines, now_s + fault.values["for_s"])
+        for line in self.lines.values():
+            if fault.kind == "tcp-stall":
+                line.port.stall(now_s + fault.values["for_s"])
+            elif fault.kind == "half-open":
+                line.port.forget()
         for drive in self._concerned(fault):
             match fault.kind:
                 case "reboot":
                     drive.reboot(now_s, fault.values["for_s"])
+                case "brown-out":
+                    keeps = bool(fault.values["keep"])
+                    drive.reboot(now_s, fault.values["for_s"], keeps_counter=keeps)
                 case "fault":
                     drive.raise_fault(*_which(fault))
                 case "encoder-wrap":
@@ -243,7 +286,7 @@ class Rig:
 
     # ------------------------------------------------------------------------------ control socket
     def ports(self) -> dict[str, str]:
-        return {name: str(line.link) for name, line in self.lines.items()}
+        return {name: line.port.address for name, line in self.lines.items()}
 
     def truth(self) -> dict[str, Any]:
         plant = self.plant
@@ -267,23 +310,24 @@ class Rig:
     def stats(self) -> dict[str, Any]:
         return {
             "seed": self.script.seed,
-            "lines": {
-                name: {
-                    **dataclasses.asdict(line.counters),
-                    "units": {
-                        str(unit): dataclasses.asdict(drive.stats)
-                        for unit, drive in line.drives.items()
-                    },
-                }
-                for name, line in self.lines.items()
-            },
+            "lines": {name: line.stats() for name, line in self.lines.items()},
             "faults": [{"spec": fault.text, "fired": fault.fired} for fault in self.script.faults],
         }
+
+    def journal(self, line: str, unit: int, since: int) -> list[dict[str, Any]]:
+        """What a unit has really answered, from this entry on; of a tagged rig."""
+        drives = self._line(line).drives
+        if unit not in drives:
+            raise ValueError(f"no unit {unit} on {line}")
+        return drives[unit].journal.since(since, self.began_ns, JOURNAL_REPLY_ENTRIES)
 
     def _methods(self) -> dict[str, Callable[[Mapping[str, Any]], Any]]:
         return {
             "truth": lambda _: self.truth(),
             "stats": lambda _: self.stats(),
+            "journal": lambda params: self.journal(
+                params["line"], int(params["unit"]), int(params.get("since", 0))
+            ),
             "reset_truth": lambda _: self.plant.reset_truth(),
             "inject": lambda params: self.inject(params["spec"]),
             "clear_faults_script": lambda _: self.script.clear(),
@@ -303,8 +347,3 @@ def _which(fault: Fault) -> tuple[int, int | None, int | None]:
     bit, code = values.get("bit"), values.get("code")
     whole = [None if value is None else int(value) for value in (bit, code)]
     return int(values["channel"]), whole[0], whole[1]
-
-
-def _readable(fd: int) -> bool:
-    """Whether bytes came; False at the end of the file."""
-    return bool(os.read(fd, 4096))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from motord_hal.ddsm import codec as ddsm
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
     FrameError,
@@ -61,3 +62,13 @@ def _broadcast(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float)
                 drive.execute(request, now_s)
             except Refusal:
                 continue
+
+
+def answer_ddsm(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> Answer | None:
+    """What the units do with a good frame of DDSM motors, which refuse nothing: what they do not
+    know they ignore."""
+    drive = drives.get(frame[0])
+    if drive is None or not drive.on:
+        return None
+    reply = drive.execute_ddsm(frame, now_s)
+    return None if reply is None or not ddsm.is_answered(frame[1]) else Answer(drive, reply)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive has really said: the ground truth for who must prove that no value was taken from a
+frame that was not the answer to its request."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+ENTRIES_KEPT = 50_000
+"""The oldest go first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    number: int
+    """Of this drive's answers with values, from 0."""
+    time_s: float
+    """When the request was over, on the rig's clock."""
+    function: int
+    """Modbus function or DDSM command."""
+    address: int
+    words: tuple[int, ...]
+    """The registers from `address` on; of a DDSM reply, its bytes."""
+
+
+@dataclass(slots=True)
+class Journal:
+    """Kept only while `kept`: it costs memory."""
+
+    kept: bool = False
+    _entries: deque[Entry] = field(default_factory=lambda: deque(maxlen=ENTRIES_KEPT))
+    _number: int = 0
+
+    def add(self, time_s: float, function: int, address: int, words: tuple[int, ...]) -> None:
+        if self.kept:
+            entry = Entry(self._number, time_s, int(function), address, words)
+            self._entries.append(entry)
+            self._number += 1
+
+    def since(self, number: int, began_ns: int, at_most: int) -> list[dict[str, Any]]:
+        """The entries from this number on, as plain values; `began_ns` is the rig's zero on
+        CLOCK_MONOTONIC."""
+        chosen = [entry for entry in self._entries if entry.number >= number][:at_most]
+        return [
+            {
+                "number": entry.number,
+                "monotonic_ns": began_ns + round(entry.time_s * 1e9),
+                "function": entry.function,
+                "address": entry.address,
+                "words": entry.words,
+            }
+            for entry in chosen
+        ]

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig in real time: one thread in select(), which has microseconds where poll() and epoll have
+milliseconds.
+
+What is due on a wire comes before the physics. With `priority` the thread is SCHED_FIFO and spins
+over the last moment before something is due, so that the wire's pace is a wire's and not a
+scheduler's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import select
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from motord_hal.sim.rig import Rig
+
+WAIT_MAX_S = 0.02
+"""Longest sleep: bounds how much physics has to be caught up at once."""
+SPIN_S = 0.0001
+"""Longer than a wake-up of a SCHED_FIFO thread takes."""
+PHYSICS_SPARE_S = 0.0005
+"""The physics waits where something is due on a wire within this time."""
+PHYSICS_LAG_MAX_S = 0.01
+"""But no longer than so."""
+TIMER_SLACK = Path("/proc/self/timerslack_ns")
+
+
+def run(
+    rig: Rig, stopped: Callable[[], bool], until_fd_ends: int | None = None, *, priority: int = 0
+) -> None:
+    """Be the robot until `stopped()` or until that file descriptor ends. Raises PermissionError
+    where the priority is not allowed."""
+    set_pace(priority)
+    rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
+    began_s = rig.began_ns * 1e-9
+    _Runner(rig, lambda: time.monotonic() - began_s, until_fd_ends, priority).run(stopped)
+
+
+def set_pace(priority: int) -> None:
+    """Wake-ups without slack (50 µs by default: prctl(2), PR_SET_TIMERSLACK), SCHED_FIFO if a
+    priority is given."""
+    with contextlib.suppress(OSError):  # older kernels and sandboxes: the default slack stays
+        TIMER_SLACK.write_text("1")
+    if priority > 0:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        gc.collect()
+        gc.freeze()
+
+
+class _Runner:
+    def __init__(
+        self, rig: Rig, clock: Callable[[], float], until_fd_ends: int | None, priority: int
+    ) -> None:
+        self._rig = rig
+        self._clock = clock
+        self._watched = [] if until_fd_ends is None else [until_fd_ends]
+        self._spin_s = SPIN_S if priority > 0 else 0.0
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        rig, clock = self._rig, self._clock
+        while not stopped():
+            ready = set(self._wait())
+            rig.work_lines(clock)
+            if ready:
+                rig.server.work(ready)
+            self._advance()
+            if ready & set(self._watched) and not os.read(self._watched[0], 4096):
+                return
+
+    def _wait(self) -> list[int]:
+        rig, clock = self._rig, self._clock
+        now_s = clock()
+        due_s = rig.due_s(now_s)
+        files = [*rig.filenos(now_s), *self._watched]
+        wait_s = min(due_s - self._spin_s - now_s, WAIT_MAX_S)
+        ready = select.select(files, [], [], max(0.0, wait_s))[0]
+        if self._spin_s > 0.0 and not ready:
+            while (left_s := due_s - clock()) > 0.0 and left_s <= self._spin_s:
+                pass
+        return ready
+
+    def _advance(self) -> None:
+        """The physics up to now, as far as the wires leave time."""
+        rig, clock = self._rig, self._clock
+        while rig.substep_due(now_s := clock()):
+            behind_s = now_s - rig.plant.time_s
+            due_soon = rig.due_s(now_s) - now_s < PHYSICS_SPARE_S
+            if due_soon and behind_s < PHYSICS_LAG_MAX_S:
+                return
+            rig.substep()
