@@ -12,7 +12,10 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from motord_hal.clock import now_ns
+from motord_hal.drives.profile import Step
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
+from motord_hal.modbus.job import VERIFY_WITHIN_S
+from motord_hal.modbus.parameter import raw_to_write, readable
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,
@@ -284,6 +287,29 @@ class RtLine:
                 if drive.state in present and any(watch.word for watch in drive.faults.values())
             ]
         )
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register."""
+        drive = self._drive_of(joint)
+        found = readable(drive.frames.profile, register)
+        self._check_open()
+        return found.to_si(await drive.jobs.read(register))
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """As ports.Line.write_register."""
+        drive = self._drive_of(joint)
+        raw = raw_to_write(drive.frames.profile, register, value)
+        self._check_open()
+        write = Step(register=register, value=raw)
+        verify = Step(register=register, equals=raw, within_s=VERIFY_WITHIN_S)
+        await drive.jobs.run("write", (write, verify))
+        return drive.frames.profile.registers[register].to_si(raw)
+
+    def _drive_of(self, joint: str) -> RtDrive:
+        for drive in self._drives:
+            if joint in drive.names:
+                return drive
+        raise LookupError(f'{self.spec.name} has no joint "{joint}"')
 
     def _check_open(self) -> LineReport:
         """The newest report. Raises PortError where there is none."""
