@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon with a bad neighbour in its process: a thread that keeps the GIL for 10 s.
+"""The daemon with bad neighbours in its process: a thread that keeps the GIL for 10 s, and a
+callback that never returns.
 
-It begins when a line comes through the named pipe in HOG_PIPE. The sleep is called through PyDLL,
-which does not release the GIL: no Python line runs anywhere in the process meanwhile.
+The first begins when a line comes through the named pipe in HOG_PIPE. The sleep is called through
+PyDLL, which does not release the GIL: no Python line runs anywhere in the process meanwhile. The
+second begins with SIGUSR1, whose handler runs in the thread of the event loop.
 """
 
 import ctypes
 import os
+import signal
 import threading
+import time
 
 from motord.__main__ import main
 
@@ -18,5 +22,11 @@ def hog() -> None:
     ctypes.PyDLL(None).sleep(10)
 
 
+def block(*_: object) -> None:
+    while True:
+        time.sleep(1.0)
+
+
+signal.signal(signal.SIGUSR1, block)
 threading.Thread(target=hog, daemon=True).start()
 main()

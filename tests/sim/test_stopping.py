@@ -132,6 +132,33 @@ def test_a_thread_that_hogs_the_gil_does_not_keep_the_wheels_turning(tmp_path, r
         assert stage.sim.truth().at_rest
 
 
+HEARTBEAT_S = 0.5
+
+
+@pytest.mark.parametrize("how", ["GIL", "asyncio"])
+def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robot, how):
+    """By frames: the drives' own watchdogs would bite long after the bound."""
+    pipe = tmp_path / "hog"
+    os.mkfifo(pipe)
+    settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=20.0")
+    ramp_s = SPEED_M_S / robot.limits.linear_deceleration_m_s2
+
+    with running(tmp_path, *settings, motord=HOGGED, environ={"HOG_PIPE": str(pipe)}) as stage:
+
+        def hurt():
+            if how == "GIL":
+                pipe.write_bytes(b"now\n")
+            else:
+                stage.daemon.send_signal(signal.SIGUSR1)
+
+        with moving(stage, robot):
+            assert stage.robot.status()["lines"]["rs485"]["engine"] == "rt"
+            assert seconds_to_rest(stage, hurt) < HEARTBEAT_S + ramp_s + BUSY_S
+        joints = stage.sim.truth().joints.values
+        wait_until(lambda: not any(j.enabled for j in joints()), "their power is off", 5.0)
+        stage.daemon.kill()
+
+
 def test_the_demonstration_ends_well_and_prints_what_the_contract_says(tmp_path):
     patient = tmp_path / "demo.toml"  # a busy machine is no fault
     text = ROBOT.read_text(encoding="utf-8")
