@@ -127,6 +127,14 @@ class LineReport:
     drives: tuple[DriveReport, ...]
 
 
+def check_table(name: str, table: LineTable) -> None:
+    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+    found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
+    if found != ffi.NULL:
+        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+
+
 class LineThread:
     """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
@@ -141,12 +149,8 @@ class LineThread:
         self._histogram = ffi.new("histogram *")
 
     def start(self, spec: ThreadSpec, table: LineTable) -> None:
-        """Raises ProfileError where the table cannot be run, HalError where the line cannot."""
+        """Raises HalError."""
         raw = ffi.new("line_table *", _plain(table))
-        name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-        found = lib.line_table_check(raw, name)
-        if found != ffi.NULL:
-            raise ProfileError(f"the line's table: {ffi.string(found).decode()} cannot be")
         values = dataclasses.asdict(spec) | {"exchange": self._exchange.handle}
         config = ffi.new("line_config *", values)
         ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))

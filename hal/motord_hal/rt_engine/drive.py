@@ -8,7 +8,7 @@ obeys where it is safe, and sequences of requests.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 
 from motord_hal.clock import NS_PER_S, now_ns
@@ -20,15 +20,13 @@ from motord_hal.ports import DriveState, EventKind
 from motord_hal.retry import Backoff
 from motord_hal.rt_engine.asks import exception_text
 from motord_hal.rt_engine.jobs import DriveJobs
+from motord_hal.rt_engine.news import News
 from motord_hal.rt_line import AnswerKind, Demoted, DriveReport, LineThread, Mode
 
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0
 OBEYED_WITHIN_S = 1.0
 """C obeys or refuses a wish within milliseconds; asyncio may hear of it later."""
-
-Until = Callable[[Callable[[], bool]], Awaitable[None]]
-"""Returns when the condition holds; it is looked at after every report."""
 
 _STATES = MappingProxyType(
     {
@@ -57,7 +55,7 @@ class RtDrive:
         jobs: DriveJobs,
         watchdog_s: float,
         thread: LineThread,
-        until: Until,
+        news: News,
         say: Say,
     ) -> None:
         self.jobs = jobs
@@ -67,7 +65,7 @@ class RtDrive:
         self._index = index
         self._setup = configure_steps(self.frames.profile, watchdog_s)
         self._thread = thread
-        self._until = until
+        self._news = news
         self._say = say
         self._report: DriveReport | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
@@ -103,8 +101,9 @@ class RtDrive:
         before = self.mode
         said = Demoted(0) if self._report is None else self._report.demoted
         self._report = report
-        for joint in self.frames.joints:
-            self.faults[joint.name].update(fault_words[joint.index])
+        if report.cycles:  # else its fault words have not been read
+            for joint in self.frames.joints:
+                self.faults[joint.name].update(fault_words[joint.index])
         if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
             self._is_ready()
         elif report.mode in (Mode.QUIET, Mode.BACK):
@@ -130,7 +129,7 @@ class RtDrive:
     async def keep_set_up(self) -> None:
         """Whenever C holds it for not set up: set it up, and wish it ready. For ever."""
         while True:
-            await self._until(lambda: self.mode in (Mode.OFF, Mode.BACK))
+            await self._news.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             self._failed_setup = False
             try:
                 await self.jobs.run("configure", self._setup)
@@ -148,7 +147,7 @@ class RtDrive:
         """Whenever it has been told to stand down: power off, ahead of all other requests. For
         ever."""
         while True:
-            await self._until(lambda: self._powering_off is not None)
+            await self._news.until(lambda: self._powering_off is not None)
             try:
                 await self.jobs.run("disarm", self.frames.profile.disarm, urgent=True)
             except HalError as error:
@@ -168,7 +167,7 @@ class RtDrive:
 
     async def _obeyed(self, wish: int) -> None:
         """Until C has seen it: then it is obeyed, or refused."""
-        await self._until(lambda: self._report is not None and self._report.wish_seen >= wish)
+        await self._news.until(lambda: self._report is not None and self._report.wish_seen >= wish)
 
     # --------------------------------------------------------------------------- what it is told
     def stand_down(self) -> asyncio.Future[None]:
@@ -179,6 +178,7 @@ class RtDrive:
         self._thread.allow_arming(self._index, 0)
         if self._powering_off is None:
             self._powering_off = asyncio.get_running_loop().create_future()
+            self._news.poke()
         return self._powering_off
 
     async def enable(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from typing import Any
 
 from motord_hal.clock import now_ns
@@ -32,19 +32,20 @@ from motord_hal.rt_engine.asks import Asks
 from motord_hal.rt_engine.books import Books
 from motord_hal.rt_engine.drive import RtDrive
 from motord_hal.rt_engine.jobs import DriveJobs
+from motord_hal.rt_engine.news import News
 from motord_hal.rt_engine.port import OpenPort, open_port
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
-from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec
+from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
 
 REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
-LOOK_EVERY_S = 0.05
-"""So often the report is read when nothing calls for it."""
 SHUTDOWN_WITHIN_S = 0.6
 """The thread itself needs 0.5 s at most."""
 SLOT_ALLOWANCE_S = 0.1
 """On top of the slowest cycle: lost replies of this drive or of its neighbours."""
+_U32 = 0xFFFF_FFFF
+"""Steps compare within their mask, which has 32 bits."""
 
 
 class RtLine:
@@ -58,6 +59,8 @@ class RtLine:
         if len(frames) > DRIVES_MAX:
             raise ProfileError(f"{spec.name}: {len(frames)} drives, at most {DRIVES_MAX}")
         self._table = line_table(spec, frames)
+        check_table(spec.name, self._table)
+        self._news = News()
         cycle_s = max(1.0 / spec.cycle_hz, sum(drive.slowest_cycle_s() for drive in frames))
         self._asks = Asks(spec.name, self._thread, len(frames) * (cycle_s + SLOT_ALLOWANCE_S))
         self._drives = [
@@ -66,7 +69,7 @@ class RtLine:
                 DriveJobs(index, drive, self._asks),
                 spec.watchdog_s,
                 self._thread,
-                self._until,
+                self._news,
                 self._say,
             )
             for index, drive in enumerate(frames)
@@ -76,9 +79,6 @@ class RtLine:
         self._report: LineReport | None = None
         self._said_lost = False
         self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
-        self._event_fd = -1
-        self._wake = asyncio.Event()
-        self._looked = asyncio.Event()
 
     # ------------------------------------------------------------------------------------ what is
     @property
@@ -113,9 +113,7 @@ class RtLine:
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
         """As ports.Line.run."""
-        self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        loop = asyncio.get_running_loop()
-        loop.add_reader(self._event_fd, self._wake.set)
+        self._news.open()
         try:
             while True:
                 await self._open()
@@ -125,8 +123,7 @@ class RtLine:
                 await self._shut_down()
             finally:
                 self._close(PortError(f"{self.spec.name} is closed"))
-                loop.remove_reader(self._event_fd)
-                os.close(self._event_fd)
+                self._news.close()
 
     async def _open(self) -> None:
         if self._said_lost:
@@ -149,7 +146,7 @@ class RtLine:
         direction = self.spec.direction
         thread = ThreadSpec(
             fd=self._port.fd,
-            event_fd=self._event_fd,
+            event_fd=self._news.event_fd,
             priority=self.spec.priority,
             cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
             de_fd=self._port.de_fd,
@@ -199,19 +196,7 @@ class RtLine:
                 return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
             if report.exchanges:
                 self._backoff.reset()
-            await self._wait_for_news()
-
-    async def _wait_for_news(self) -> None:
-        try:
-            async with asyncio.timeout(LOOK_EVERY_S):
-                await self._wake.wait()
-        except TimeoutError:
-            return
-        self._wake.clear()
-        try:
-            os.eventfd_read(self._event_fd)
-        except BlockingIOError:
-            return
+            await self._news.wait()
 
     def _look(self) -> LineReport:
         """Take in what the thread says."""
@@ -219,13 +204,8 @@ class RtLine:
         report = self._report = self._thread.report()
         for drive, said in zip(self._drives, report.drives, strict=True):
             drive.update(said, report.fault_words)
-        self._looked.set()
-        self._looked = asyncio.Event()
+        self._news.looked()
         return report
-
-    async def _until(self, condition: Callable[[], bool]) -> None:
-        while not condition():
-            await self._looked.wait()
 
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive: C does it, and this waits for it."""
@@ -235,7 +215,7 @@ class RtLine:
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
                 while (report := self._thread.report()).running and not report.shut_down:
-                    await self._wait_for_news()
+                    await self._news.wait()
         except TimeoutError:
             text = f"{self.spec.name}: not every drive was switched off at the end"
             self._say_all(EventKind.DRIVE_WARNING, text)
@@ -301,7 +281,7 @@ class RtLine:
         raw = raw_to_write(drive.frames.profile, register, value)
         self._check_open()
         write = Step(register=register, value=raw)
-        verify = Step(register=register, equals=raw, within_s=VERIFY_WITHIN_S)
+        verify = Step(register=register, equals=raw & _U32, within_s=VERIFY_WITHIN_S)
         await drive.jobs.run("write", (write, verify))
         return drive.frames.profile.registers[register].to_si(raw)
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How asyncio hears of what a line's thread has done."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+
+LOOK_EVERY_S = 0.05
+"""So often the report is read when nothing calls for it."""
+
+
+class News:
+    """The eventfd that the thread writes, and those who wait for something to come true."""
+
+    def __init__(self) -> None:
+        self.event_fd = -1
+        self._called = asyncio.Event()
+        self._looked = asyncio.Event()
+
+    def open(self) -> None:
+        self.event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        asyncio.get_running_loop().add_reader(self.event_fd, self._take)
+
+    def close(self) -> None:
+        asyncio.get_running_loop().remove_reader(self.event_fd)
+        os.close(self.event_fd)
+        self.event_fd = -1
+
+    def _take(self) -> None:
+        try:
+            os.eventfd_read(self.event_fd)
+        except BlockingIOError:
+            return
+        self.poke()
+
+    def poke(self) -> None:
+        """There is something to look at."""
+        self._called.set()
+
+    async def wait(self) -> None:
+        """Until there is something to look at; LOOK_EVERY_S at most."""
+        try:
+            async with asyncio.timeout(LOOK_EVERY_S):
+                await self._called.wait()
+        except TimeoutError:
+            return
+        self._called.clear()
+
+    def looked(self) -> None:
+        """A new report has been taken in: whoever waits looks whether it is what he waits for."""
+        self._looked.set()
+        self._looked = asyncio.Event()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Returns when the condition holds after a report."""
+        while not condition():
+            await self._looked.wait()
