@@ -73,8 +73,7 @@ class SimulatedDrive:
         self.registers: RegisterFile | FrameContent = (
             FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
         )
-        self._settings = {step.register for step in profile.configure if step.value is not None}
-        self._settings |= {profile.watchdog.register} if profile.watchdog else set()
+        self._settings = _settings(profile)
         self._setting_taken = False
         self._watchdog_s = watchdog_s
         self._motors = {
@@ -309,6 +308,17 @@ class SimulatedDrive:
         it is."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
+
+
+def _settings(profile: DriveProfile) -> frozenset[str]:
+    """What is written once, when a drive is set up: not what commands it."""
+    once = {step.register for step in profile.configure if step.value is not None}
+    once |= {profile.watchdog.register} if profile.watchdog else set()
+    sequences = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
+    often = {step.register for steps in sequences for step in steps}
+    for channel in profile.channels.values():
+        often |= {channel.velocity_setpoint or "", channel.duty_setpoint or ""}
+    return frozenset(once - often)
 
 
 def tagged_count(bits: int, unit: int, channel: int) -> int:
