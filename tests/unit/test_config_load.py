@@ -112,7 +112,6 @@ def test_a_wrong_value_is_said_with_its_line_and_what_is_right(problems_of, wron
     [
         ('"differential"', '"mecanum"', "base.kind: {} is not in this version of motord"),
         ('"modbus-rtu"', '"canopen"', "line.rs485.kind: {} is not in this version of motord"),
-        ('"auto"', '"rt"', "line.rs485.engine: {} is not in this version of motord"),
         ('"stdout"', '"ros2"', "publish.console.kind: {} is not in this version of motord"),
         ('"stdout"', '"stdio"', "publish.console.kind: {} is unknown"),
     ],
@@ -146,7 +145,10 @@ def test_what_only_follows_from_a_mistake_is_not_said(problems_of):
     )
     assert [row.partition(":")[2] for row in problems_of(text)] == [
         " base.trak_m: unknown key (did you mean track_m?)",
-        ' line.rs485.kind: "can" is not in this version of motord ("modbus-rtu")',
+        (
+            ' line.rs485.kind: "can" is not in this version of motord'
+            ' ("ddsm", "modbus-rtu", "modbus-tcp", "rtu-over-tcp")'
+        ),
     ]
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file: `load_robot` reads one, and says every problem at once with its line."""
 
+from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
 from motord.config.load import load_robot
 from motord.config.model import (
     Base,
@@ -11,7 +12,7 @@ from motord.config.model import (
     Odometry,
     Publish,
     Robot,
-    RtuLine,
+    RtInput,
     Safety,
     SkidBase,
     SocketInput,
@@ -31,8 +32,12 @@ __all__ = [
     "Safety",
     "Odometry",
     "RtuLine",
+    "DdsmLine",
+    "TcpLine",
+    "RtuOverTcpLine",
     "Joint",
     "SocketInput",
+    "RtInput",
     "Publish",
     "StdoutPublish",
     "UdpPublish",

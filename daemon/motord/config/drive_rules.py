@@ -42,6 +42,14 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((path, *paths), text)
 
 
+def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
+        if (kind == "ddsm") != (protocol == "ddsm"):
+            text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
+            yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
+
+
 def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
     """Motors that face each other turn opposite ways; motors on one side turn the same way."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
@@ -206,6 +214,7 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _one_joint_a_channel,
+    _protocol,
     _mounting,
     _velocity,
     _duty,

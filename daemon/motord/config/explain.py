@@ -19,15 +19,13 @@ from motord.config.toml_lines import Path
 # Kinds and keys that motord plans and does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
-    ("line", "*", "kind"): frozenset({"modbus-tcp", "can", "canopen", "gpio", "pwm", "serial"}),
-    ("line", "*", "engine"): frozenset({"rt"}),
+    ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
     ("input", "*", "kind"): frozenset({"ros2", "mqtt", "zenoh", "websocket", "joystick"}),
     ("publish", "*", "kind"): frozenset(
         {"ros2", "mqtt", "zenoh", "foxglove", "mcap", "prometheus"}
     ),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
-    ("line", "*"): frozenset({"direction"}),
     ("publish", "*"): frozenset({"qos"}),
 }
 _NOT_A = {

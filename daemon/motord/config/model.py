@@ -11,47 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, StringConstraints
+from pydantic import Field, PrivateAttr
 
+from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
+from motord.config.section import Name, Section, number
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 StopAction = Literal["ramp", "brake", "hold", "coast"]
-
-
-def number(
-    description: str,
-    low: float,
-    high: float | None,
-    unit: str,
-    default: Any = ...,
-) -> Any:
-    """A number within low..high (None: no upper end, infinity allowed) and its unit. A callable
-    default makes the value from those above it."""
-    start = {"default_factory" if callable(default) else "default": default}
-    return Field(
-        **start,
-        description=description,
-        ge=low,
-        le=high,
-        json_schema_extra={"unit": unit},
-        allow_inf_nan=high is None,
-    )
-
-
-class Section(BaseModel):
-    """A table of the robot file: no unknown key, no text for a number, no change afterwards."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        strict=True,
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-        field_title_generator=lambda name, _: name,
-    )
 
 
 class RobotName(Section):
@@ -66,7 +34,7 @@ class Loop(Section):
 
     rate_hz: float = number("ticks a second", 10, 20000, "Hz", 1000.0)
     priority: int = number("SCHED_FIFO priority; 0: ordinary scheduling", 0, 99, "1", 80)
-    cpu: tuple[Annotated[int, Field(ge=0, le=63)], ...] = Field(default=(), strict=False)
+    cpu: Cpus = Field(default=(), strict=False)
     """CPUs the loop may run on, each 0 to 63; none: all of them."""
     lock_memory: bool = True
     """Keep the daemon's memory from being paged out."""
@@ -217,30 +185,6 @@ class Odometry(Section):
     )
 
 
-class RtuLine(Section):
-    """One RS485 pair and its port."""
-
-    kind: Literal["modbus-rtu"]
-    port: str = Field(min_length=1)
-    """Device file: /dev/serial/by-id/... names the same adapter after every start."""
-    baudrate: int = number("bits a second", 1200, 4_000_000, "1/s", 115200)
-    parity: Literal["none", "even", "odd"] = "none"
-    stop_bits: int = number("stop bits", 1, 2, "1", 1)
-    engine: Literal["auto", "asyncio"] = "auto"
-    """Who does the cyclic exchange."""
-    cycle_hz: float = number(
-        "exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0
-    )
-    gap_s: float | None = number(
-        "silence between frames; the drive's or the standard's where it is not given (Modbus over "
-        "serial line V1.02, 2.5.1.1)",
-        0,
-        0.1,
-        "s",
-        None,
-    )
-
-
 class Joint(Section):
     """One driven wheel."""
 
@@ -292,6 +236,9 @@ class Joint(Section):
         "s",
         None,
     )
+    cycle_hz: float | None = number(
+        "exchanges a second with its drive; the line's where it is not given", 1, 1000, "Hz", None
+    )
 
 
 class SocketInput(Section):
@@ -301,6 +248,19 @@ class SocketInput(Section):
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number(
         "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
+    )
+
+
+class RtInput(Section):
+    """Commands as datagrams that the loop itself takes in, whatever Python does."""
+
+    kind: Literal["rt"]
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number(
+        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
+    )
+    udp_port: int | None = number(
+        "UDP port on 127.0.0.1; where it is not given, the Unix socket only", 1024, 65535, "1", None
     )
 
 
@@ -334,12 +294,12 @@ class Robot(Section):
     limits: Limits = Field(default_factory=Limits)
     safety: Safety = Field(default_factory=Safety)
     odometry: Odometry = Field(default_factory=Odometry)
-    line: dict[Name, RtuLine]
+    line: dict[Name, LineSection]
     """The wires."""
     joint: dict[Name, Joint]
     """The driven wheels; their order is that of the core's joints."""
-    input: dict[Name, SocketInput] = Field(
-        default_factory=lambda: {"socket": SocketInput(kind="socket")}
+    input: dict[Name, Annotated[SocketInput | RtInput, Field(discriminator="kind")]] = Field(
+        default_factory=lambda: dict[str, SocketInput | RtInput](socket=SocketInput(kind="socket"))
     )
     publish: dict[Name, Annotated[StdoutPublish | UdpPublish, Field(discriminator="kind")]] = Field(
         default_factory=dict

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
@@ -43,13 +42,6 @@ def _line_count(robot: Robot) -> Iterator[Finding]:
             yield Finding((("line", name), *uses), "no joint is on this line", warning=True)
 
 
-def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
-    for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
-        if first.port == second.port:
-            paths = (("line", other, "port"), ("line", one, "port"))
-            yield Finding(paths, f'line "{one}" has this port already')
-
-
 def _stops_in_time(robot: Robot) -> Iterator[Finding]:
     if (rest_s := robot.limits.rest_s()) > REST_MAX_S:
         text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
@@ -66,7 +58,6 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _joint_count,
     _known_lines,
     _line_count,
-    _one_port_a_line,
     _stops_in_time,
     _slip_factor,
 )

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
-from motord.config.model import Joint, Robot, RtuLine
+from dataclasses import replace
+
+from motord.config.line_sections import AnyLine, SerialLine
+from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.drives.profile import Gap
+from motord_hal.ports import DirectionKind, DirectionSpec, Echo, JointSpec, LineSpec
 
 
 def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
@@ -16,25 +20,45 @@ def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
     )
 
 
-def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: RtuLine) -> LineSpec:
+def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: AnyLine) -> LineSpec:
     joints = tuple(
         _joint_spec(profiles, place, joint_name, joint)
         for place, (joint_name, joint) in enumerate(robot.joint.items())
         if joint.line == name
     )
-    return LineSpec(
+    spec = LineSpec(
         index=index,
         name=name,
         kind=line.kind,
-        port=line.port,
+        port=line.address,
         baudrate=line.baudrate,
         parity=line.parity,
         stop_bits=line.stop_bits,
         cycle_hz=line.cycle_hz,
-        gap_s=line.gap_s,
+        gap_s=None,
         engine=line.engine,
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
+    )
+    return _with_port(spec, line, robot.loop.priority) if isinstance(line, SerialLine) else spec
+
+
+def _with_port(spec: LineSpec, line: SerialLine, loop_priority: int) -> LineSpec:
+    return replace(
+        spec,
+        gap=Gap(line.gap) if line.gap else None,
+        gap_s=line.gap_s,
+        direction=DirectionSpec(
+            kind=DirectionKind(line.direction),
+            active_high=line.direction_active_high,
+            before_s=line.direction_before_s,
+            after_s=line.direction_after_s,
+            gpio_chip=line.direction_gpio_chip or "",
+            gpio_line=line.direction_gpio_line or "",
+        ),
+        echo=Echo(line.echo),
+        priority=min(line.priority, max(loop_priority - 1, 0)),
+        cpu=line.cpu,
     )
 
 
@@ -47,6 +71,7 @@ def _joint_spec(profiles: Profiles, index: int, name: str, joint: Joint) -> Join
         channel=joint.channel,
         gear_ratio=joint.gear_ratio,
         inverted=joint.inverted,
+        cycle_hz=joint.cycle_hz,
         tries=joint.tries,
         reply_timeout_s=joint.reply_timeout_s,
     )

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the keys of a line: which engine, which port, which transceiver."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.line_sections import DdsmLine, GatewayLine, SerialLine
+from motord.config.model import Robot
+
+
+def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
+        if first.address == second.address:
+            key = "tcp_port" if isinstance(second, GatewayLine) else "port"
+            paths = (("line", other, key), ("line", one, key))
+            yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _engine(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        at = (("line", name, "engine"), ("line", name, "kind"))
+        if isinstance(line, GatewayLine) and line.engine == "rt":
+            text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
+            yield Finding(at, text)
+        elif isinstance(line, DdsmLine) and line.engine == "asyncio":
+            yield Finding(at, 'kind "ddsm" runs on "rt" only')
+
+
+def _gap(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if isinstance(line, SerialLine) and line.gap is not None and line.gap_s is not None:
+            paths = (("line", name, "gap_s"), ("line", name, "gap"))
+            yield Finding(paths, "the silence is given twice: by gap and by gap_s")
+
+
+def _direction(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if not isinstance(line, SerialLine):
+            continue
+        way = ("line", name, "direction")
+        if line.direction == "gpio" and line.engine == "asyncio":
+            text = '"gpio" needs engine "rt": the line is switched by its real-time thread'
+            yield Finding((way, ("line", name, "engine")), text)
+        for key in ("direction_gpio_chip", "direction_gpio_line"):
+            path = ("line", name, key)
+            if line.direction == "gpio" and not getattr(line, key):
+                yield Finding((path, way), 'is missing: direction = "gpio" needs it')
+            elif line.direction != "gpio" and key in line.model_fields_set:
+                yield Finding((path, way), 'is only for direction = "gpio"')
+        for key in ("direction_active_high", "direction_before_s", "direction_after_s"):
+            if line.direction == "auto" and key in line.model_fields_set:
+                text = 'is only for direction = "kernel" and "gpio"'
+                yield Finding((("line", name, key), way), text)
+
+
+def _priority(robot: Robot) -> Iterator[Finding]:
+    loop = robot.loop.priority
+    for name, line in robot.line.items():
+        given = isinstance(line, SerialLine) and "priority" in line.model_fields_set
+        if isinstance(line, SerialLine) and given and 0 < loop <= line.priority:
+            text = f"{line.priority} is not below the loop's ({loop})"
+            yield Finding((("line", name, "priority"), ("loop", "priority")), text)
+
+
+LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
+    _one_port_a_line,
+    _engine,
+    _gap,
+    _direction,
+    _priority,
+)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lines of a robot file: one section a kind."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from motord.config.section import Section, number
+
+Cpus = tuple[Annotated[int, Field(ge=0, le=63)], ...]
+
+
+class Line(Section):
+    """What every line has."""
+
+    baudrate: int = number("bits a second on the wire", 1200, 4_000_000, "1/s", 115200)
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: int = number("stop bits", 1, 2, "1", 1)
+    engine: Literal["auto", "asyncio", "rt"] = "auto"
+    """Who does the cyclic exchange: a real-time thread (rt, serial ports only) or asyncio."""
+    cycle_hz: float = number(
+        "exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0
+    )
+
+
+class SerialLine(Line):
+    """A line on a serial port of this machine."""
+
+    port: str = Field(min_length=1)
+    """Device file (/dev/serial/by-id/... names the same adapter after every start), or usb:SERIAL
+    for the adapter with that serial number."""
+    gap: Literal["spec", "3.5char"] | None = None
+    """Silence between frames by rule: spec is the standard's (Modbus over serial line V1.02,
+    2.5.1.1), 3.5char keeps 3.5 characters at any baud rate; the drives' where it is not given."""
+    gap_s: float | None = number(
+        "silence between frames; the drive's or the standard's where it is not given (Modbus over "
+        "serial line V1.02, 2.5.1.1)",
+        0,
+        0.1,
+        "s",
+        None,
+    )
+    direction: Literal["auto", "kernel", "gpio"] = "auto"
+    """Who switches the transceiver to talking: the adapter itself, the UART's driver (by RTS), or
+    the line's thread by a GPIO line."""
+    direction_active_high: bool = True
+    """The level of RTS or of the GPIO line while talking."""
+    direction_before_s: float = number("from talking to the first bit", 0, 0.01, "s", 0.0)
+    direction_after_s: float = number("from the last bit to listening", 0, 0.01, "s", 0.0)
+    direction_gpio_chip: str | None = None
+    """The GPIO chip's label or device file."""
+    direction_gpio_line: str | None = None
+    """The GPIO line's name, or its number on the chip."""
+    echo: Literal["auto", "yes", "no"] = "auto"
+    """Whether the adapter hears what it says itself; auto: found out after opening."""
+    priority: int = number(
+        "SCHED_FIFO priority of the line's thread, below the loop's; 0: ordinary scheduling",
+        0,
+        98,
+        "1",
+        70,
+    )
+    cpu: Cpus = Field(default=(), strict=False)
+    """CPUs the line's thread may run on, each 0 to 63; none: all of them."""
+
+    @property
+    def address(self) -> str:
+        """Where it is plugged in."""
+        return self.port
+
+
+class RtuLine(SerialLine):
+    """One RS485 pair with Modbus RTU."""
+
+    kind: Literal["modbus-rtu"]
+
+
+class DdsmLine(SerialLine):
+    """One RS485 pair with DDSM motors, which speak frames of ten bytes."""
+
+    kind: Literal["ddsm"]
+
+
+class GatewayLine(Line):
+    """Drives behind a gateway in the network; baud rate, parity and stop bits are its port's."""
+
+    host: str = Field(min_length=1, pattern=r"^[^\s/]+$")
+    """The gateway's name or address."""
+    tcp_port: int = number("TCP port", 1, 65535, "1", 502)
+
+    @property
+    def address(self) -> str:
+        """HOST:PORT."""
+        return f"{self.host}:{self.tcp_port}"
+
+
+class TcpLine(GatewayLine):
+    """A gateway that speaks Modbus TCP."""
+
+    kind: Literal["modbus-tcp"]
+
+
+class RtuOverTcpLine(GatewayLine):
+    """A serial server that passes Modbus RTU frames as they are."""
+
+    kind: Literal["rtu-over-tcp"]
+
+
+AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine
+LineSection = Annotated[AnyLine, Field(discriminator="kind")]
