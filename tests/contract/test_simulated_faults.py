@@ -151,19 +151,13 @@ def test_a_drive_of_another_parity_is_noise_to_the_line(tmp_path):
 
 
 # --------------------------------------------------------------------------------------- the drives
-def a_setting(bench):
-    """A register that is written when the drive is set up, with the value that it then gets."""
-    return next(
-        step
-        for step in bench.profile.configure
-        if step.value is not None and not step.register.startswith("target")
-    )
+SETTING, VALUE = "control_mode", 3
+"""Written when a zlac8015d is set up, and at no other time."""
 
 
 def test_a_drive_is_deaf_while_it_stores_a_setting(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100",)) as bench:
-        setting = a_setting(bench)
-        assert bench.write(setting.register, setting.value) == 0
+        assert bench.write(SETTING, VALUE) == 0
         assert bench.exchange(FRAME, 0.02) == b""
         bench.go_on(0.1)
         assert bench.exchange(FRAME) == REPLY
@@ -172,8 +166,7 @@ def test_a_drive_is_deaf_while_it_stores_a_setting(tmp_path):
 
 def test_a_busy_drive_refuses_while_it_stores_a_setting(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100,busy=1",)) as bench:
-        setting = a_setting(bench)
-        assert bench.write(setting.register, setting.value) == 0
+        assert bench.write(SETTING, VALUE) == 0
         assert bench.exchange(FRAME, 0.02) == build_exception(1, Function.READ_HOLDING, 6)
         bench.go_on(0.1)
         assert bench.exchange(FRAME) == REPLY

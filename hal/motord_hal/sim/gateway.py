@@ -48,6 +48,7 @@ class GatewayPort(TcpPort):
         self._reply = bytearray()
         self._deadline_s = math.inf
         self._free_s = -math.inf
+        self._just_over = False
         self._hold = False
 
     def pull(self) -> None:
@@ -60,6 +61,7 @@ class GatewayPort(TcpPort):
 
     def due_s(self, now_s: float) -> float:
         waiting_s = self._free_s if self._asks and self._asking is None else math.inf
+        waiting_s = now_s if self._just_over else waiting_s
         return min(super().due_s(now_s), self._deadline_s, waiting_s)
 
     def take_in(self, now_s: float) -> bytes | None:
@@ -69,6 +71,9 @@ class GatewayPort(TcpPort):
             self._accept()
             for client in list(self._clients):
                 self._read(client, now_s)
+        if self._just_over:  # only now is the last byte surely over
+            self._just_over = False
+            self._free_s = now_s + self._gap_s
         if self._asking is not None and now_s >= self._deadline_s:
             self._fail(self._asking, now_s)
         if self._asking is not None or not self._asks or now_s < self._free_s:
@@ -129,7 +134,8 @@ class GatewayPort(TcpPort):
         self._hold = False
         self._asking = None
         self._deadline_s = math.inf
-        self._free_s = now_s + self._gap_s
+        self._free_s = math.inf
+        self._just_over = True
 
 
 def _complete(frame: bytes) -> bool:
