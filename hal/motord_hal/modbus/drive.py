@@ -15,7 +15,7 @@ from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.guard import Answer
 from motord_hal.modbus.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.link import Link
-from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, DrivePlan, ReadRange
+from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
 from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
@@ -90,8 +90,15 @@ class Drive:
         self._asked_s = asked_s
         return answer
 
+    async def _ask_cyclic(self, one: CyclicExchange, send_by_s: float) -> None:
+        answer = await self._ask(one.request, send_by_s)
+        if one.reads is not None:
+            self._take(one.reads, answer)
+
     async def _read(self, what: ReadRange) -> None:
-        answer = await self._ask(what.request(self.plan.unit))
+        self._take(what, await self._ask(what.request(self.plan.unit)))
+
+    def _take(self, what: ReadRange, answer: Answer) -> None:
         values = what.decode(answer.values)
         self._values.update(values)
         self._stamps_ns.update(dict.fromkeys(values, answer.stamp_ns))
@@ -104,9 +111,7 @@ class Drive:
     async def cycle(self, wanted: Callable[[], Wanted]) -> None:
         """Set-points out, feedback in. Failures are counted, not raised; PortError passes."""
         try:
-            await self._write_setpoints(wanted())
-            for fast in self.plan.fast:
-                await self._read(fast)
+            await self._exchange_cyclic(wanted())
             self._publish()
             if (extra := self._due_extra()) is not None:
                 await self._read(extra)
@@ -116,7 +121,7 @@ class Drive:
         else:
             self._cycles += 1
 
-    async def _write_setpoints(self, wanted: Wanted) -> None:
+    async def _exchange_cyclic(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
         motion = any(raw.values())
         self.told_motion |= motion
@@ -129,10 +134,14 @@ class Drive:
             # never a new magnitude the old way, also when the next frame is lost
             if way not in (self._ways.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
-        await self._write(raw, send_by_s)
-        self.told_motion = motion
-        if self.state is DriveState.ARMED:  # and not disarmed meanwhile
-            await self._turn(ways)
+        exchanges = self.plan.cyclic(raw)
+        last_write = max(n for n, one in enumerate(exchanges) if one.request.values)
+        for number, one in enumerate(exchanges):
+            await self._ask_cyclic(one, send_by_s if one.request.values else math.inf)
+            if number == last_write:
+                self.told_motion = motion
+                if self.state is DriveState.ARMED:  # and not disarmed meanwhile
+                    await self._turn(ways)
 
     async def _turn(self, ways: Mapping[str, int]) -> None:
         """Tell the directions that are not known to have been told."""

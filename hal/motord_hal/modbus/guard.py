@@ -256,6 +256,14 @@ class GuardedClient:
                     device_id=request.unit,
                     no_response_expected=alone,
                 )
+            case Function.READ_WRITE:
+                await client.readwrite_registers(
+                    read_address=request.address,
+                    read_count=request.count,
+                    write_address=request.write_address,
+                    values=list(request.values),
+                    device_id=request.unit,
+                )
             case _:
                 raise ValueError(f"{request.function.name} is not a request of any drive profile")
 

@@ -9,7 +9,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from motord_hal.drives.profile import Channel, DriveProfile, Register
-from motord_hal.modbus.codec import Function, Request, build_request, reply_bytes
+from motord_hal.modbus.codec import (
+    READ_REGISTERS_MAX,
+    READ_WRITE_WRITE_REGISTERS_MAX,
+    Function,
+    Request,
+    build_request,
+    reply_bytes,
+)
 from motord_hal.modbus.job import kept_steps
 from motord_hal.ports import JointSpec
 
@@ -41,6 +48,15 @@ class ReadRange:
             )
             for register in self.registers
         }
+
+
+@dataclass(frozen=True, slots=True)
+class CyclicExchange:
+    """One exchange of each cycle."""
+
+    request: Request
+    reads: ReadRange | None
+    """What its reply says; None: nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +163,33 @@ class DrivePlan:
             return [Request(self.unit, Function.WRITE_MULTIPLE, address, values=tuple(words))]
         return [Request(self.unit, Function.WRITE_SINGLE, address, values=tuple(words))]
 
+    def cyclic(self, raw: Mapping[str, int]) -> list[CyclicExchange]:
+        """The exchanges of a cycle that writes these set-points, in order. Where the drive can
+        (function 23, V1.1b3, 6.17: it writes before it reads) the first one does both."""
+        writes, ranges = self.writes(raw), list(self.fast)
+        begin: list[CyclicExchange] = []
+        if len(writes) == 1 and ranges and self._read_write_fits(writes[0], ranges[0]):
+            write, span = writes.pop(), ranges.pop(0)
+            both = Request(
+                self.unit,
+                Function.READ_WRITE,
+                span.address,
+                count=span.count,
+                write_address=write.address,
+                values=write.values,
+            )
+            begin = [CyclicExchange(both, span)]
+        begin += [CyclicExchange(write, None) for write in writes]
+        return begin + [CyclicExchange(span.request(self.unit), span) for span in ranges]
+
+    def _read_write_fits(self, write: Request, span: ReadRange) -> bool:
+        most = self.profile.max_registers
+        return (
+            self.profile.read_write_function == Function.READ_WRITE
+            and span.count <= min(READ_REGISTERS_MAX, most)
+            and len(write.values) <= min(READ_WRITE_WRITE_REGISTERS_MAX, most)
+        )
+
     def setpoints(self, wanted: Mapping[int, tuple[float, float]]) -> dict[str, int]:
         """Register → raw for the set-points; joint index → (wheel rad/s, duty). What is missing,
         NaN or infinite is zero. Directions are left to `directions`."""
@@ -222,9 +265,8 @@ class DrivePlan:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive
         must let pass before it answers), set-points and fast ranges always, an extra one now and
         then."""
-        zero = self.setpoints({})
-        requests = [*self.writes(zero), *(r.request(self.unit) for r in self.fast)]
-        time_s = sum(self._exchange_time_s(request) for request in requests)
+        cyclic = self.cyclic(self.setpoints({}))
+        time_s = sum(self._exchange_time_s(exchange.request) for exchange in cyclic)
         if self.extra:
             extra_s = sum(self._exchange_time_s(r.request(self.unit)) for r in self.extra)
             time_s += extra_s / len(self.extra) / EXTRA_EVERY_CYCLES
@@ -232,8 +274,8 @@ class DrivePlan:
 
     def slowest_cycle_s(self) -> float:
         """A cycle with an extra range, in which every reply begins at the last moment."""
-        ranges = (*self.fast, *self.extra[:1])
-        requests = [*self.writes(self.setpoints({})), *(r.request(self.unit) for r in ranges)]
+        requests = [exchange.request for exchange in self.cyclic(self.setpoints({}))]
+        requests += [span.request(self.unit) for span in self.extra[:1]]
         return sum(self._exchange_time_s(r) + self.profile.turnaround_s for r in requests)
 
     def _exchange_time_s(self, request: Request) -> float:
