@@ -4,9 +4,11 @@
 import contextlib
 import json
 import os
+import re
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -18,6 +20,7 @@ from sim_bench import ARRIVAL_DEADLINE_S
 from motord.tools.simulator import start_simulator
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply, reply_bytes
 from motord_hal.sim.control import ControlError, SimControl
+from motord_hal.sim.fault_kinds import list_kinds
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "config/robots/demo.toml"
@@ -216,3 +219,71 @@ def test_a_simulator_that_hangs_is_an_error_in_time(tmp_path):
         ):
             control.truth()
         assert time.monotonic() - started >= 0.2
+
+
+def said(*arguments):
+    command = [sys.executable, "-m", "motord", "simulate", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
+    )
+
+
+def test_it_lists_its_faults_for_people_and_for_programs():
+    kinds = json.loads(said("--list-faults", "--json").stdout)
+    assert kinds == list_kinds()
+    assert kinds["noise"]["keys"]["ber"]["default"] == 1e-4
+    assert {kind["happens"] for kind in kinds.values()} == {"reply", "state", "once"}
+    text = said("--list-faults").stdout
+    assert all(f"{name}: {kind['text']}" in text for name, kind in kinds.items())
+
+
+def test_its_page_and_its_help_name_every_fault():
+    page = (ROOT / "docs/simulator.md").read_text()
+    described = re.findall(r"^\| `([a-z-]+)[:`]", page, re.MULTILINE)
+    assert set(list_kinds()) <= set(described)
+    words = said("--help").stdout
+    assert all(name in " ".join(words.split()) for name in list_kinds())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "Missing argument"),
+        ((DEMO, "--tcp", "1502", "--rtu-over-tcp", "1503"), "either --tcp or"),
+        ((DEMO, "--tcp", "here"), "expected [HOST:]PORT"),
+        ((DEMO, "--tcp", "70000"), "expected [HOST:]PORT"),
+        ((DEMO, "--units", "248"), "--units"),
+    ],
+)
+def test_wrong_usage_is_told_and_has_its_status(arguments, says):
+    done = said(*map(str, arguments))
+    assert done.returncode == 2
+    assert says in done.stderr
+
+
+@pytest.mark.parametrize("option", ["--tcp", "--rtu-over-tcp"])
+def test_it_says_where_its_sockets_are_and_answers_there(tmp_path, option):
+    request = build_request(VELOCITIES)
+    raw = option == "--rtu-over-tcp"
+    question = request if raw else struct.pack(">HHH", 1, 0, len(request) - 2) + request[:-2]
+    with start_simulator(DEMO, link_dir=tmp_path, options=(option, "0")) as sim:
+        host, _, port = sim.ports["rs485"].rpartition(":")
+        with socket.create_connection((host, int(port)), ARRIVAL_DEADLINE_S) as connection:
+            connection.sendall(question)
+            assert connection.recv(1) == question[:1]
+
+
+def test_a_tagged_robot_tells_what_it_has_answered(tmp_path):
+    with start_simulator(DEMO, link_dir=tmp_path, options=("--tagged", "--units", "3")) as sim:
+        before_ns = time.monotonic_ns()
+        for unit in (1, 3):
+            asked = Request(unit, Function.READ_HOLDING, 0x20A7, 2)
+            reply = ask(sim.ports["rs485"], asked)
+            (entry,) = sim.control.journal("rs485", unit)
+            assert tuple(entry["words"]) == reply.values == (unit << 8, 0)
+            assert before_ns < entry["monotonic_ns"] < time.monotonic_ns()
+        assert sim.control.journal("rs485", 2) == []
+        with pytest.raises(ControlError, match="no unit 4"):
+            sim.control.journal("rs485", 4)
+        late_us = sim.control.stats()["lines"]["rs485"]["reply_lateness_us"]
+        assert 0 <= late_us["p50"] <= late_us["p99"] <= late_us["max"]

@@ -7,9 +7,8 @@ import os
 import termios
 
 import pytest
-from sim_bench import CHARACTER_S, Bench, rig_of
+from sim_bench import CHARACTER_S, Bench
 
-from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import (
     Function,
     Request,
@@ -18,8 +17,6 @@ from motord_hal.modbus.codec import (
     build_request,
     sealed,
 )
-from motord_hal.ports import JointSpec
-from motord_hal.sim.rig import Rig, WheelSpec
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)
 FRAME = build_request(POSITIONS)
@@ -203,35 +200,14 @@ def test_a_brown_out_disables_and_may_keep_the_counter(tmp_path, keep):
 
 # --------------------------------------------------------------------------------- many, and truth
 def test_thirty_two_drives_share_a_line(tmp_path):
-    profile = find_profile("duty-register")
-    with rig_of(profile, tmp_path / "two") as two:
-        spec = two.spec
-    joints = tuple(
-        JointSpec(index=place, name=f"wheel_{place}", profile=profile, unit=place + 1)
-        for place in range(32)
-    )
-    side = {True: "left", False: "right"}
-    wheels = {
-        joint.name: WheelSpec(side=side[joint.index % 2 == 0], wheel_radius_m=0.1)
-        for joint in joints
-    }
-    line = dataclasses.replace(spec.lines[0], joints=joints)
-    many = dataclasses.replace(spec, lines=(line,), wheels=wheels)
-    with ManyBench(Rig(many, link_dir=tmp_path / "many")) as bench:
+    with Bench(tmp_path, "duty-register", units=32) as bench:
         for unit in range(1, 33):
             request = Request(unit, Function.READ_HOLDING, 0x0100, 1)
             assert bench.exchange(build_request(request)) == build_reply(request, (0,))
         absent = Request(33, Function.READ_HOLDING, 0x0100, 1)
         assert bench.exchange(build_request(absent)) == b""
         assert {drive.stats.requests for drive in bench.line.drives.values()} == {1}
-
-
-class ManyBench(Bench):
-    def __init__(self, rig):
-        self.rig = rig
-        self.line = rig.lines["bus"]
-        self.now_s = 0.0
-        self.open()
+        assert bench.rig.truth()["joints"].keys() == {"left", "right"}
 
 
 def test_a_tagged_count_tells_its_unit_and_the_journal_what_was_said(tmp_path):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import secrets
 import signal
 import sys
@@ -24,6 +25,7 @@ from motord.cli.common import (
 from motord.config import Joint, Robot
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
 from motord_hal.sim.rig import PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
@@ -79,6 +81,12 @@ class _AddressType(click.ParamType[_Address]):
     help="Each line's RTU frames through a TCP connection, on this port, the next, ...",
 )
 @click.option(
+    "--units",
+    type=click.IntRange(0, UNIT_MAX),
+    default=0,
+    help="At least this many drives on each line; the spare ones turn no wheel of the robot.",
+)
+@click.option(
     "--tagged",
     is_flag=True,
     help="Counters tell their unit, and what is answered is kept for the control socket.",
@@ -109,6 +117,7 @@ def simulate(
     seed: int | None,
     tcp: _Address | None,
     rtu_over_tcp: _Address | None,
+    units: int,
     tagged: bool,
     priority: int,
     link_dir: Path | None,
@@ -137,11 +146,10 @@ def simulate(
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
-    spec = rig_spec(
-        robot,
-        faults,
-        secrets.randbelow(SEED_MAX) if seed is None else seed,
-        _ports(robot, tcp or rtu_over_tcp, raw=rtu_over_tcp is not None),
+    spec = dataclasses.replace(
+        rig_spec(robot, faults, secrets.randbelow(SEED_MAX) if seed is None else seed),
+        ports=_ports(robot, tcp or rtu_over_tcp, raw=rtu_over_tcp is not None),
+        units=units,
         tagged=tagged,
     )
     with _rig(spec, link_dir, control) as rig:
@@ -171,14 +179,7 @@ def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, Port
     }
 
 
-def rig_spec(
-    robot: Robot,
-    faults: tuple[str, ...],
-    seed: int,
-    ports: dict[str, PortSpec],
-    *,
-    tagged: bool = False,
-) -> RigSpec:
+def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
     """The robot file as the simulator wants to be told."""
     profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
     return RigSpec(
@@ -188,8 +189,6 @@ def rig_spec(
         wheels={name: _wheel(robot, name, joint) for name, joint in robot.joint.items()},
         seed=seed,
         faults=faults,
-        ports=ports,
-        tagged=tagged,
     )
 
 

@@ -100,11 +100,12 @@ class SimulatedLine:
         it, it stands still."""
         if not self.port.plugged:
             return
-        connected = self._take_in(now_s)
+        clock = clock or (lambda: now_s)
+        connected = self._take_in(now_s, clock)
         if now_s >= self._frame_ends_s:
             self._end_frame(now_s)
         self._babble(now_s, connected=connected)
-        self.wire.work(clock or (lambda: now_s))
+        self.wire.work(clock)
 
     def stats(self) -> dict[str, Any]:
         return {
@@ -115,13 +116,14 @@ class SimulatedLine:
         }
 
     # ----------------------------------------------------------------------------- from the master
-    def _take_in(self, now_s: float) -> bool:
-        """Whether somebody is connected."""
+    def _take_in(self, now_s: float, clock: Clock) -> bool:
+        """Whether somebody is connected. Bytes are stamped behind the read, so that a silence is
+        never measured shorter than it was."""
         data = self.port.take_in(now_s)
         if data is None:
             self._quiet()
         elif data:
-            self._hear(data, now_s)
+            self._hear(data, clock())
         return data is not None
 
     def _hear(self, data: bytes, now_s: float) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
@@ -75,6 +76,8 @@ class RigSpec:
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
     """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
     machine where its kind says TCP."""
+    units: int = 0
+    """At least this many drives on each line, from unit 1 on; the spare ones are as its first."""
     tagged: bool = False
     """Counters start at a number that tells the unit, and what is answered is kept (Journal)."""
 
@@ -126,9 +129,9 @@ class Rig:
     def _make_plant(self) -> Plant:
         wheels = {}
         for line in self.spec.lines:
-            for joint in line.joints:
-                for number in joint.profile.channels:
-                    wheels[_free_name(line, joint.unit, number)] = Wheel(WheelModel())
+            for unit, profile in self._profiles(line).items():
+                for number in profile.channels:
+                    wheels[_free_name(line, unit, number)] = Wheel(WheelModel())
             for joint in line.joints:
                 del wheels[_free_name(line, joint.unit, joint.channel)]
                 wheels[joint.name] = Wheel(self.spec.wheels[joint.name].model)
@@ -144,19 +147,20 @@ class Rig:
             seed=self.spec.seed,
         )
 
+    def _profiles(self, line: LineSpec) -> dict[int, DriveProfile]:
+        """By unit: those of the robot, and the spare ones beside them."""
+        spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
+        return spare | {joint.unit: joint.profile for joint in line.joints}
+
     def _make_line(self, line: LineSpec, link_dir: Path) -> SimulatedLine:
-        units: dict[int, list[JointSpec]] = {}
-        for joint in line.joints:
-            units.setdefault(joint.unit, []).append(joint)
         drives = {}
-        for unit, joints in units.items():
-            profile = joints[0].profile
+        for unit, profile in self._profiles(line).items():
             axes = {
                 number: Axis(wheel=self.plant.wheels[name])
                 for number in profile.channels
                 if (name := _free_name(line, unit, number)) in self.plant.wheels
             }
-            axes |= {joint.channel: self._axis(joint) for joint in joints}
+            axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
             watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
             drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
         return SimulatedLine(line, drives, self.script, self._make_port(line, link_dir))

@@ -48,8 +48,8 @@ def set_pace(priority: int) -> None:
         TIMER_SLACK.write_text("1")
     if priority > 0:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        gc.collect()
-        gc.freeze()
+    gc.collect()
+    gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
 
 
 class _Runner:
