@@ -73,6 +73,8 @@ class RtDrive:
         self._said_quiet = False
         self._stops = 0
         """How often it was told to stand down: an arming that began before is over."""
+        self._standing_down = 0
+        """The wish by which it was told so last."""
         self._powering_off: asyncio.Future[None] | None = None
 
     def __str__(self) -> str:
@@ -133,14 +135,13 @@ class RtDrive:
             self._failed_setup = False
             try:
                 await self.jobs.run("configure", self._setup)
+                await self._obeyed(self._thread.wish(self._index, Mode.READY))
+                continue
             except PortError:
                 pass  # the line has seen it, too, and ends this task
             except HalError as error:
                 self._failed_setup = True
                 self._is_quiet(str(error))
-            else:
-                await self._obeyed(self._thread.wish(self._index, Mode.READY))
-                continue
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
@@ -150,6 +151,7 @@ class RtDrive:
             await self._news.until(lambda: self._powering_off is not None)
             try:
                 await self.jobs.run("disarm", self.frames.profile.disarm, urgent=True)
+                await self._obeyed(self._standing_down)
             except HalError as error:
                 self._powered_off(error)
             else:
@@ -166,15 +168,21 @@ class RtDrive:
             future.exception()  # nobody may be waiting for it
 
     async def _obeyed(self, wish: int) -> None:
-        """Until C has seen it: then it is obeyed, or refused."""
-        await self._news.until(lambda: self._report is not None and self._report.wish_seen >= wish)
+        """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
+        try:
+            async with asyncio.timeout(OBEYED_WITHIN_S):
+                await self._news.until(
+                    lambda: self._report is not None and self._report.wish_seen >= wish
+                )
+        except TimeoutError:
+            raise HalError(f"{self}: the line's thread does not answer") from None
 
     # --------------------------------------------------------------------------- what it is told
     def stand_down(self) -> asyncio.Future[None]:
         """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
         for it shields it."""
         self._stops += 1
-        self._thread.wish(self._index, Mode.STAND_DOWN)
+        self._standing_down = self._thread.wish(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)
         if self._powering_off is None:
             self._powering_off = asyncio.get_running_loop().create_future()
@@ -213,12 +221,7 @@ class RtDrive:
 
     async def go(self) -> None:
         """The second half: from now on it is told the core's set-points. Raises HalError."""
-        wish = self._thread.wish(self._index, Mode.ARMED)
-        try:
-            async with asyncio.timeout(OBEYED_WITHIN_S):
-                await self._obeyed(wish)
-        except TimeoutError:
-            raise HalError(f"{self}: the line's thread does not answer") from None
+        await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
 

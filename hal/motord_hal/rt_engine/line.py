@@ -12,10 +12,8 @@ from collections.abc import Coroutine
 from typing import Any
 
 from motord_hal.clock import now_ns
-from motord_hal.drives.profile import Step
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.modbus.job import VERIFY_WITHIN_S
-from motord_hal.modbus.parameter import raw_to_write, readable
+from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,
@@ -44,7 +42,6 @@ SHUTDOWN_WITHIN_S = 0.6
 """The thread itself needs 0.5 s at most."""
 SLOT_ALLOWANCE_S = 0.1
 """On top of the slowest cycle: lost replies of this drive or of its neighbours."""
-_U32 = 0xFFFF_FFFF
 """Steps compare within their mask, which has 32 bits."""
 
 
@@ -278,12 +275,10 @@ class RtLine:
     async def write_register(self, joint: str, register: str, value: float) -> float:
         """As ports.Line.write_register."""
         drive = self._drive_of(joint)
-        raw = raw_to_write(drive.frames.profile, register, value)
+        steps = write_steps(drive.frames.profile, register, value)
         self._check_open()
-        write = Step(register=register, value=raw)
-        verify = Step(register=register, equals=raw & _U32, within_s=VERIFY_WITHIN_S)
-        await drive.jobs.run("write", (write, verify))
-        return drive.frames.profile.registers[register].to_si(raw)
+        await drive.jobs.run("write", steps)
+        return drive.frames.profile.registers[register].to_si(steps[0].value or 0)
 
     def _drive_of(self, joint: str) -> RtDrive:
         for drive in self._drives:

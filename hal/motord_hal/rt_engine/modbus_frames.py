@@ -8,14 +8,12 @@ from dataclasses import replace
 
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
-    READ_REGISTERS_MAX,
-    READ_WRITE_WRITE_REGISTERS_MAX,
     Function,
     Request,
     build_request,
     reply_bytes,
 )
-from motord_hal.modbus.plan import DrivePlan, ReadRange
+from motord_hal.modbus.plan import CyclicExchange, DrivePlan, ReadRange
 from motord_hal.rt_engine.frames import PlannedFrame
 from motord_hal.rt_table import LineFrame, Seal
 
@@ -55,11 +53,7 @@ class ModbusFrames:
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
         """As DriveFrames.cyclic; one exchange writes and reads where the drive can (23)."""
-        writes = self.plan.writes(self.plan.setpoints({}))
-        ranges = list(self.plan.fast)
-        if len(writes) == 1 and ranges and self._fits_read_write(writes[0], ranges[0]):
-            return (self._read_write(writes[0], ranges[0]), *map(self._ranged, ranges[1:]))
-        return (*map(self._written, writes), *map(self._ranged, ranges))
+        return tuple(map(self._planned, self.plan.cyclic(self.plan.setpoints({}))))
 
     def extra(self) -> tuple[PlannedFrame, ...]:
         return tuple(map(self._ranged, self.plan.extra))
@@ -85,37 +79,24 @@ class ModbusFrames:
         return self.profile.registers[name].decode(tuple(words))
 
     # -------------------------------------------------------------------------------- in detail
-    def _fits_read_write(self, write: Request, span: ReadRange) -> bool:
-        return (
-            self.profile.read_write_function == Function.READ_WRITE
-            and span.count <= min(READ_REGISTERS_MAX, self.profile.max_registers)
-            and len(write.values) <= min(READ_WRITE_WRITE_REGISTERS_MAX, self.profile.max_registers)
-        )
-
-    def _read_write(self, write: Request, span: ReadRange) -> PlannedFrame:
-        request = Request(
-            self.unit,
-            Function.READ_WRITE,
-            span.address,
-            count=span.count,
-            write_address=write.address,
-            values=write.values,
-        )
-        return PlannedFrame(modbus_frame(request), self._places(write, request), _places(span))
-
-    def _written(self, request: Request) -> PlannedFrame:
-        return PlannedFrame(modbus_frame(request), self._places(request, request), {})
+    def _planned(self, one: CyclicExchange) -> PlannedFrame:
+        reads = {} if one.reads is None else _places(one.reads)
+        return PlannedFrame(modbus_frame(one.request), self._written(one.request), reads)
 
     def _ranged(self, span: ReadRange) -> PlannedFrame:
         return PlannedFrame(modbus_frame(span.request(self.unit)), {}, _places(span))
 
-    def _places(self, write: Request, request: Request) -> dict[str, int]:
-        """Where in `request` the registers stand that `write` writes."""
-        begin = _VALUES_BEGIN[request.function]
+    def _written(self, request: Request) -> dict[str, int]:
+        """Where the set-points stand that it writes."""
+        both = request.function is Function.READ_WRITE
+        first = request.write_address if both else request.address
+        offsets = {
+            name: self.profile.registers[name].address - first for name in self.setpoint_names()
+        }
         return {
-            name: begin + 2 * (self.profile.registers[name].address - write.address)
-            for name in self.setpoint_names()
-            if 0 <= self.profile.registers[name].address - write.address < len(write.values)
+            name: _VALUES_BEGIN[request.function] + 2 * offset
+            for name, offset in offsets.items()
+            if 0 <= offset < len(request.values)
         }
 
 
