@@ -42,7 +42,6 @@ SHUTDOWN_WITHIN_S = 0.6
 """The thread itself needs 0.5 s at most."""
 SLOT_ALLOWANCE_S = 0.1
 """On top of the slowest cycle: lost replies of this drive or of its neighbours."""
-"""Steps compare within their mask, which has 32 bits."""
 
 
 class RtLine:

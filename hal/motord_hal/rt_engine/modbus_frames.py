@@ -52,11 +52,22 @@ class ModbusFrames:
         self.slowest_cycle_s = plan.slowest_cycle_s
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.cyclic; one exchange writes and reads where the drive can (23)."""
-        return tuple(map(self._planned, self.plan.cyclic(self.plan.setpoints({}))))
+        """As DriveFrames.cyclic."""
+        return tuple(
+            PlannedFrame(
+                modbus_frame(exchange.request),
+                self._written(exchange.request),
+                {} if exchange.reads is None else _places(exchange.reads),
+            )
+            for exchange in self.plan.cyclic(self.plan.setpoints({}))
+        )
 
     def extra(self) -> tuple[PlannedFrame, ...]:
-        return tuple(map(self._ranged, self.plan.extra))
+        """As DriveFrames.extra."""
+        return tuple(
+            PlannedFrame(modbus_frame(span.request(self.unit)), {}, _places(span))
+            for span in self.plan.extra
+        )
 
     def setpoint_names(self) -> tuple[str, ...]:
         return tuple(self.plan.setpoints({}))
@@ -78,16 +89,10 @@ class ModbusFrames:
         words = (int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2))
         return self.profile.registers[name].decode(tuple(words))
 
-    # -------------------------------------------------------------------------------- in detail
-    def _planned(self, one: CyclicExchange) -> PlannedFrame:
-        reads = {} if one.reads is None else _places(one.reads)
-        return PlannedFrame(modbus_frame(one.request), self._written(one.request), reads)
-
-    def _ranged(self, span: ReadRange) -> PlannedFrame:
-        return PlannedFrame(modbus_frame(span.request(self.unit)), {}, _places(span))
-
     def _written(self, request: Request) -> dict[str, int]:
-        """Where the set-points stand that it writes."""
+        """Where the set-points stand in a request that writes some."""
+        if not request.values:
+            return {}
         both = request.function is Function.READ_WRITE
         first = request.write_address if both else request.address
         offsets = {
