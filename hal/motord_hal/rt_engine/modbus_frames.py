@@ -13,7 +13,7 @@ from motord_hal.modbus.codec import (
     build_request,
     reply_bytes,
 )
-from motord_hal.modbus.plan import CyclicExchange, DrivePlan, ReadRange
+from motord_hal.modbus.plan import DrivePlan, ReadRange
 from motord_hal.rt_engine.frames import PlannedFrame
 from motord_hal.rt_table import LineFrame, Seal
 
