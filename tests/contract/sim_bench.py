@@ -96,7 +96,7 @@ class Bench:
     """Nothing happens between two calls: the rig's time stands still."""
 
     def __init__(self, folder, profile="zlac8015d", **options):
-        self.profile = find_profile(profile)
+        self.profile = find_profile(profile) if isinstance(profile, str) else profile
         self.rig = rig_of(self.profile, folder, **options)
         self.line = self.rig.lines["bus"]
         self.now_s = 0.0

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated hub motor that speaks ten-byte frames, with the byte places of the maker's tables."""
+
+import dataclasses
+import math
+
+import pytest
+from sim_bench import CHARACTER_S, Bench
+
+from motord_hal.ddsm.codec import build_reply, build_request, pick, sealed
+from motord_hal.drives.load import find_profile
+from motord_hal.drives.profile import Channel, Register, RegisterType, Step
+
+SET, QUERY, MODE, SPEED = 0x64, 0x74, 0xA0, 2
+COUNTS = 32768
+
+
+def register(name, command, byte, access, kind="i16", unit="", **more):
+    return Register(
+        name=name,
+        address=command << 8 | byte,
+        type=RegisterType(kind),
+        scale=more.pop("scale", 1.0),
+        unit=unit,
+        access=access,
+        minimum=more.pop("minimum", None),
+        maximum=more.pop("maximum", None),
+        source="the maker's table",
+        **more,
+    )
+
+
+def hub_motor():
+    """In 16-bit places: the mode's byte is the second one of its place."""
+    registers = [
+        register("speed_wanted", SET, 2, "w", unit="rpm", minimum=-330.0, maximum=330.0),
+        register("current", SET, 2, "r", unit="a", scale=8 / 32767),
+        register("speed", SET, 4, "r", unit="rpm"),
+        register("position", SET, 6, "r", "u16", unit="count"),
+        register("supply", QUERY, 4, "r", "u16", unit="v"),
+        register("mode", MODE, 8, "w", "u16"),
+    ]
+    return dataclasses.replace(
+        find_profile("duty-register"),
+        name="hub-motor",
+        protocol="ddsm",
+        turnaround_s=0.002,
+        counts_per_turn=COUNTS,
+        counter_bits=15,
+        registers={one.name: one for one in registers},
+        channels={
+            1: Channel(
+                velocity_setpoint="speed_wanted",
+                position="position",
+                velocity="speed",
+                current="current",
+            )
+        },
+        configure=(),
+        arm=(Step(register="mode", value=SPEED),),
+        disarm=(Step(register="mode", value=1),),
+        quick_stop=(Step(register="mode", value=1),),
+        clear_fault=(),
+        enabled=None,
+        watchdog=None,
+        faults=(),
+        bus_voltage="supply",
+    )
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with Bench(tmp_path, hub_motor()) as bench:
+        yield bench
+
+
+def request(bench, command, unit=1, **raw):
+    named = {bench.profile.registers[name]: value for name, value in raw.items()}
+    return build_request(unit, command, named)
+
+
+def arm(bench):
+    assert bench.exchange(request(bench, MODE, mode=SPEED), 0.02) == b""
+
+
+def test_a_set_point_is_answered_by_ten_sealed_bytes_at_the_wires_pace(bench):
+    frame = request(bench, SET, speed_wanted=0)
+    bench.send(frame)
+    bench.go_on(0.001 + 19.5 * CHARACTER_S)
+    assert bench.line.wire.bytes_sent == 9
+    bench.go_on(CHARACTER_S)
+    assert bench.receive(10) == build_reply(1, SET, {})
+
+
+def test_a_mode_is_taken_and_not_answered(bench):
+    assert not bench.drive.enabled(1)
+    arm(bench)
+    assert bench.drive.enabled(1)
+    assert bench.line.counters.unanswered == 0
+    assert bench.line.counters.bad_crc == 0
+
+
+def test_an_armed_motor_turns_as_told_and_tells_how(bench):
+    arm(bench)
+    bench.exchange(request(bench, SET, speed_wanted=60))
+    bench.go_on(0.6)
+    reply = bench.exchange(request(bench, SET, speed_wanted=60))
+    registers = bench.profile.registers
+    assert sealed(reply)
+    assert pick(reply, registers["speed"]) == pytest.approx(60, abs=2)
+    turned = bench.wheel().position_rad / (2.0 * math.pi) * COUNTS
+    assert 0 < pick(reply, registers["position"]) <= turned
+
+
+def test_a_query_commands_nothing(bench):
+    arm(bench)
+    bench.exchange(request(bench, SET, speed_wanted=60))
+    told = bench.exchange(request(bench, QUERY))
+    assert pick(told, bench.profile.registers["supply"]) == pytest.approx(24, abs=1)
+    assert bench.drive.registers.stored("speed_wanted") == 60
+
+
+def test_a_disarmed_motor_is_moved_by_no_set_point(bench):
+    bench.exchange(request(bench, SET, speed_wanted=60))
+    bench.go_on(0.5)
+    assert bench.rig.plant.at_rest
+
+
+def test_a_speed_out_of_range_leaves_the_one_before(bench):
+    bench.exchange(request(bench, SET, speed_wanted=20))
+    assert sealed(bench.exchange(request(bench, SET, speed_wanted=331)))
+    assert bench.drive.registers.stored("speed_wanted") == 20
+
+
+@pytest.mark.parametrize("place", range(10))
+def test_a_broken_request_is_met_with_silence(bench, place):
+    broken = bytearray(request(bench, SET, speed_wanted=60))
+    broken[place] ^= 0x10
+    assert bench.exchange(bytes(broken)) == b""
+    assert bench.drive.stats.requests == 0
+
+
+def test_an_unknown_command_and_an_absent_unit_are_met_with_silence(bench):
+    assert bench.exchange(build_request(1, 0x33, {})) == b""
+    assert bench.exchange(request(bench, SET, unit=9)) == b""
+    assert bench.line.counters.unanswered == 2
+
+
+def test_its_faults_are_those_of_its_frames(bench):
+    bench.rig.inject("wrong-unit:nth=2")
+    good, foreign = (bench.exchange(request(bench, SET)) for _ in range(2))
+    assert sealed(foreign)
+    assert foreign[0] != good[0]
+    assert foreign[1:9] == good[1:9]
+    bench.rig.script.clear()
+    bench.rig.inject("exception")
+    assert bench.exchange(request(bench, SET)) == b""
