@@ -94,7 +94,8 @@ class ScriptedSlave:
         """Every value that was written to a register, in order."""
         values = []
         for request in self.requests(unit):
-            offset = address - request.address
+            both = request.function is Function.READ_WRITE
+            offset = address - (request.write_address if both else request.address)
             if 0 <= offset < len(request.values):
                 values.append(request.values[offset])
         return values
@@ -131,8 +132,10 @@ class ScriptedSlave:
             return build_exception(request.unit, request.function, 2)
         if request.function is Function.READ_HOLDING:
             return build_reply(request, tuple(unit.registers[a] for a in span))
-        for address, value in zip(span, request.values, strict=True):
+        both = request.function is Function.READ_WRITE
+        begin = request.write_address if both else request.address
+        for address, value in enumerate(request.values, begin):
             unit.registers[address] = value
             if unit.on_write:
                 unit.on_write(address, value)
-        return build_reply(request)
+        return build_reply(request, tuple(unit.registers[a] for a in span) if both else ())

@@ -208,7 +208,8 @@ def _steps(parent: Table, key: str) -> tuple[Step, ...]:
 
 def _write(table: Table) -> Step:
     value = table.integer("value", -(1 << 31), (1 << 32) - 1)
-    return Step(register=table.text("write"), value=value)
+    verify = table.flag("verify", default=True)
+    return Step(register=table.text("write"), value=value, verify=verify)
 
 
 def _wait(table: Table) -> Step:

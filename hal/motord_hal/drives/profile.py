@@ -158,6 +158,8 @@ class Step:
     equals: int | None = None
     within_s: float = 0.0
     """For a wait: how long it may take."""
+    verify: bool = True
+    """For a write: whether the register keeps what was written, so that it can be read back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -284,13 +284,14 @@ class Drive:
     async def _step(self, job: Job, step: Step) -> None:
         if step.value is not None:
             await self._write({step.register: step.value})
-            self._forget_enabled()
+            if job.name != "write":
+                self._forget_enabled()
             self._ways.pop(step.register, None)
             job.advance()
             return
         register = self.plan.profile.registers[step.register]
         await self._read(ReadRange(register.address, register.type.words, (register,)))
-        raw = self._values[step.register]
+        job.raw = raw = self._values[step.register]
         if raw & step.mask == step.equals:
             job.advance()
         elif job.wait_until_s is None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.errors import HalError
 
+_ALL_BITS = 0xFFFFFFFF
 VERIFY_WITHIN_S = 0.5
 """How long a value that was written may take until it reads back."""
 
@@ -23,6 +24,8 @@ class Job:
         self.urgent = urgent
         self.failures = 0
         self.done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.raw = 0
+        """What the newest wait has read."""
         self.wait_until_s: float | None = None
         """Deadline of the wait that is the current step; None: it has not begun."""
         self._index = 0
@@ -61,21 +64,50 @@ def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
 
 
 def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
-    """The profile's own steps, then its watchdog written and read back."""
+    """The profile's own steps, then its watchdog; every level that they write is read back."""
     watchdog = profile.watchdog
+    steps = (*profile.configure, *(read_back(step) for step in _unverified(profile)))
     if watchdog is None:
-        return profile.configure
+        return steps
     raw = profile.registers[watchdog.register].from_si(watchdog_time_s(profile, watchdog_s))
     write = Step(register=watchdog.register, value=raw)
-    verify = Step(register=watchdog.register, equals=raw, within_s=VERIFY_WITHIN_S)
-    return (*profile.configure, write, verify)
+    return (*steps, write, read_back(write))
+
+
+def read_back(write: Step) -> Step:
+    """The wait until the register says what was written."""
+    assert write.value is not None  # a write
+    return Step(register=write.register, equals=write.value & _ALL_BITS, within_s=VERIFY_WITHIN_S)
+
+
+def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
+    """The last write of each level that the profile's own steps do not wait for. Set-points and
+    what other sequences write, too, are commands: what they read as depends on what came after."""
+    others = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
+    commands = {step.register for steps in others for step in steps if step.value is not None}
+    for channel in profile.channels.values():
+        commands |= {channel.velocity_setpoint or "", channel.duty_setpoint or ""}
+        if channel.direction is not None:
+            commands.add(channel.direction.register)
+    waited = {step.register for step in profile.configure if step.value is None}
+    last = {step.register: step for step in profile.configure if step.value is not None}
+    return tuple(
+        step
+        for name, step in last.items()
+        if step.verify and name not in commands | waited and "r" in profile.registers[name].access
+    )
 
 
 def kept_steps(steps: Sequence[Step]) -> tuple[Step, ...]:
     """The waits for what the same steps have written: true until the drive loses its set-up, as by
     a power cut too short to be missed."""
-    written = {(step.register, step.value) for step in steps if step.value is not None}
+    written = {(step.register, step.value & _ALL_BITS) for step in steps if step.value is not None}
     return tuple(step for step in steps if (step.register, step.equals) in written)
+
+
+def kept_registers(profile: DriveProfile) -> tuple[str, ...]:
+    """What `kept_steps` of its set-up look at."""
+    return tuple(step.register for step in kept_steps(configure_steps(profile, 0.0)))
 
 
 def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:

@@ -12,11 +12,13 @@ import asyncio
 from functools import partial
 
 from motord_hal.clock import now_ns, now_s, sleep_until_s
+from motord_hal.drives.profile import Step
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.modbus.drive import Drive, Wanted
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.job import Job, clear_steps
 from motord_hal.modbus.link import Link
+from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.modbus.units import joints_by_unit
@@ -292,6 +294,30 @@ class ModbusRtuLine:
                 drive.stand_down()
                 jobs.append(drive.submit(Job("clear", clear_steps(drive.plan.profile))))
         await self._finish(jobs, "clear")
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register."""
+        drive = self._drive_of(joint)
+        found = readable(drive.plan.profile, register)
+        self._check_open()
+        job = drive.submit(Job("read", (Step(register=register, mask=0, equals=0),)))
+        await self._finish([job], "read")
+        return found.to_si(job.raw)
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """As ports.Line.write_register."""
+        drive = self._drive_of(joint)
+        steps = write_steps(drive.plan.profile, register, value)
+        self._check_open()
+        job = drive.submit(Job("write", steps))
+        await self._finish([job], "write")
+        return drive.plan.profile.registers[register].to_si(job.raw)
+
+    def _drive_of(self, joint: str) -> Drive:
+        for drive in self._drives:
+            if joint in drive.names:
+                return drive
+        raise LookupError(f'{self.spec.name} has no joint "{joint}"')
 
     def _check_open(self) -> None:
         if not self._open:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 
-from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
+from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
+from motord_hal.modbus.job import read_back
 
 
 def readable(profile: DriveProfile, name: str) -> Register:
@@ -49,6 +50,12 @@ def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
         unit = SI_UNITS[register.unit][0]
         raise ValueError(f"{name}: {value:g} is not within {low:g} to {high:g} {unit}".rstrip())
     return register.from_si(value)
+
+
+def write_steps(profile: DriveProfile, name: str, value: float) -> tuple[Step, Step]:
+    """Write a value in SI, and read it back. Raises as `raw_to_write`."""
+    write = Step(register=name, value=raw_to_write(profile, name, value))
+    return write, read_back(write)
 
 
 def limits(register: Register) -> tuple[float, float]:

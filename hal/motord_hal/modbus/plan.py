@@ -17,7 +17,7 @@ from motord_hal.modbus.codec import (
     build_request,
     reply_bytes,
 )
-from motord_hal.modbus.job import kept_steps
+from motord_hal.modbus.job import kept_registers
 from motord_hal.ports import JointSpec
 
 EXTRA_EVERY_CYCLES = 4
@@ -81,9 +81,7 @@ def wanted_registers(
         channel = profile.channels[joint.channel]
         fast += [channel.position, channel.velocity, channel.fault]
         slow += [channel.current, channel.temperature]
-    if profile.watchdog:
-        slow.insert(0, profile.watchdog.register)
-    slow = [*(step.register for step in kept_steps(profile.configure)), *slow]
+    slow = [*kept_registers(profile), *slow]
     if profile.enabled:
         slow.insert(0, profile.enabled.register)
     return (
