@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from sim_bench import ARRIVAL_DEADLINE_S
 
+from motord.config import load_robot
 from motord.tools.simulator import start_simulator
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply, reply_bytes
 from motord_hal.sim.control import ControlError, SimControl
@@ -287,3 +288,26 @@ def test_a_tagged_robot_tells_what_it_has_answered(tmp_path):
             sim.control.journal("rs485", 4)
         late_us = sim.control.stats()["lines"]["rs485"]["reply_lateness_us"]
         assert 0 <= late_us["p50"] <= late_us["p99"] <= late_us["max"]
+
+
+@pytest.mark.parametrize("kind", ["modbus-tcp", "rtu-over-tcp"])
+def test_a_line_behind_a_gateway_is_served_there_without_being_asked(tmp_path, kind):
+    robot = tmp_path / "robot.toml"
+    text = DEMO.read_text().replace('"modbus-rtu"', f'"{kind}"')
+    robot.write_text(text.replace('port = "/dev/ttyUSB0"', 'host = "192.0.2.1"'))
+    with start_simulator(robot, link_dir=tmp_path / "sim") as sim:
+        host, _, port = sim.ports["rs485"].rpartition(":")
+        with socket.create_connection((host, int(port)), ARRIVAL_DEADLINE_S):
+            assert host == "127.0.0.1"
+
+
+def test_what_it_says_to_set_is_what_the_robot_file_takes(tmp_path):
+    robot = tmp_path / "robot.toml"
+    text = DEMO.read_text().replace('"modbus-rtu"', '"modbus-tcp"')
+    robot.write_text(text.replace('port = "/dev/ttyUSB0"', 'host = "192.0.2.1"'))
+    with simulate(str(robot)) as process:
+        lines = [process.stdout.readline() for _ in range(3)]
+        process.send_signal(signal.SIGTERM)
+    settings = re.findall(r"--set (\S+)", lines[2])
+    made = load_robot(robot, settings)
+    assert f"line rs485: {made.line['rs485'].address}" in lines[1]

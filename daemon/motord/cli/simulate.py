@@ -27,7 +27,8 @@ from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
-from motord_hal.sim.rig import PortSpec, Rig, RigSpec, WheelSpec
+from motord_hal.sim.line import SimulatedLine
+from motord_hal.sim.rig import TCP_KINDS, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
 
 SEED_MAX = 1 << 32
@@ -221,6 +222,15 @@ def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:
     click.echo(f"{rig.spec.robot} is here: seed {seed}, control socket {control}")
     for name, port in ports.items():
         click.echo(f"  line {name}: {port}")
-    settings = " ".join(f"--set line.{name}.port={port}" for name, port in ports.items())
+    settings = " ".join(_setting(line) for line in rig.lines.values())
     click.echo(f"Drive it from another terminal: motord run {robot_file} {settings}")
     click.echo("Ctrl-C ends it.")
+
+
+def _setting(line: SimulatedLine) -> str:
+    """What makes a robot file find the line here."""
+    name, address = line.spec.name, line.port.address
+    if line.spec.kind not in TCP_KINDS:
+        return f"--set line.{name}.port={address}"
+    host, _, port = address.rpartition(":")
+    return f"--set line.{name}.host={host} --set line.{name}.tcp_port={port}"

@@ -32,6 +32,8 @@ from motord_hal.sim.server import ControlServer
 from motord_hal.sim.tcp import RawTcpPort
 from motord_hal.sim.wire import Clock
 
+TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
+"""Kinds of lines behind a gateway."""
 JOURNAL_REPLY_ENTRIES = 1000
 """Most of one answer of the control socket; ask again with `since`."""
 
@@ -167,7 +169,7 @@ class Rig:
 
     def _make_port(self, line: LineSpec, link_dir: Path) -> Port:
         wanted = self.spec.ports.get(line.name)
-        if wanted is None and line.kind not in ("modbus-tcp", "rtu-over-tcp"):
+        if wanted is None and line.kind not in TCP_KINDS:
             return PtyPort(link_dir / line.name)
         tcp = wanted or PortSpec(raw=line.kind == "rtu-over-tcp")
         if tcp.raw:
