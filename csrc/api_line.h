@@ -243,3 +243,29 @@ typedef struct {
     uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];
 } line_report;
+
+/* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
+typedef struct {
+    int32_t fd;                 /* the port, open, set up, not blocking */
+    int32_t event_fd;           /* eventfd, written on answers, changes of a drive's mode and at the thread's end; -1 */
+    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    int32_t de_fd;              /* GPIO line request (v2) that turns the transceiver; -1: none */
+    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
+    int64_t de_before_ns;       /* from the edge to the first bit */
+    int64_t de_after_ns;        /* from the last bit to the edge back */
+    uint32_t de_active_high;
+    uint32_t reserved;
+    exchange *exchange;         /* NULL: the loop's */
+} line_config;
+
+/* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
+const char *line_table_check(const line_table *table, char *name);
+
+/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+int line_start(uint32_t line, const line_config *config, const line_table *table);
+int line_stop(uint32_t line);                               /* joins; 0 or -ESRCH */
+void line_put_control(uint32_t line, const line_control *control);
+int line_put_ask(uint32_t line, const line_ask *ask);       /* 0; -EAGAIN: full; -ESRCH: no thread */
+int line_take_answer(uint32_t line, line_answer *answer);   /* 1: one; 0: none */
+int line_read_report(uint32_t line, line_report *report);   /* 0 or -ESRCH: never started */
+int line_histogram_read(uint32_t line, histogram *out);     /* round trips */

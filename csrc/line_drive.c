@@ -1,0 +1,491 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_drive.c: one drive of a line: what it is told and asked, whether it is there, and when it has to stop. */
+#include <string.h>
+
+#include "line_machine.h"
+
+static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
+static const int64_t STOPPING_NS = 1000 * LINE_MS;
+static const int64_t FUTURE_NS = 10 * LINE_MS;
+/* RFC 6298 with a host's scheduling in place of the clock's granularity */
+static const int64_t DEADLINE_LEAST_NS = 5 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
+
+bool line_fresh(const line_machine *m, int64_t now_ns)
+{
+    int64_t stamp_ns = m->newest.stamp_ns;
+    return stamp_ns > 0 && stamp_ns <= now_ns + FUTURE_NS && now_ns - stamp_ns <= m->table.setpoint_timeout_ns;
+}
+
+int64_t line_reply_ns(const line_machine *m, const line_frame *frame)
+{
+    return (int64_t)((double)frame->reply_bytes * m->table.character_ns);
+}
+
+/* -------------------------------------------------------------------------------------------------- stopping */
+void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
+{
+    line_drive_state *drive = &m->drive[number];
+    drive->stop = kind;
+    drive->stop_place = 0;
+    drive->stop_failures = 0;
+    drive->stage = STAGE_IDLE;
+    memset(drive->way_told, 0, sizeof drive->way_told);
+    if (m->current == number) {
+        m->current = LINE_DRIVES_MAX;
+    }
+}
+
+static void demote(line_machine *m, uint32_t number, uint32_t why, uint32_t mode)
+{
+    line_drive_state *drive = &m->drive[number];
+    drive->mode = mode;
+    drive->demoted |= why;
+    drive->enabled = 2;
+    m->news = true;
+}
+
+static void quick_stop(line_machine *m, uint32_t number, uint32_t why, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    demote(m, number, why, DRIVE_READY);
+    drive->stopping = true;
+    drive->off_by_ns = now_ns + STOPPING_NS;
+    drive->due_ns = now_ns;
+    m->broadcasts = m->table.broadcast_stop_count;
+    line_stop_now(m, number, STOP_QUICK);
+}
+
+static void power_off(line_machine *m, uint32_t number)
+{
+    m->drive[number].stopping = false;
+    line_stop_now(m, number, STOP_POWER_OFF);
+}
+
+static void guard_armed(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
+    bool busy = m->work != WORK_NONE && m->worker == number;
+    if (!line_fresh(m, now_ns)) {
+        quick_stop(m, number, DEMOTED_SETPOINTS_OLD, now_ns);
+    } else if (watchdog_ns > 0 && !busy && now_ns - drive->answered_ns > watchdog_ns) {
+        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
+    } else if (m->newest.enabled == 1) {
+        drive->was_enabled = true;
+    } else if (drive->was_enabled) {
+        demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
+        power_off(m, number);
+    }
+}
+
+void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    if (drive->mode == DRIVE_ARMED) {
+        guard_armed(m, number, now_ns);
+    }
+    if (drive->told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
+        drive->due_ns = now_ns;   /* a stop does not wait for its turn */
+    }
+    if (drive->stopping && drive->stop == STOP_NOTHING && now_ns >= drive->off_by_ns) {
+        power_off(m, number);
+    }
+}
+
+/* ---------------------------------------------------------------------------------------------------- wishes */
+static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    drive->mode = DRIVE_READY;
+    drive->epoch++;
+    drive->demoted = drive->failures = drive->still_enabled = 0;
+    drive->stop = STOP_NOTHING;
+    drive->may_turn = drive->told_motion = drive->stopping = drive->back = false;
+    drive->cycle_count = 0;
+    drive->extra_next = 0;
+    drive->due_ns = now_ns;
+    drive->answered_ns = now_ns;
+    drive->cycle_start_ns = 0;
+    memset(drive->way_told, 0, sizeof drive->way_told);
+    line_forget(m, number);
+}
+
+static void arm(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    if (!line_fresh(m, now_ns) || drive->stopping || drive->stop != STOP_NOTHING || m->control.shut_down != 0) {
+        return;
+    }
+    drive->mode = DRIVE_ARMED;
+    drive->may_turn = true;
+    drive->was_enabled = false;
+    drive->demoted = 0;
+    drive->still_enabled = 0;
+    drive->enabled = 2;
+    memset(drive->told, 0, sizeof drive->told);
+}
+
+void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    const drive_wish *wish = &m->control.drive[number];
+    drive->arming_until_ns = wish->arming_until_ns;
+    if (wish->count == drive->wish_seen) {
+        return;
+    }
+    drive->wish_seen = wish->count;
+    m->news = true;
+    if (wish->mode == DRIVE_OFF) {
+        if (drive->mode == DRIVE_ARMED || drive->stopping) {
+            power_off(m, number);
+        }
+        drive->mode = DRIVE_OFF;
+        drive->stage = STAGE_IDLE;
+        m->current = m->current == number ? LINE_DRIVES_MAX : m->current;
+    } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
+        set_up(m, number, now_ns);
+    } else if (wish->mode == DRIVE_ARMED && drive->mode == DRIVE_READY) {
+        arm(m, number, now_ns);
+    } else if (wish->mode == DRIVE_STAND_DOWN && drive->mode == DRIVE_ARMED) {
+        drive->mode = DRIVE_READY;
+        drive->enabled = 2;
+        drive->due_ns = now_ns;
+    }
+}
+
+/* ----------------------------------------------------------------------------------------------- what to send */
+bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    bool quick = drive->stop == STOP_QUICK;
+    uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
+    if (drive->stop_place < count) {
+        *out = quick ? table->quick_stop[drive->stop_place] : table->disarm[drive->stop_place];
+        return true;
+    }
+    drive->stop = STOP_NOTHING;
+    drive->enabled = 2;
+    if (drive->back) {
+        drive->back = false;
+        drive->mode = DRIVE_BACK;
+        m->news = true;
+    }
+    return false;
+}
+
+static const line_frame *way_frame(const line_machine *m, uint32_t number, uint32_t way, uint32_t told)
+{
+    const line_way *from = &m->table.drive[number].way[way];
+    return told == WAY_REST ? &from->rest : told == WAY_FORWARD ? &from->forward : &from->reverse;
+}
+
+/* In REST: rest where another way than the told one comes. In WAYS: the way itself. */
+static bool next_way(line_machine *m, uint32_t number, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    for (; drive->place < table->way_count; drive->place++) {
+        uint32_t wanted = line_way_wanted(m, number, drive->place);
+        uint32_t told = drive->way_told[drive->place];
+        bool resting = drive->stage == STAGE_REST;
+        if (wanted == told || (resting && (wanted == WAY_REST || told == WAY_REST))) {
+            continue;
+        }
+        wanted = resting ? WAY_REST : wanted;
+        drive->way_told[drive->place] = WAY_UNKNOWN;   /* until it is acknowledged */
+        *out = *way_frame(m, number, drive->place, wanted);
+        return true;
+    }
+    return false;
+}
+
+static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    bool writing = drive->stage == STAGE_SETPOINTS;
+    for (; drive->place < table->cyclic_count; drive->place++) {
+        if ((table->cyclic[drive->place].setpoint_count > 0) == writing) {
+            bool motion = line_build(m, number, drive->place, out);
+            drive->cycle_motion |= motion;
+            drive->told_motion |= motion;
+            return true;
+        }
+    }
+    if (writing) {
+        drive->told_motion = drive->cycle_motion;   /* all acknowledged */
+    }
+    return false;
+}
+
+static bool next_extra(line_machine *m, uint32_t number, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    if (drive->place > 0 || table->extra_count == 0 || !drive->extra_due) {
+        return false;
+    }
+    *out = table->extra[drive->extra_next].frame;
+    return true;
+}
+
+void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    m->current = number;
+    drive->stage = STAGE_REST;
+    drive->place = 0;
+    drive->cycle_motion = false;
+    drive->frozen = m->newest;
+    drive->extra_due = drive->cycle_count % table->extra_every == 0;
+    if (drive->enabled == 2 && table->extra_count > 0) {
+        drive->extra_due = true;   /* whether it is enabled comes first of all: it is in the first range */
+        drive->extra_next = 0;
+    }
+    int64_t period_ns = table->period_ns;
+    drive->due_ns = drive->due_ns + period_ns > now_ns ? drive->due_ns + period_ns : now_ns;
+    if (drive->cycle_start_ns > 0) {
+        int64_t took_ns = now_ns - drive->cycle_start_ns;
+        drive->cycle_ns += drive->cycle_ns == 0 ? took_ns : (took_ns - drive->cycle_ns) / 8;
+    }
+    drive->cycle_start_ns = now_ns;
+}
+
+static void end_cycle(line_machine *m, uint32_t number)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    m->current = LINE_DRIVES_MAX;
+    drive->stage = STAGE_IDLE;
+    drive->cycle_count++;
+    drive->count.cycles++;
+    line_publish(m, number);
+    if (drive->lost_setup) {
+        demote(m, number, DEMOTED_LOST_SETUP, DRIVE_OFF);
+        power_off(m, number);
+    } else if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
+        demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+        power_off(m, number);
+    } else if (drive->stopping && line_at_rest(m, number)) {
+        power_off(m, number);
+    }
+    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && !drive->stopping &&
+                           drive->stop == STOP_NOTHING && drive->cycle_start_ns >= drive->arming_until_ns;
+    drive->still_enabled = armed_by_nobody ? drive->still_enabled + 1 : drive->enabled == 0 ? 0 : drive->still_enabled;
+    if (armed_by_nobody) {
+        if (drive->still_enabled == table->tries) {
+            drive->demoted |= DEMOTED_STILL_ENABLED;
+            m->news = true;
+        }
+        power_off(m, number);
+    }
+}
+
+bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    (void)now_ns;
+    while (drive->stage != STAGE_IDLE) {
+        bool found = drive->stage == STAGE_REST || drive->stage == STAGE_WAYS ? next_way(m, number, out)
+                     : drive->stage == STAGE_EXTRA                           ? next_extra(m, number, out)
+                                                                             : next_exchange(m, number, out);
+        if (found) {
+            return true;
+        }
+        if (drive->stage == STAGE_EXTRA) {
+            end_cycle(m, number);
+            return false;
+        }
+        drive->stage++;
+        drive->place = 0;
+    }
+    return false;
+}
+
+/* ------------------------------------------------------------------------------------------------- quiet ones */
+static uint32_t zero_exchanges(const line_drive *table)
+{
+    uint32_t count = 0;
+    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0) {
+        count++;
+    }
+    return count;
+}
+
+/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog quiet. */
+static uint32_t stop_probes(const line_machine *m, uint32_t number)
+{
+    const line_drive *table = &m->table.drive[number];
+    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(table) : 0;
+}
+
+void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    if (drive->mode != DRIVE_QUIET) {
+        drive->count.quiet++;
+    }
+    demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
+    drive->stop = STOP_NOTHING;
+    drive->stopping = drive->back = false;
+    drive->stage = STAGE_IDLE;
+    drive->probe_place = 0;
+    drive->probes_at_once = stop_probes(m, number) + 1;
+    drive->probe_pause_ns = PROBE_FIRST_NS;
+    drive->probe_at_ns = now_ns;
+    memset(drive->way_told, 0, sizeof drive->way_told);
+    if (m->current == number) {
+        m->current = LINE_DRIVES_MAX;
+    }
+}
+
+static void read_probe(line_machine *m, uint32_t number, line_frame *out)
+{
+    const line_drive *table = &m->table.drive[number];
+    if (table->probe > 0) {
+        (void)line_build(m, number, table->probe - 1, out);
+    } else if (table->extra_count > 0) {
+        *out = table->extra[0].frame;
+    } else {
+        (void)line_build(m, number, 0, out);   /* with zeros: it is not armed */
+    }
+}
+
+void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    uint32_t stops = stop_probes(m, number);
+    uint32_t place = drive->probe_place;
+    if (place < stops && place < table->quick_stop_count) {
+        *out = table->quick_stop[place];
+    } else if (place < stops) {
+        (void)line_build(m, number, place - table->quick_stop_count, out);
+    } else {
+        read_probe(m, number, out);
+    }
+    drive->probe_place = (place + 1) % (stops + 1);
+    if (drive->probes_at_once > 1) {
+        drive->probes_at_once--;
+        drive->probe_at_ns = now_ns;
+        return;
+    }
+    drive->probe_at_ns = now_ns + drive->probe_pause_ns;
+    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+}
+
+/* --------------------------------------------------------------------------------------------------- outcomes */
+static void learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    int64_t sample_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
+    sample_ns = sample_ns > 0 ? sample_ns : 0;
+    if (drive->smoothed_ns == 0) {
+        drive->smoothed_ns = sample_ns + 1;
+        drive->variation_ns = sample_ns / 2;
+    } else {
+        int64_t off_ns = drive->smoothed_ns > sample_ns ? drive->smoothed_ns - sample_ns : sample_ns - drive->smoothed_ns;
+        drive->variation_ns += (off_ns - drive->variation_ns) / 4;
+        drive->smoothed_ns += (sample_ns - drive->smoothed_ns) / 8;
+    }
+    int64_t spread_ns = 4 * drive->variation_ns > GRANULARITY_NS ? 4 * drive->variation_ns : GRANULARITY_NS;
+    int64_t deadline_ns = drive->smoothed_ns + spread_ns;
+    int64_t bound_ns = m->table.drive[number].turnaround_ns;
+    deadline_ns = deadline_ns < DEADLINE_LEAST_NS ? DEADLINE_LEAST_NS : deadline_ns;
+    drive->deadline_ns = deadline_ns < bound_ns ? deadline_ns : bound_ns;
+}
+
+static void way_acknowledged(line_drive_state *drive, const line_machine *m, uint32_t number)
+{
+    uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)WAY_REST : line_way_wanted(m, number, drive->place);
+    const line_frame *sent = way_frame(m, number, drive->place, wanted);
+    if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
+        wanted = WAY_UNKNOWN;   /* the wish has changed while it was on its way */
+    }
+    drive->way_told[drive->place] = wanted;
+    if (wanted == WAY_FORWARD || wanted == WAY_REVERSE) {
+        drive->way_last[drive->place] = wanted;
+    }
+    drive->place++;
+}
+
+static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    if (m->current != number) {
+        return;   /* it was stopped while this was on its way */
+    }
+    if (drive->stage == STAGE_REST || drive->stage == STAGE_WAYS) {
+        way_acknowledged(drive, m, number);
+    } else if (drive->stage == STAGE_EXTRA) {
+        line_read(m, number, &table->extra[drive->extra_next], reply, stamp_ns);
+        drive->extra_next = (drive->extra_next + 1) % table->extra_count;
+        drive->place = 1;
+    } else {
+        line_read(m, number, &table->cyclic[drive->place], reply, stamp_ns);
+        drive->place++;
+    }
+}
+
+void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    int64_t stamp_ns = m->start_ns + (now_ns - m->start_ns) / 2;
+    int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
+    if (drive->mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
+        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
+    }
+    drive->failures = 0;
+    drive->answered_ns = m->end_ns;
+    drive->count.exchanges++;
+    drive->count.heard_ns = now_ns;
+    if (m->transaction.frame.reply_bytes > 0) {
+        learn_turnaround(m, number, now_ns);
+    }
+    if (m->work == WORK_CYCLE) {
+        cycle_answered(m, number, reply, stamp_ns);
+    } else if (m->work == WORK_STOP) {
+        drive->stop_place++;
+        drive->stop_failures = 0;
+    } else if (m->work == WORK_PROBE) {
+        drive->back = true;
+        line_stop_now(m, number, STOP_POWER_OFF);
+    }
+}
+
+void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint32_t exception, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    drive->failures++;
+    drive->last_failure = failure;
+    drive->last_exception = exception;
+    drive->count.exchanges++;
+    drive->count.no_reply += failure == ANSWER_NO_REPLY;
+    drive->count.bad_reply += failure == ANSWER_BAD_REPLY;
+    drive->count.refused += failure == ANSWER_REFUSED;
+    if (failure != ANSWER_REFUSED) {
+        int64_t doubled_ns = 2 * drive->deadline_ns;
+        drive->deadline_ns = doubled_ns < table->turnaround_ns ? doubled_ns : table->turnaround_ns;
+        drive->quiet_until_ns = m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
+    }
+    drive->stage = STAGE_IDLE;
+    if (m->current == number) {
+        m->current = LINE_DRIVES_MAX;
+    }
+    if (m->work == WORK_STOP) {
+        drive->stop_failures++;
+        bool tried = drive->stop_failures >= table->tries;
+        if (tried && failure == ANSWER_REFUSED) {
+            drive->stop_place++;   /* it is there and will not: the next frame may do */
+            drive->stop_failures = 0;
+        }
+    }
+    bool counts = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED || drive->stop != STOP_NOTHING;
+    if (counts && drive->failures >= table->tries) {
+        line_go_quiet(m, number, now_ns);
+    }
+}

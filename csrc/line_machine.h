@@ -1,0 +1,186 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_machine.h: the inside of a serial line. Bytes and time in, bytes and the time of the next look out: no clock, no
+ * file descriptor, so the same inputs give the same outputs.
+ *
+ * line_table.c    is a table good?
+ * line_values.c   set-points into requests, replies into feedback
+ * line_drive.c    one drive: its cycle, its failures, its stops
+ * line_machine.c  the line: whose turn it is, and what the answer means
+ */
+#ifndef MOTORD_LINE_MACHINE_H
+#define MOTORD_LINE_MACHINE_H
+
+#include "rtu.h"
+
+static const int64_t LINE_MS = 1000000;
+
+enum { HEARD_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64 };
+
+typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
+
+/* One request under way, and all that was heard since it was sent. */
+typedef struct {
+    line_frame frame;           /* request as it goes out */
+    uint32_t heard_bytes;
+    uint8_t heard[HEARD_BYTES_MAX];
+} line_transaction;
+
+/* What the exchange under way is for. */
+typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_WAY, WORK_STOP, WORK_BROADCAST, WORK_ASK, WORK_PROBE } line_work;
+
+typedef enum { WAY_UNKNOWN = 0, WAY_REST = 1, WAY_FORWARD = 2, WAY_REVERSE = 3 } line_way_told;
+
+typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } line_stop_kind;
+
+/* Where in its cycle a drive is. */
+typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_WAYS, STAGE_READ, STAGE_EXTRA } line_stage;
+
+typedef struct {
+    uint32_t mode;              /* drive_mode */
+    uint32_t demoted;
+    uint32_t wish_seen;
+    uint32_t enabled;           /* 1, 0, 2 */
+    uint32_t failures;          /* in a row */
+    uint32_t last_failure;
+    uint32_t last_exception;
+    uint32_t epoch;
+    uint32_t joints;            /* bit n: joint n of the core */
+    uint32_t stage;             /* line_stage */
+    uint32_t place;             /* within the stage */
+    uint32_t extra_next;
+    uint32_t still_enabled;     /* cycles in a row in which it said so without being armed */
+    uint32_t stop;              /* line_stop_kind: frames that go before all else */
+    uint32_t stop_place;
+    uint32_t stop_failures;
+    uint32_t probe_place;
+    uint32_t probes_at_once;
+    uint32_t way_told[DRIVE_WAYS_MAX];
+    uint32_t way_last[DRIVE_WAYS_MAX];      /* FORWARD or REVERSE, the newest of the two; 0: none yet */
+    bool lost_setup;
+    bool was_enabled;           /* set-points were enabled since it was armed */
+    bool may_turn;              /* armed since it was last set up */
+    bool told_motion;
+    bool cycle_motion;
+    bool stopping;
+    bool back;                  /* a quiet drive answered: BACK when it has been told to disarm */
+    bool extra_due;
+    int64_t arming_until_ns;
+    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
+    int64_t due_ns;
+    int64_t quiet_until_ns;     /* a late answer may come till then: it is not asked again before */
+    int64_t probe_at_ns;
+    int64_t probe_pause_ns;
+    int64_t answered_ns;        /* when the newest request that it answered had been sent */
+    int64_t smoothed_ns;        /* RFC 6298: SRTT, RTTVAR, RTO of the turn-around */
+    int64_t variation_ns;
+    int64_t deadline_ns;
+    int64_t cycle_start_ns;
+    int64_t cycle_ns;
+    uint64_t cycle_count;       /* since it was set up */
+    setpoints frozen;           /* of this cycle, where ways are told one by one */
+    int64_t told[DRIVE_CYCLIC_MAX][EXCHANGE_SETPOINTS_MAX];
+    drive_report count;         /* the counters of it */
+} line_drive_state;
+
+typedef struct {
+    joint_feedback feedback;
+    int64_t count_ns;           /* stamps of the newest of each kind */
+    int64_t velocity_ns;
+    int64_t newest_ns;
+    uint32_t counts;            /* 1: a COUNT field is there */
+    uint32_t measures;          /* 1: a VELOCITY field is there */
+    uint32_t fault_word;
+} line_joint_state;
+
+typedef struct line_machine {
+    line_table table;
+    line_drive_state drive[LINE_DRIVES_MAX];
+    line_joint_state joint[JOINTS_MAX];
+    setpoints newest;           /* the core's */
+    line_control control;
+    line_ask ask[LINE_ASKS_MAX];
+    uint32_t ask_count;
+    uint32_t echo;              /* line_echo */
+    uint32_t work;              /* line_work under way; NONE: the line is ours */
+    uint32_t worker;            /* its drive; LINE_DRIVES_MAX: none */
+    bool sent;                  /* its request has left */
+    bool news;                  /* something that Python wants to hear */
+    bool notified_shut;
+    uint32_t broadcasts;        /* frames of broadcast_stop still to be sent */
+    uint32_t current;           /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
+    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    int64_t shut_rest_by_ns;
+    int64_t shut_by_ns;
+    int64_t free_ns;            /* earliest time of the next request */
+    int64_t start_ns;           /* of the request under way */
+    int64_t end_ns;             /* its last byte */
+    int64_t until_ns;           /* its deadline */
+    int64_t bound_ns;           /* turn-around that is waited for */
+    int64_t slot_due_ns;        /* the acyclic slot's turn */
+    int64_t slot_period_ns;
+    uint32_t slot_turn;
+    uint32_t feedback_mask;
+    uint64_t exchanges;
+    uint64_t noise_bytes;
+    int64_t round_trip_ns;      /* of the exchange that ended in this step; 0: none did */
+    line_transaction transaction;
+    line_answer answer;
+    bool answered;
+} line_machine;
+
+/* What the thread has to do after a step. */
+typedef struct {
+    const uint8_t *send;        /* write these now, then call line_machine_sent; NULL: nothing */
+    uint32_t send_bytes;
+    uint32_t feedback_mask;     /* joints whose machine->joint[].feedback is new */
+    bool answered;              /* machine->answer is new */
+    bool news;
+    int64_t wake_ns;            /* step again then, or when bytes, asks or a wake come */
+} line_output;
+
+/* 0 or -EINVAL. Every drive OFF. */
+int line_machine_init(line_machine *m, const line_table *table, int64_t now_ns);
+/* false: no room */
+bool line_machine_ask(line_machine *m, const line_ask *ask);
+/* The core has made new set-points of a new command: who is to be told something else is due at once. */
+void line_machine_kick(line_machine *m, int64_t now_ns);
+void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out);
+void line_machine_sent(line_machine *m, int64_t now_ns);
+void line_machine_report(const line_machine *m, line_report *report);
+
+/* ----------------------------------------------------------------------- line_values.c */
+/* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */
+bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
+/* The values of a good reply. */
+void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns);
+/* The way that the newest set-points want: REST, FORWARD, REVERSE. */
+uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way);
+/* What the drive may be told now: the joint's set-point, or 0 unless armed, fresh and enabled. */
+double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind);
+bool line_wants_motion(const line_machine *m, uint32_t drive);
+/* Whether what it was last told differs from what it would be told now. */
+bool line_differs(line_machine *m, uint32_t drive);
+/* Its values are not known any more. */
+void line_forget(line_machine *m, uint32_t drive);
+void line_publish(line_machine *m, uint32_t drive);
+/* 1: all its wheels are seen at rest. */
+bool line_at_rest(const line_machine *m, uint32_t drive);
+
+/* ------------------------------------------------------------------------ line_drive.c */
+bool line_fresh(const line_machine *m, int64_t now_ns);
+void line_obey_wish(line_machine *m, uint32_t drive, int64_t now_ns);
+/* What the set-points, its watchdog and its own words demand. */
+void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
+void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
+/* The next frame of its cycle into the transaction; false: the cycle is over. */
+bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
+bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);
+void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
+void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
+/* How the exchange for a drive ended. */
+void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);
+void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception, int64_t now_ns);
+void line_go_quiet(line_machine *m, uint32_t drive, int64_t now_ns);
+int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
+
+#endif

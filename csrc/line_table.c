@@ -1,0 +1,148 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_table.c: is a line's table good? Nothing outside it is ever read or written because of what it says. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "rtu.h"
+
+static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
+
+/* Where the check is, as a path; the first bad field is written out. */
+typedef struct {
+    char *name;
+    char path[FIELD_NAME_BYTES];
+    bool bad;
+} finding;
+
+static void blame(finding *f, const char *field)
+{
+    if (!f->bad) {
+        f->bad = true;
+        (void)snprintf(f->name, FIELD_NAME_BYTES, "%.40s%.23s", f->path, field);
+    }
+}
+
+static void need(finding *f, bool good, const char *field)
+{
+    if (!good) {
+        blame(f, field);
+    }
+}
+
+static void check_frame(finding *f, const line_frame *frame)
+{
+    uint32_t sum = rtu_seal_bytes(frame->request_seal);
+    need(f, frame->request_seal <= SEAL_CRC8, "request_seal");
+    need(f, frame->reply_seal <= SEAL_CRC8, "reply_seal");
+    need(f, frame->request_bytes > sum && frame->request_bytes <= FRAME_BYTES_MAX, "request_bytes");
+    need(f, frame->reply_bytes <= FRAME_BYTES_MAX, "reply_bytes");
+    need(f, frame->match_bytes <= FRAME_MATCH_MAX, "match_bytes");
+    need(f, frame->echo_bytes <= frame->request_bytes, "echo_bytes");
+    if (frame->reply_bytes > 0) {
+        /* without a beginning that says whose answer it is, and a check sum, everything would be one */
+        uint32_t known = frame->echo_bytes > 0 ? frame->echo_bytes : frame->match_bytes;
+        need(f, known > 0 && known <= frame->reply_bytes, "match");
+        need(f, frame->reply_seal != SEAL_NONE && frame->reply_bytes > rtu_seal_bytes(frame->reply_seal), "reply_seal");
+    }
+}
+
+static void check_setpoint(finding *f, const line_setpoint *setpoint, const line_frame *frame)
+{
+    uint32_t end = setpoint->byte + rtu_form_bytes(setpoint->form);
+    need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
+    need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
+    need(f, setpoint->form <= FORM_I32_LOW_FIRST, "setpoint.form");
+    need(f, setpoint->byte < FRAME_BYTES_MAX && end <= frame->request_bytes - rtu_seal_bytes(frame->request_seal),
+         "setpoint.byte");
+    need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
+    need(f, isfinite(setpoint->raw_min) && isfinite(setpoint->raw_max) && setpoint->raw_min <= 0.0 &&
+             setpoint->raw_max >= 0.0 && fabs(setpoint->raw_min) <= 4294967296.0 && setpoint->raw_max <= 4294967296.0,
+         "setpoint.raw_max");
+}
+
+static void check_field(finding *f, const line_field *field, const line_frame *frame)
+{
+    need(f, field->joint < JOINTS_MAX, "field.joint");
+    need(f, field->kind <= FIELD_KEPT, "field.kind");
+    need(f, field->form <= FORM_I32_LOW_FIRST, "field.form");
+    need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes,
+         "field.byte");
+    need(f, field->way <= DRIVE_WAYS_MAX, "field.way");
+    need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
+    need(f, isfinite(field->si_per_raw), "field.si_per_raw");
+}
+
+static void check_exchange(finding *f, const line_exchange *turn)
+{
+    check_frame(f, &turn->frame);
+    need(f, turn->setpoint_count <= EXCHANGE_SETPOINTS_MAX, "setpoint_count");
+    need(f, turn->field_count <= EXCHANGE_FIELDS_MAX, "field_count");
+    for (uint32_t i = 0; i < turn->setpoint_count && !f->bad; i++) {
+        check_setpoint(f, &turn->setpoint[i], &turn->frame);
+    }
+    for (uint32_t i = 0; i < turn->field_count && !f->bad; i++) {
+        check_field(f, &turn->field[i], &turn->frame);
+    }
+}
+
+static void check_counts(finding *f, const line_drive *drive)
+{
+    need(f, drive->tries >= 1, "tries");
+    need(f, drive->extra_every >= 1, "extra_every");
+    need(f, drive->period_ns > 0 && drive->period_ns <= PERIOD_MAX_NS, "period_ns");
+    need(f, drive->turnaround_ns > 0 && drive->turnaround_ns <= PERIOD_MAX_NS, "turnaround_ns");
+    need(f, drive->reply_timeout_ns >= 0 && drive->reply_timeout_ns <= PERIOD_MAX_NS, "reply_timeout_ns");
+    need(f, drive->watchdog_ns >= 0, "watchdog_ns");
+    need(f, drive->cyclic_count >= 1 && drive->cyclic_count <= DRIVE_CYCLIC_MAX, "cyclic_count");
+    need(f, drive->extra_count <= DRIVE_EXTRA_MAX, "extra_count");
+    need(f, drive->way_count <= DRIVE_WAYS_MAX, "way_count");
+    need(f, drive->quick_stop_count <= DRIVE_STOP_MAX, "quick_stop_count");
+    need(f, drive->disarm_count <= DRIVE_STOP_MAX, "disarm_count");
+    need(f, drive->probe <= drive->cyclic_count, "probe");
+}
+
+static void check_drive(finding *f, const line_drive *drive)
+{
+    check_counts(f, drive);
+    for (uint32_t i = 0; !f->bad && i < drive->cyclic_count; i++) {
+        check_exchange(f, &drive->cyclic[i]);
+    }
+    for (uint32_t i = 0; !f->bad && i < drive->extra_count; i++) {
+        check_exchange(f, &drive->extra[i]);
+        need(f, drive->extra[i].setpoint_count == 0, "extra.setpoint_count");
+    }
+    for (uint32_t i = 0; !f->bad && i < drive->way_count; i++) {
+        need(f, drive->way[i].joint < JOINTS_MAX && drive->way[i].kind <= SETPOINT_DUTY, "way.joint");
+        check_frame(f, &drive->way[i].rest);
+        check_frame(f, &drive->way[i].forward);
+        check_frame(f, &drive->way[i].reverse);
+    }
+    for (uint32_t i = 0; !f->bad && i < drive->quick_stop_count; i++) {
+        check_frame(f, &drive->quick_stop[i]);
+    }
+    for (uint32_t i = 0; !f->bad && i < drive->disarm_count; i++) {
+        check_frame(f, &drive->disarm[i]);
+    }
+}
+
+const char *line_table_check(const line_table *table, char *name)
+{
+    finding f = {.name = name, .path = "", .bad = false};
+    need(&f, table->drive_count >= 1 && table->drive_count <= LINE_DRIVES_MAX, "drive_count");
+    need(&f, table->echo <= 2, "echo");
+    need(&f, isfinite(table->character_ns) && table->character_ns > 0.0 && table->character_ns <= 1e8, "character_ns");
+    need(&f, table->gap_ns >= 0 && table->gap_ns <= PERIOD_MAX_NS, "gap_ns");
+    need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
+    need(&f, table->broadcast_stop_count <= DRIVE_STOP_MAX, "broadcast_stop_count");
+    for (uint32_t i = 0; !f.bad && i < table->broadcast_stop_count; i++) {
+        (void)snprintf(f.path, sizeof f.path, "broadcast_stop[%u].", i);
+        check_frame(&f, &table->broadcast_stop[i]);
+        need(&f, table->broadcast_stop[i].reply_bytes == 0, "reply_bytes");
+    }
+    for (uint32_t i = 0; !f.bad && i < table->drive_count; i++) {
+        (void)snprintf(f.path, sizeof f.path, "drive[%u].", i);
+        check_drive(&f, &table->drive[i]);
+    }
+    return f.bad ? name : NULL;
+}

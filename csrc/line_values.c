@@ -1,0 +1,221 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_values.c: set-points into requests, replies into feedback. */
+#include <math.h>
+#include <string.h>
+
+#include "line_machine.h"
+
+static const double REST_VELOCITY_RAD_S = 0.1;
+
+static const setpoints *source(const line_machine *m, uint32_t drive)
+{
+    /* where magnitude and way go out one by one, both have to be of the same wish */
+    return m->table.drive[drive].way_count > 0 ? &m->drive[drive].frozen : &m->newest;
+}
+
+static double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
+{
+    if (joint >= from->joint_count || joint >= JOINTS_MAX) {
+        return 0.0;
+    }
+    double value = kind == SETPOINT_VELOCITY ? from->joint[joint].velocity_rad_s : from->joint[joint].duty;
+    return isfinite(value) ? value : 0.0;
+}
+
+/* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
+double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind)
+{
+    if (m->drive[drive].mode != DRIVE_ARMED || m->newest.enabled != 1) {
+        return 0.0;
+    }
+    double now = setpoint_of(&m->newest, joint, kind);
+    double then = setpoint_of(source(m, drive), joint, kind);
+    return now == 0.0 ? 0.0 : then;
+}
+
+static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
+{
+    double raw = line_wanted(m, drive, setpoint->joint, setpoint->kind) * setpoint->raw_per_si;
+    if (setpoint->magnitude != 0) {
+        raw = fabs(raw);
+    }
+    raw = fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max);
+    return (int64_t)nearbyint(raw);
+}
+
+bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
+{
+    const line_exchange *from = &m->table.drive[drive].cyclic[turn];
+    bool motion = false;
+    *out = from->frame;
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        const line_setpoint *setpoint = &from->setpoint[i];
+        int64_t raw = raw_of(m, drive, setpoint);
+        rtu_write(out->request + setpoint->byte, setpoint->form, raw);
+        m->drive[drive].told[turn][i] = raw;
+        motion |= raw != 0;
+    }
+    rtu_seal(out->request, out->request_bytes, out->request_seal);
+    return motion;
+}
+
+bool line_differs(line_machine *m, uint32_t drive)
+{
+    const line_drive *table = &m->table.drive[drive];
+    for (uint32_t e = 0; e < table->cyclic_count; e++) {
+        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
+            if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) != m->drive[drive].told[e][i]) {
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
+bool line_wants_motion(const line_machine *m, uint32_t drive)
+{
+    const line_drive *table = &m->table.drive[drive];
+    for (uint32_t e = 0; e < table->cyclic_count; e++) {
+        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
+            const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
+            if (line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0) {
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
+uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way)
+{
+    const line_way *which = &m->table.drive[drive].way[way];
+    double wanted = line_wanted(m, drive, which->joint, which->kind);
+    if (wanted == 0.0) {
+        return WAY_REST;
+    }
+    return (wanted > 0.0) != (which->inverted != 0) ? WAY_FORWARD : WAY_REVERSE;
+}
+
+static uint32_t stopping_fault(const line_field *field, uint32_t word)
+{
+    if (field->is_code == 0) {
+        return word & ~field->harmless_bits;
+    }
+    for (uint32_t i = 0; i < field->harmless_codes; i++) {
+        if (word == field->harmless[i]) {
+            return 0;
+        }
+    }
+    return word;
+}
+
+static void read_fault(line_machine *m, const line_field *field, uint32_t word)
+{
+    line_joint_state *joint = &m->joint[field->joint];
+    m->news |= joint->fault_word != word;
+    joint->fault_word = word;
+    joint->feedback.drive_faults = stopping_fault(field, word);
+}
+
+static double signed_velocity(const line_drive_state *drive, const line_field *field, double velocity)
+{
+    bool reverse = field->way > 0 && drive->way_last[field->way - 1] == WAY_REVERSE;
+    return reverse ? -velocity : velocity;
+}
+
+static void read_field(line_machine *m, uint32_t number, const line_field *field, const uint8_t *reply, int64_t stamp_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    line_joint_state *joint = &m->joint[field->joint];
+    int64_t whole = rtu_read(reply + field->byte, field->form);
+    int64_t raw = rtu_masked(whole, field->mask, field->form);
+    double si = (double)raw * field->si_per_raw;
+    bool equal = ((uint32_t)whole & field->equals_mask) == field->equals;
+    if (field->kind < FIELD_ENABLED) {
+        joint->newest_ns = stamp_ns;
+    }
+    switch (field->kind) {
+    case FIELD_COUNT:
+        joint->feedback.count = (uint64_t)raw;
+        joint->count_ns = stamp_ns;
+        break;
+    case FIELD_VELOCITY:
+        joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);
+        joint->velocity_ns = stamp_ns;
+        break;
+    case FIELD_CURRENT:
+        joint->feedback.current_a = si;
+        break;
+    case FIELD_VOLTAGE:
+        joint->feedback.voltage_v = si;
+        break;
+    case FIELD_TEMPERATURE:
+        joint->feedback.temperature_c = si;
+        break;
+    case FIELD_FAULT:
+        read_fault(m, field, (uint32_t)raw);
+        break;
+    case FIELD_ENABLED:
+        drive->enabled = equal ? 1 : 0;
+        break;
+    default:
+        drive->lost_setup |= !equal;
+        break;
+    }
+}
+
+void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns)
+{
+    for (uint32_t i = 0; i < turn->field_count; i++) {
+        read_field(m, drive, &turn->field[i], reply, stamp_ns);
+    }
+}
+
+static bool has_joint(const line_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
+}
+
+void line_forget(line_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (has_joint(m, drive, j)) {
+            line_joint_state *joint = &m->joint[j];
+            joint->feedback = (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
+                                               .temperature_c = NAN, .epoch = m->drive[drive].epoch, .enabled = 2};
+            joint->count_ns = joint->velocity_ns = joint->newest_ns = 0;
+        }
+    }
+    m->drive[drive].enabled = 2;
+    m->drive[drive].lost_setup = false;
+}
+
+void line_publish(line_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (!has_joint(m, drive, j)) {
+            continue;
+        }
+        line_joint_state *joint = &m->joint[j];
+        joint->feedback.stamp_ns = joint->counts     ? joint->count_ns
+                                   : joint->measures ? joint->velocity_ns
+                                                     : joint->newest_ns;
+        if (joint->feedback.stamp_ns == 0) {
+            joint->feedback.stamp_ns = m->drive[drive].answered_ns;   /* a drive that says nothing but yes */
+        }
+        joint->feedback.epoch = m->drive[drive].epoch;
+        joint->feedback.enabled = m->drive[drive].enabled;
+        m->feedback_mask |= 1U << j;
+    }
+}
+
+bool line_at_rest(const line_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        /* NaN is not at rest: the time decides then */
+        if (has_joint(m, drive, j) && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+            return false;
+        }
+    }
+    return true;
+}

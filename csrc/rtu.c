@@ -1,0 +1,167 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+#include "rtu.h"
+
+#include <string.h>
+
+enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8 };
+
+/* A nibble at a time: 16 entries stay in one cache line. */
+static const uint16_t CRC16_NIBBLE[16] = {
+    0x0000, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401,
+    0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400,
+};
+static const uint8_t CRC8_NIBBLE[16] = {
+    0x00, 0x9D, 0x23, 0xBE, 0x46, 0xDB, 0x65, 0xF8, 0x8C, 0x11, 0xAF, 0x32, 0xCA, 0x57, 0xE9, 0x74,
+};
+
+uint16_t rtu_crc16(const uint8_t *bytes, uint32_t count)
+{
+    uint32_t crc = 0xFFFF;
+    for (uint32_t n = 0; n < count; n++) {
+        crc ^= bytes[n];
+        crc = crc >> 4 ^ CRC16_NIBBLE[crc & 15];
+        crc = crc >> 4 ^ CRC16_NIBBLE[crc & 15];
+    }
+    return (uint16_t)crc;
+}
+
+uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count)
+{
+    uint32_t crc = 0;
+    for (uint32_t n = 0; n < count; n++) {
+        crc ^= bytes[n];
+        crc = crc >> 4 ^ CRC8_NIBBLE[crc & 15];
+        crc = crc >> 4 ^ CRC8_NIBBLE[crc & 15];
+    }
+    return (uint8_t)crc;
+}
+
+uint32_t rtu_seal_bytes(uint32_t seal)
+{
+    return seal == SEAL_CRC16 ? 2 : seal == SEAL_CRC8 ? 1 : 0;
+}
+
+void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal)
+{
+    if (seal == SEAL_CRC16) {
+        uint16_t crc = rtu_crc16(frame, count - 2);
+        frame[count - 2] = (uint8_t)(crc & 0xFF);
+        frame[count - 1] = (uint8_t)(crc >> BYTE_BITS);
+    } else if (seal == SEAL_CRC8) {
+        frame[count - 1] = rtu_crc8(frame, count - 1);
+    }
+}
+
+bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal)
+{
+    if (seal == SEAL_CRC16) {
+        uint32_t crc = rtu_crc16(frame, count - 2);
+        return crc == ((uint32_t)frame[count - 2] | (uint32_t)frame[count - 1] << BYTE_BITS);
+    }
+    return seal != SEAL_CRC8 || frame[count - 1] == rtu_crc8(frame, count - 1);
+}
+
+uint32_t rtu_form_bytes(uint32_t form)
+{
+    return form <= FORM_I8 ? 1 : form <= FORM_I16 ? 2 : 4;
+}
+
+static bool is_signed(uint32_t form)
+{
+    return (form & 1) != 0;
+}
+
+static int64_t with_sign(uint64_t raw, uint32_t bits)
+{
+    uint64_t top = UINT64_C(1) << (bits - 1);
+    return (int64_t)(raw ^ top) - (int64_t)top;
+}
+
+/* The place of the n-th byte, the highest one first. */
+static uint32_t place(uint32_t form, uint32_t n)
+{
+    return form >= FORM_U32_LOW_FIRST ? n ^ 2 : n;
+}
+
+int64_t rtu_read(const uint8_t *bytes, uint32_t form)
+{
+    uint32_t count = rtu_form_bytes(form);
+    uint64_t raw = 0;
+    for (uint32_t n = 0; n < count; n++) {
+        raw = raw << BYTE_BITS | bytes[place(form, n)];
+    }
+    return is_signed(form) ? with_sign(raw, count * BYTE_BITS) : (int64_t)raw;
+}
+
+void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw)
+{
+    uint64_t left = (uint64_t)raw;
+    for (uint32_t n = rtu_form_bytes(form); n > 0; n--) {
+        bytes[place(form, n - 1)] = (uint8_t)(left & 0xFF);
+        left >>= BYTE_BITS;
+    }
+}
+
+int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form)
+{
+    if (mask == 0) {
+        return raw;
+    }
+    uint64_t value = ((uint64_t)raw & mask) >> __builtin_ctz(mask);
+    return is_signed(form) ? with_sign(value, (uint32_t)__builtin_popcount(mask)) : (int64_t)value;
+}
+
+static bool begins_as_answer(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
+{
+    return frame->echo_bytes > 0 ? memcmp(bytes, request, frame->echo_bytes) == 0
+                                 : memcmp(bytes, frame->match, frame->match_bytes) == 0;
+}
+
+static bool is_answer(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
+{
+    return begins_as_answer(frame, request, bytes) && rtu_is_sealed(bytes, frame->reply_bytes, frame->reply_seal);
+}
+
+static bool is_exception(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
+{
+    return frame->has_exceptions != 0 && bytes[0] == request[0] && bytes[1] == (request[1] | EXCEPTION_BIT) &&
+           rtu_is_sealed(bytes, EXCEPTION_BYTES, SEAL_CRC16);
+}
+
+bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
+{
+    return frame->reply_bytes == frame->request_bytes && is_answer(frame, request, request);
+}
+
+static heard hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
+{
+    for (uint32_t at = from; at < count; at++) {
+        uint32_t left = count - at;
+        if (left >= frame->reply_bytes && is_answer(frame, request, bytes + at)) {
+            return (heard){.kind = HEARD_ANSWER, .offset = at};
+        }
+        if (left >= EXCEPTION_BYTES && is_exception(frame, request, bytes + at)) {
+            return (heard){.kind = HEARD_REFUSED, .offset = at, .exception = bytes[at + 2]};
+        }
+    }
+    return (heard){.kind = HEARD_MORE};
+}
+
+heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes,
+                      uint32_t count)
+{
+    uint32_t sent = frame->request_bytes;
+    uint32_t same = count < sent ? count : sent;
+    bool comes_back = memcmp(bytes, request, same) == 0;
+    if (echo == 1 && !comes_back) {
+        return (heard){.kind = HEARD_BAD};
+    }
+    /* not known whether there is an echo: what is like the request is none, until it has come twice */
+    bool passes = echo == 1 || (echo != 0 && comes_back && (same < sent || rtu_answer_is_request(frame, request)));
+    if (passes && count <= sent) {
+        return (heard){.kind = HEARD_MORE};
+    }
+    heard found = hunt(frame, request, passes ? sent : 0, bytes, count);
+    found.echoed = comes_back && found.offset >= sent;
+    return found;
+}

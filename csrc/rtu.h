@@ -1,0 +1,46 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * rtu.h: frames on a serial line: seals, values, and the answer among the bytes that were heard. Pure. */
+#ifndef MOTORD_RTU_H
+#define MOTORD_RTU_H
+
+#include "rt.h"
+
+typedef enum {
+    HEARD_MORE,         /* not yet: more bytes may make it an answer */
+    HEARD_ANSWER,
+    HEARD_REFUSED,      /* the drive's exception: see exception */
+    HEARD_BAD           /* the echo is not what was sent: a collision, no answer can follow */
+} heard_kind;
+
+typedef struct {
+    heard_kind kind;
+    uint32_t offset;        /* where the answer begins */
+    uint32_t exception;
+    uint32_t echoed;        /* 1: the request came back before it */
+} heard;
+
+/* CRC of Modbus over Serial Line V1.02, 6.2.2: reflected 0x8005, start 0xFFFF. */
+uint16_t rtu_crc16(const uint8_t *bytes, uint32_t count);
+/* CRC-8/MAXIM: reflected 0x31, start 0 (Analog Devices, application note 27). */
+uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count);
+/* Bytes that a seal takes at a frame's end. */
+uint32_t rtu_seal_bytes(uint32_t seal);
+/* Puts the checksum into the last bytes. */
+void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal);
+bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal);
+
+uint32_t rtu_form_bytes(uint32_t form);
+int64_t rtu_read(const uint8_t *bytes, uint32_t form);
+/* raw is within the form's range. */
+void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw);
+/* The value under a mask of adjacent bits, with its sign where the form has one; mask 0: all of it. */
+int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form);
+
+/* True when the answer looks the same as the request: then only `echo` tells one from the other. */
+bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
+/* The answer to `request` (frame's, as it was sent) among what was heard since. echo: as line_table.echo. Garbage
+ * before it is passed over; nothing but prefix, whole length and seal makes an answer. */
+heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes,
+                      uint32_t count);
+
+#endif
