@@ -311,3 +311,21 @@ def test_what_it_says_to_set_is_what_the_robot_file_takes(tmp_path):
     settings = re.findall(r"--set (\S+)", lines[2])
     made = load_robot(robot, settings)
     assert f"line rs485: {made.line['rs485'].address}" in lines[1]
+
+
+def may_be_fifo():
+    """Tried in a process of its own: this one stays as it is."""
+    tried = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
+    done = subprocess.run([sys.executable, "-c", tried], capture_output=True, check=False)
+    return done.returncode == 0
+
+
+def test_a_priority_is_taken_or_its_refusal_told():
+    if not may_be_fifo():
+        done = said(str(DEMO), "--priority", "1")
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "--priority 1: " in done.stderr
+        return
+    with start_simulator(DEMO, options=("--priority", "1")) as sim:
+        assert os.sched_getscheduler(sim.process.pid) == os.SCHED_FIFO
+        assert ask(sim.ports["rs485"], VELOCITIES).values == (0, 0)

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator's fault script: its grammar, and that a seed decides everything."""
 
+import math
+import random
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +20,7 @@ from motord_hal.modbus.codec import (
 from motord_hal.sim.fault_kinds import KINDS, FaultError, parse_fault
 from motord_hal.sim.faults import FaultScript
 from motord_hal.sim.framing import ModbusFraming
+from motord_hal.sim.noise import disturb
 
 READ = Request(1, Function.READ_HOLDING, 0x100, 3)
 REPLY = build_reply(READ, (1, 2, 3))
@@ -148,3 +152,52 @@ def test_a_corrupt_frame_is_never_a_good_one():
     for _ in range(300):
         with pytest.raises(FrameError):
             parse_request(spoil(made).frame)
+
+
+def test_what_is_over_goes_when_another_comes_and_stays_counted():
+    made = script("drop:for_s=1", "drop:from_s=5,for_s=1", "reboot:at_s=1", "echo")
+    spoil(made)
+    assert [fault.kind for fault in made.due(2.0)] == ["reboot"]
+    made.add("late", 2.0)
+    assert [fault.text for fault in made.faults] == ["drop:from_s=5,for_s=1", "echo", "late"]
+    assert made.past == {"drop": 1, "reboot": 1}
+    made.clear()
+    assert made.faults == []
+
+
+def test_ten_thousand_short_faults_leave_a_short_script():
+    made = FaultScript(1)
+    for number in range(10_000):
+        made.add("drop:for_s=0.5", float(number))
+    assert len(made.faults) == 1
+
+
+# -------------------------------------------------------------------------------------------- noise
+@given(st.binary(max_size=40), st.integers(10, 12), st.integers())
+def test_no_noise_changes_nothing(data, bits, seed):
+    assert disturb(data, 0.0, bits, random.Random(seed)) == (data, 0)
+
+
+@given(st.binary(max_size=40), st.floats(1e-6, 0.1), st.integers())
+def test_noise_loses_characters_but_makes_none_and_its_seed_decides(data, ber, seed):
+    heard, hits = disturb(data, ber, 10, random.Random(seed))
+    assert disturb(data, ber, 10, random.Random(seed)) == (heard, hits)
+    assert len(data) - hits <= len(heard) <= len(data)
+    if hits == 0:
+        assert heard == data
+
+
+def test_noise_hits_as_many_bits_as_its_rate_says():
+    ber, bits, size = 0.01, 10, 40_000
+    heard, hits = disturb(bytes(size), ber, bits, random.Random(11))
+    deviation = math.sqrt(size * bits * ber * (1.0 - ber))
+    assert abs(hits - size * bits * ber) < 4.0 * deviation
+    lost = size - len(heard)
+    start_or_stop = 1.0 - (1.0 - ber) ** (bits - 8)
+    assert abs(lost - size * start_or_stop) < 4.0 * math.sqrt(size * start_or_stop)
+
+
+@pytest.mark.parametrize("text", ["noise:ber=nan", "noise:ber=inf", "babble:hz=0", "wrong-baud"])
+def test_noise_that_cannot_be_is_refused(text):
+    with pytest.raises(FaultError):
+        parse_fault(text)

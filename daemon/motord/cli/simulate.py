@@ -29,7 +29,7 @@ from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.rig import TCP_KINDS, PortSpec, Rig, RigSpec, WheelSpec
-from motord_hal.sim.runner import run
+from motord_hal.sim.runner import SPIN_S, run, set_pace
 
 SEED_MAX = 1 << 32
 PORT_MAX = 65535
@@ -154,11 +154,17 @@ def simulate(
         tagged=tagged,
     )
     with _rig(spec, link_dir, control) as rig:
+        _set_pace(priority)
         _say_where(rig, robot_file, as_json=as_json)
-        try:
-            run(rig, stopped.is_set, sys.stdin.fileno() if stop_on_eof else None, priority=priority)
-        except PermissionError as error:
-            raise Failure(f"--priority {priority}: {error.strerror}", Exit.USAGE) from error
+        until_fd_ends = sys.stdin.fileno() if stop_on_eof else None
+        run(rig, stopped.is_set, until_fd_ends, spin_s=SPIN_S if priority else 0.0)
+
+
+def _set_pace(priority: int) -> None:
+    try:
+        set_pace(priority)
+    except PermissionError as error:
+        raise Failure(f"--priority {priority}: {error.strerror}", Exit.USAGE) from error
 
 
 def _rig(spec: RigSpec, link_dir: Path | None, control: Path | None) -> Rig:

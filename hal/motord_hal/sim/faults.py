@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -36,6 +37,12 @@ class Fault:
     @property
     def once(self) -> bool:
         return KINDS[self.kind].happens == "once"
+
+    def over(self, now_s: float) -> bool:
+        """Whether nothing will come of it any more."""
+        if self.once:
+            return self.fired > 0
+        return now_s >= self.starts_s + self.values.get("for_s", math.inf)
 
     def matches(self, unit: int | None, now_s: float) -> bool:
         """Whether it concerns this unit (None: the line itself) now."""
@@ -74,11 +81,15 @@ class Spoiled:
 class FaultScript:
     seed: int
     faults: list[Fault] = field(default_factory=list)
+    past: Counter[str] = field(default_factory=Counter)
+    """How often those have happened that are over, by kind."""
     _added: int = 0
 
     def add(self, text: str, now_s: float = 0.0) -> Fault:
-        """Add an entry; its times count from now_s. Raises FaultError."""
+        """Add an entry; its times count from now_s. Entries that are over go, so that a long run
+        of many stays quick. Raises FaultError."""
         kind, values = parse_fault(text)
+        self._forget(fault for fault in self.faults if fault.over(now_s))
         starts_s = now_s + values.get("at_s", values.get("from_s", 0.0))
         seeded = random.Random(f"{self.seed} {self._added} {kind}")
         self._added += 1
@@ -87,7 +98,12 @@ class FaultScript:
         return fault
 
     def clear(self) -> None:
-        self.faults.clear()
+        self._forget(self.faults)
+
+    def _forget(self, gone: Iterable[Fault]) -> None:
+        for fault in list(gone):
+            self.past[fault.kind] += fault.fired
+            self.faults.remove(fault)
 
     def due(self, now_s: float) -> Iterable[Fault]:
         """Those that happen once and whose time has come."""

@@ -317,6 +317,7 @@ class Rig:
         return {
             "seed": self.script.seed,
             "lines": {name: line.stats() for name, line in self.lines.items()},
+            "past_faults": dict(self.script.past),
             "faults": [{"spec": fault.text, "fired": fault.fired} for fault in self.script.faults],
         }
 

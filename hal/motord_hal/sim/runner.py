@@ -2,9 +2,8 @@
 """A rig in real time: one thread in select(), which has microseconds where poll() and epoll have
 milliseconds.
 
-What is due on a wire comes before the physics. With `priority` the thread is SCHED_FIFO and spins
-over the last moment before something is due, so that the wire's pace is a wire's and not a
-scheduler's.
+What is due on a wire comes before the physics. With SCHED_FIFO and a spin over the last moment
+before something is due, the wire's pace is a wire's and not a scheduler's.
 """
 
 from __future__ import annotations
@@ -30,20 +29,10 @@ PHYSICS_LAG_MAX_S = 0.01
 TIMER_SLACK = Path("/proc/self/timerslack_ns")
 
 
-def run(
-    rig: Rig, stopped: Callable[[], bool], until_fd_ends: int | None = None, *, priority: int = 0
-) -> None:
-    """Be the robot until `stopped()` or until that file descriptor ends. Raises PermissionError
-    where the priority is not allowed."""
-    set_pace(priority)
-    rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
-    began_s = rig.began_ns * 1e-9
-    _Runner(rig, lambda: time.monotonic() - began_s, until_fd_ends, priority).run(stopped)
-
-
 def set_pace(priority: int) -> None:
-    """Wake-ups without slack (50 µs by default: prctl(2), PR_SET_TIMERSLACK), SCHED_FIFO if a
-    priority is given."""
+    """For a process that does nothing else: wake-ups without slack (50 µs by default: prctl(2),
+    PR_SET_TIMERSLACK), SCHED_FIFO if a priority is given, short collections of garbage. Raises
+    PermissionError where the priority is not allowed."""
     with contextlib.suppress(OSError):  # older kernels and sandboxes: the default slack stays
         TIMER_SLACK.write_text("1")
     if priority > 0:
@@ -52,14 +41,28 @@ def set_pace(priority: int) -> None:
     gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
 
 
+def run(
+    rig: Rig,
+    stopped: Callable[[], bool],
+    until_fd_ends: int | None = None,
+    *,
+    spin_s: float = 0.0,
+) -> None:
+    """Be the robot until `stopped()` or until that file descriptor ends. `spin_s`: do not sleep
+    over this time before something is due."""
+    rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
+    began_s = rig.began_ns * 1e-9
+    _Runner(rig, lambda: time.monotonic() - began_s, until_fd_ends, spin_s).run(stopped)
+
+
 class _Runner:
     def __init__(
-        self, rig: Rig, clock: Callable[[], float], until_fd_ends: int | None, priority: int
+        self, rig: Rig, clock: Callable[[], float], until_fd_ends: int | None, spin_s: float
     ) -> None:
         self._rig = rig
         self._clock = clock
         self._watched = [] if until_fd_ends is None else [until_fd_ends]
-        self._spin_s = SPIN_S if priority > 0 else 0.0
+        self._spin_s = spin_s
 
     def run(self, stopped: Callable[[], bool]) -> None:
         rig, clock = self._rig, self._clock
