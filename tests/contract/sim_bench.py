@@ -2,7 +2,6 @@
 """A simulated robot whose clock the test turns by hand, and a raw master on its pty."""
 
 import contextlib
-import dataclasses
 import os
 import select
 import threading
@@ -49,7 +48,7 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
     return LineSpec(
         index=0,
         name="bus",
-        kind="modbus-rtu",
+        kind="ddsm" if profile.protocol == "ddsm" else "modbus-rtu",
         port=str(port),
         baudrate=profile.baudrate,
         parity=profile.parity,
@@ -65,8 +64,6 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
 def rig_of(profile, folder, *, gear_ratio=1.0, **options):
     wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
     line = line_of(profile, gear_ratio=gear_ratio)
-    if profile.protocol == "ddsm":
-        line = dataclasses.replace(line, kind="ddsm")
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
     return Rig(spec, link_dir=folder)
 

@@ -217,6 +217,26 @@ def test_a_pulled_plug_closes_the_connections_and_a_new_plug_takes_new_ones(tmp_
             assert receive(connection, len(answer)) == answer
 
 
+def test_a_gateway_whose_port_was_taken_meanwhile_comes_back_when_it_is_free(tmp_path):
+    with served(tmp_path, raw=False) as (control, address):
+        control.inject("unplug:for_s=1")
+        plugged_s = control.truth().time_s + 1.0
+        until(lambda: refuses(address))
+        with socket.create_server(address):
+            until(lambda: control.truth().time_s > plugged_s + 0.2)
+        until(lambda: not refuses(address))
+        with dial(address) as connection:
+            assert ask(connection, FRAME, 1) == (1, REPLY[:-2])
+
+
+def refuses(address):
+    try:
+        dial(address).close()
+    except ConnectionRefusedError:
+        return True
+    return False
+
+
 @pytest.mark.parametrize("raw", [False, True])
 def test_a_stalled_connection_gives_everything_afterwards(tmp_path, raw):
     question, answer = request_and_reply(raw)

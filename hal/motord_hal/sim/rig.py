@@ -34,6 +34,7 @@ from motord_hal.sim.wire import Clock
 
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
+REPLUG_RETRY_S = 0.1
 JOURNAL_REPLY_ENTRIES = 1000
 """Most of one answer of the control socket; ask again with `since`."""
 
@@ -230,8 +231,16 @@ class Rig:
         for fault in self.script.due(now_s):
             self._happen(fault, now_s)
         for name in [name for name, at_s in self._replug_s.items() if now_s >= at_s]:
-            del self._replug_s[name]
+            self._replug(name, now_s)
+
+    def _replug(self, name: str, now_s: float) -> None:
+        """Its old TCP port may be taken for a while."""
+        try:
             self.lines[name].plug()
+        except OSError:
+            self._replug_s[name] = now_s + REPLUG_RETRY_S
+        else:
+            del self._replug_s[name]
 
     # -------------------------------------------------------------------------------------- faults
     def inject(self, text: str) -> None:
