@@ -15,6 +15,8 @@ from motord_hal.rt import Exchange
 KINDS = MappingProxyType(
     {
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
+        ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }
@@ -22,10 +24,10 @@ KINDS = MappingProxyType(
 
 
 def engine_of(spec: LineSpec) -> str:
-    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is asyncio where there is one."""
+    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one."""
     if spec.engine != "auto":
         return spec.engine
-    return "asyncio" if (spec.kind, "asyncio") in KINDS else "rt"
+    return "rt" if (spec.kind, "rt") in KINDS else "asyncio"
 
 
 def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:

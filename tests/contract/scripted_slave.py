@@ -51,6 +51,7 @@ class ScriptedSlave:
         self.path = path
         self.engine = engine
         """The engine of the line that is tried on it."""
+        self.kind = "modbus-rtu"
         self.units: dict[int, Unit] = {1: Unit()}
         self.tricks: deque[Trick] = deque()
         self.heard: list[Heard] = []

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 from loop_side import running, until
-from scripted_slave import ScriptedSlave, Unit
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_slave import Unit
 from test_modbus_line import (
     ENGINES,
     FAULT_1,
@@ -26,9 +27,9 @@ from motord_hal.modbus.codec import Function
 from motord_hal.ports import DriveState, EventKind
 
 
-@pytest.fixture(params=ENGINES)
+@pytest.fixture(params=[*ENGINES, *GATEWAYS])
 async def peer(tmp_path, request):
-    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
+    peer = peer_on(request.param, tmp_path)
     peer.units = {1: Unit(registers_of("zlac8015d"))}
     yield peer
     peer.pull()

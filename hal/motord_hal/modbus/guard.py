@@ -25,9 +25,9 @@ import os
 import termios
 from dataclasses import dataclass
 
-from pymodbus.client import AsyncModbusSerialClient
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU
+from pymodbus.framer import FramerBase, FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
 from serial import SerialException
 
@@ -62,8 +62,8 @@ _PARITY = {"none": "N", "even": "E", "odd": "O"}
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
-class StrictFramer(FramerRTU):
-    """Lets the answer to the armed request through and nothing else."""
+class Strict(FramerBase):
+    """Lets the answer to the armed request through and nothing else: what all media share."""
 
     def __init__(self) -> None:
         super().__init__(DecodePDU(is_server=False))
@@ -78,6 +78,23 @@ class StrictFramer(FramerRTU):
 
     def disarm(self) -> None:
         self._request = None
+
+    def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
+        """The answer as pymodbus wants it; None: it is none, and `refused` says why."""
+        try:
+            self.reply = parse_reply(request, frame)
+        except FrameError as error:
+            self.refused = str(error)
+            return None
+        self.accepted_s = now_s()
+        pdu = self.decoder.decode(frame[1:-2])
+        if pdu is not None:
+            pdu.dev_id = request.unit
+        return pdu
+
+
+class StrictFramer(Strict, FramerRTU):
+    """RTU frames, wherever in the bytes they begin."""
 
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
@@ -97,18 +114,6 @@ class StrictFramer(FramerRTU):
         # Anything but a tail that may still grow into the answer is garbage.
         self.refused = self.refused or f"{data.hex(' ')} is no answer"
         return max(0, len(data) - max(due, EXCEPTION_BYTES) + 1), None
-
-    def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
-        try:
-            self.reply = parse_reply(request, frame)
-        except FrameError as error:
-            self.refused = str(error)
-            return None
-        self.accepted_s = now_s()
-        pdu = self.decoder.decode(frame[1:-2])
-        if pdu is not None:
-            pdu.dev_id = request.unit
-        return pdu
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +135,8 @@ class GuardedClient:
         self._serial = (baudrate, parity, stop_bits)
         bits = character_bits(parity, stop_bits)
         self.gap_s = silent_interval_s(baudrate, bits) if gap_s is None else gap_s
-        self._client: AsyncModbusSerialClient | None = None
-        self._framer = StrictFramer()
+        self._client: AsyncModbusSerialClient | AsyncModbusTcpClient | None = None
+        self._framer: Strict = StrictFramer()
         self._lock = asyncio.Lock()
         self._last_byte_s = 0.0
         self._sent_s = 0.0

@@ -56,9 +56,7 @@ class ModbusRtuLine:
         self.spec = spec
         self._exchange = exchange
         self._listener = listener
-        client = GuardedClient(
-            spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec)
-        )
+        client = self._new_client(spec)
         self._link = Link(client)
         self._drives = [
             Drive(
@@ -74,6 +72,11 @@ class ModbusRtuLine:
         self._said_lost = False
         self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
         self._turn = 0
+
+    def _new_client(self, spec: LineSpec) -> GuardedClient:
+        return GuardedClient(
+            spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec)
+        )
 
     # ------------------------------------------------------------------------------------ what is
     @property

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same guard (guard.py) for drives behind a gateway in the network: Modbus TCP, or RTU frames
+through a serial server.
+
+What TCP adds: a reply names the transaction that it belongs to, so one that comes late is told from
+the next (MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And what the network has
+not taken at once it may deliver much later: requests that are stuck are thrown away with their
+connection, so that no old set-point ever reaches a drive.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import math
+import socket
+import struct
+import termios
+from typing import cast
+
+from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import ModbusPDU
+
+from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.errors import NoReply, PortError, Refused
+from motord_hal.modbus.codec import BROADCAST_UNIT, Request, seal
+from motord_hal.modbus.guard import Answer, GuardedClient, Strict, StrictFramer
+from motord_hal.modbus.timing import line_gap_s
+from motord_hal.ports import LineSpec
+
+CONNECT_WITHIN_S = 2.0
+NETWORK_ALLOWANCE_S = 0.05
+"""Added to every reply deadline: there and back, and the gateway's own work."""
+DELIVERED_WITHIN_S = 0.5
+"""A gateway acknowledges what it got; many wait for 0.2 s with that."""
+LOOK_EVERY_S = 0.002
+SILENT_S = 5.0
+"""A gateway that has answered nothing for so long may have forgotten the connection: a new one."""
+_HEADER_BYTES = 7
+_LENGTH_MAX = 254
+"""Unit and PDU: Implementation Guide V1.0b, 3.1.3, and Application Protocol V1.1b3, 4.1."""
+_GATEWAY_EXCEPTIONS = (10, 11)
+"""V1.1b3, 7: the gateway itself says that its drive is not to be had."""
+
+
+class StrictTcpFramer(Strict, FramerSocket):
+    """Frames with the MBAP header; those of other transactions are passed over."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._buffer = b""
+        self.lost = False
+        """What came is no Modbus TCP: where its frames begin is not known any more."""
+
+    def handleFrame(  # noqa: N802  # pymodbus's name
+        self, data: bytes, exp_devid: int, exp_tid: int
+    ) -> tuple[int, ModbusPDU | None]:
+        """Called by pymodbus with all bytes not yet used; returns how many are used up."""
+        del exp_devid  # the armed request says it
+        # pymodbus forgets the first half of a late reply when it sends: kept here, so that the
+        # other half is not taken for the beginning of a frame
+        self._buffer += data
+        found = None
+        while found is None and len(self._buffer) >= _HEADER_BYTES and not self.lost:
+            transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
+            if protocol or not 2 <= length <= _LENGTH_MAX:
+                self.lost, self.refused = True, f"{self._buffer.hex(' ')} is no Modbus TCP"
+                break
+            if len(self._buffer) < 6 + length:
+                break
+            body, self._buffer = self._buffer[6 : 6 + length], self._buffer[6 + length :]
+            found = self._judge(transaction == exp_tid, body)
+            if found is not None:
+                found.transaction_id = transaction
+        return len(data), found
+
+    def _judge(self, expected: bool, body: bytes) -> ModbusPDU | None:
+        request = self._request
+        if request is None or not expected or request.unit == BROADCAST_UNIT:
+            return None
+        pdu = self._accept(request, seal(body))
+        self.disarm()  # a transaction has one answer
+        return pdu
+
+
+class GatewayClient(GuardedClient):
+    """One connection to a gateway, one request in flight. Baud rate and the rest are those of the
+    wire behind it."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        super().__init__(spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec))
+        self._raw = spec.kind == "rtu-over-tcp"
+        self._framer = StrictFramer() if self._raw else StrictTcpFramer()
+        self._silent_since_s = math.inf
+
+    def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
+        """As GuardedClient's, and the network's part."""
+        base_s = super().reply_deadline_s(request, turnaround_s)
+        return base_s + 2 * self.gap_s + NETWORK_ALLOWANCE_S
+
+    async def open(self) -> None:
+        """Connect. Raises PortError."""
+        self.close()
+        host, _, port = self.port.rpartition(":")
+        framer = StrictFramer() if self._raw else StrictTcpFramer()
+        client = AsyncModbusTcpClient(
+            host,
+            port=int(port),
+            timeout=10.0,  # never met: every request has a deadline of its own, far below
+            retries=0,
+            reconnect_delay=0,
+            trace_packet=self._trace_packet,
+        )
+        client.ctx.framer = framer
+        connected = False
+        try:
+            async with asyncio.timeout(CONNECT_WITHIN_S):
+                connected = await client.connect()
+        except TimeoutError:
+            raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None
+        finally:
+            if not connected:
+                client.close()
+        if not connected:
+            raise PortError(f"{self.port} cannot be reached: no such host, or nobody listens")
+        self._client, self._framer = client, framer
+        self._silent_since_s = math.inf
+        self._last_byte_s = now_s()
+        self._unit_quiet_until_s.clear()
+        self._set_options()
+
+    def _set_options(self) -> None:
+        """Send at once; closing throws away what was not delivered (linger 0: a reset)."""
+        link = self._socket()
+        if link is not None:
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+    def _transport(self) -> asyncio.WriteTransport | None:
+        transport = self._client.ctx.transport if self._client else None
+        return cast("asyncio.WriteTransport | None", transport)
+
+    def _socket(self) -> socket.socket | None:
+        transport = self._transport()
+        return transport.get_extra_info("socket") if transport else None
+
+    def _undelivered(self) -> bool:
+        """Whether bytes of a request are still on this side of the network."""
+        transport, link = self._transport(), self._socket()
+        if transport is None or link is None or link.fileno() < 0:
+            return False
+        unacknowledged = fcntl.ioctl(link.fileno(), termios.TIOCOUTQ, bytes(4))
+        return bool(transport.get_write_buffer_size() or any(unacknowledged))
+
+    def close(self) -> None:
+        """As GuardedClient.close; what was not sent yet never will be."""
+        if (transport := self._transport()) is not None:
+            transport.abort()
+        super().close()
+
+    def _trace_packet(self, sending: bool, data: bytes) -> bytes:
+        data = super()._trace_packet(sending, data)
+        if not self._raw:
+            self._last_byte_s = 0.0  # the gateway keeps the silence of the wire behind it
+        return data
+
+    async def _wait_for_silence(self, unit: int) -> None:
+        """Until the request before has arrived, too. Raises PortError when it does not."""
+        if now_s() - self._silent_since_s > SILENT_S:
+            await self.open()
+        give_up_s = now_s() + DELIVERED_WITHIN_S
+        while self._undelivered():
+            if now_s() > give_up_s:
+                self.close()
+                raise PortError(f"{self.port} takes no bytes any more")
+            await sleep_until_s(now_s() + LOOK_EVERY_S)
+        await super()._wait_for_silence(unit)
+
+    def _drain(self) -> None:
+        """What nobody asked for has gone to the framer, which drops it. Raises PortError."""
+        if isinstance(self._framer, StrictTcpFramer) and self._framer.lost:
+            self.close()
+            raise PortError(f"{self.port}: {self._framer.refused}")
+        if not self.connected:
+            raise PortError(f"{self.port} went away")
+
+    def _answer(self, request: Request) -> Answer:
+        """As GuardedClient's; a drive that the gateway does not reach is NoReply."""
+        silent_since_s, self._silent_since_s = self._silent_since_s, math.inf
+        try:
+            return super()._answer(request)
+        except NoReply:
+            self._silent_since_s = min(silent_since_s, now_s())
+            raise
+        except Refused as error:
+            if error.code in _GATEWAY_EXCEPTIONS:
+                raise NoReply(str(error)) from error
+            raise

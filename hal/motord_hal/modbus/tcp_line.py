@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Modbus drives behind a gateway in the network: the line of line.py over another medium."""
+
+from __future__ import annotations
+
+from motord_hal.modbus.guard import GuardedClient
+from motord_hal.modbus.line import ModbusRtuLine
+from motord_hal.modbus.tcp_guard import GatewayClient
+from motord_hal.ports import LineSpec
+
+
+class GatewayLine(ModbusRtuLine):
+    """ports.Line for the kinds "modbus-tcp" and "rtu-over-tcp"."""
+
+    def _new_client(self, spec: LineSpec) -> GuardedClient:
+        return GatewayClient(spec)
