@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, StringConstraints
 
-from motord import parameters, procedures, report
+from motord import drive_parameters, parameters, procedures, report
 from motord.arbiter import LEASE_MAX_S, LEASE_MIN_S
 from motord.bus.publish.samples import Samples
 from motord.config import SocketInput
 from motord.health import Health
 from motord.machine import State
 from motord.operation import Operation
-from motord.rpc import Caller, Method, Params, Refused
+from motord.rpc import INVALID_PARAMS, Caller, Method, Params, Refused, RpcError
 
 Owner = Annotated[str, StringConstraints(pattern=r"^[\w.:/-]{1,64}$")]
 OWNER = "socket"
@@ -50,11 +50,11 @@ def methods(
     return {
         "status": _looking(lambda: report.status(operation, health, feeds)),
         "latency": _looking(lambda: report.latency(operation.loop)),
-        "params.list": _looking(lambda: parameters.listed(operation.limits)),
+        "params.list": _looking(
+            lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)
+        ),
         "params.get": Method(
-            lambda _, params: parameters.values(operation.limits, params.names),
-            NamesParams,
-            commands=False,
+            lambda _, params: _get(operation, params.names), NamesParams, commands=False
         ),
         "params.set": Method(lambda _, params: _set(operation, params), ValuesParams),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
@@ -111,8 +111,24 @@ def _release(operation: Operation, caller: Caller, params: ReleaseParams) -> dic
     return {}
 
 
-def _set(operation: Operation, params: ValuesParams) -> dict[str, float | None]:
+async def _get(operation: Operation, names: list[str]) -> dict[str, float | None]:
+    """Without a name: all limits; drives are asked only for what is named."""
+    of_drives = [name for name in names if name.startswith(drive_parameters.PREFIX)]
+    ours = [name for name in names if name not in of_drives]
+    found = parameters.values(operation.limits, ours) if ours or not names else {}
+    return found | await drive_parameters.values(operation.lines, of_drives)
+
+
+async def _set(operation: Operation, params: ValuesParams) -> dict[str, float | None]:
+    """Limits all or none; or registers of drives, one after the other."""
     wanted = params.model_extra or {}
+    of_drives = {
+        name: value for name, value in wanted.items() if name.startswith(drive_parameters.PREFIX)
+    }
+    if of_drives and len(of_drives) < len(wanted):
+        raise RpcError("limits and registers of drives are set one after the other", INVALID_PARAMS)
+    if of_drives:
+        return dict(await drive_parameters.write(operation, of_drives))
     now = operation.snapshot
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s
     operation.set_limits(parameters.changed(operation.limits, wanted, *moving))

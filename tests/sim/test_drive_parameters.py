@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of the drives through the running daemon: who may read and write which, and when."""
+
+import pytest
+from daemon_stage import running
+
+from motord.client import ClientError, Refused
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("daemon")) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+def test_every_register_is_listed_with_its_unit_range_access_and_source(stage):
+    found = stage.robot.params_list()
+    voltage = found["drive.left.bus_voltage"]
+    assert (voltage["unit"], voltage["access"], voltage["value"]) == ("V", "r", None)
+    assert (voltage["minimum"], voltage["maximum"]) == pytest.approx((0.0, 655.35))
+    assert "20A1h" in voltage["description"]
+    assert found["drive.right.control_word"]["access"] == "r"
+    assert found["limits.linear_m_s"]["value"] > 0
+
+
+def test_a_register_is_read_from_its_drive_in_si(stage):
+    asked = "limits.linear_m_s", "drive.left.bus_voltage", "drive.right.communication_timeout"
+    found = stage.robot.params_get(*asked)
+    assert set(found) == set(asked)
+    assert found["drive.left.bus_voltage"] == pytest.approx(36.0, abs=5.0)
+    assert found["drive.right.communication_timeout"] == pytest.approx(2.0)
+    assert not any(name.startswith("drive.") for name in stage.robot.params_get())
+
+
+def test_what_is_not_there_is_named_with_what_may_be_meant(stage):
+    with pytest.raises(ClientError, match=r"did you mean drive\.left\.bus_voltage"):
+        stage.robot.params_get("drive.left.bus_volt")
+    with pytest.raises(ClientError, match="no parameter"):
+        stage.robot.params_set(**{"drive.nobody.bus_voltage": 1.0})
+
+
+def test_what_motord_writes_itself_is_not_written_by_name(stage):
+    for name in ("drive.left.control_word", "drive.left.target_velocity_1"):
+        with pytest.raises(ClientError, match="motord itself"):
+            stage.robot.params_set(**{name: 0.0})
+    with pytest.raises(ClientError, match="not a number"):
+        stage.robot.params_set(**{"drive.left.control_word": None})
+    with pytest.raises(ClientError, match="one after the other"):
+        stage.robot.params_set(**{"drive.left.control_word": 1.0, "limits.linear_m_s": 0.1})
+
+
+def test_a_drive_under_power_is_not_written(stage):
+    stage.robot.arm()
+    try:
+        with pytest.raises(Refused, match="disarm first"):
+            stage.robot.params_set(**{"drive.left.control_word": 7.0})
+        assert stage.robot.params_get("drive.left.control_word") == {"drive.left.control_word": 8.0}
+    finally:
+        stage.robot.disarm()
+    assert stage.robot.params_get("drive.left.control_word") == {"drive.left.control_word": 7.0}
