@@ -18,7 +18,7 @@ from motord.config.wheels import (
     takes_duty,
     velocity_range_rad_s,
 )
-from motord.config.wire import cycle_limit_hz
+from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
@@ -181,9 +181,6 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         path = ("line", spec.name, "cycle_hz")
         most_hz = cycle_limit_hz(spec)
         on = (path, ("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
-        if spec.cycle_hz > most_hz * (1 + _ROUNDING):
-            text = f"{spec.cycle_hz:g} Hz is more than the wire carries: about {most_hz:.3g} Hz"
-            yield Finding(on, text, warning=True)
         cycle_s = 1 / min(spec.cycle_hz, most_hz)
         watched = any(joint.profile.watchdog for joint in spec.joints)
         for key in ("feedback_timeout_s", "drive_watchdog_s")[: 1 + watched]:
@@ -192,6 +189,34 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 cycles = f'two cycles of line "{spec.name}" (at least {2 * cycle_s:.3g} s)'
                 paths = (("safety", key), *on)
                 yield Finding(paths, f"{value:g} s is shorter than {cycles}")
+
+
+def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Rates that somebody asked for and the wire cannot carry are an error, defaults are not."""
+    for spec in line_specs(robot, profiles):
+        if not spec.joints:
+            continue
+        need = budget(spec)
+        if need.share <= 1 + _ROUNDING:
+            continue
+        drives = "1 drive" if need.drives == 1 else f"{need.drives} drives"
+        text = (
+            f"line {spec.name}: {drives} at {need.cycle_hz:g} Hz need {100 * need.share:.0f} % of "
+            f"the wire; most it carries is {need.most_hz:.3g} Hz"
+        )
+        if more := [f"{words}: {then_hz:.3g} Hz" for words, then_hz in helps(spec)]:
+            text += f" ({'; '.join(more)})"
+        wished = [("line", spec.name, "cycle_hz")]
+        wished += [("joint", joint.name, "cycle_hz") for joint in spec.joints]
+        given = [path for path in wished if _is_given(robot, path)]
+        on = (("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
+        yield Finding((*(given or wished[:1]), *on), text, warning=not given)
+
+
+def _is_given(robot: Robot, path: tuple[str, str, str]) -> bool:
+    table, name, key = path
+    section = robot.line[name] if table == "line" else robot.joint[name]
+    return key in section.model_fields_set
 
 
 def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -223,5 +248,6 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _reach,
     _serial,
     _times,
+    _budget,
     _watchdogs,
 )
