@@ -168,6 +168,7 @@ async def test_a_new_speed_never_goes_the_old_way(peer):
         assert told[-3:] == [(RUN, REST), (SPEED, 90), (RUN, REVERSE)]
 
 
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # no pause of Python stops the other
 async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_again(peer):
     """A pause of the whole process: the loop ticks again before the line has looked."""
     peer.units[1] = Unit(registers_of("duty-register"))

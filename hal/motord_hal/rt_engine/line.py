@@ -98,7 +98,9 @@ class RtLine:
         return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
 
     def stats(self) -> LineStats:
-        return self._books.stats(self._report, self._thread)
+        """As ports.Line.stats, to this moment."""
+        report = None if self._report is None else self._thread.report()
+        return self._books.stats(report, self._thread)
 
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
