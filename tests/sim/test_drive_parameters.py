@@ -2,8 +2,10 @@
 """Registers of the drives through the running daemon: who may read and write which, and when."""
 
 import pytest
+from click.testing import CliRunner
 from daemon_stage import running
 
+from motord.cli import cli
 from motord.client import ClientError, Refused
 
 
@@ -59,3 +61,26 @@ def test_a_drive_under_power_is_not_written(stage):
     finally:
         stage.robot.disarm()
     assert stage.robot.params_get("drive.left.control_word") == {"drive.left.control_word": 7.0}
+
+
+def params(stage, *arguments):
+    return CliRunner().invoke(cli, ["params", *arguments, "--socket", str(stage.robot.path)])
+
+
+def test_what_is_dumped_can_be_loaded(stage, tmp_path):
+    dump = params(stage, "dump")
+    assert dump.exit_code == 0
+    assert "limits.linear_m_s3 = " in dump.stdout
+    assert "bus_voltage" not in dump.stdout
+    file = tmp_path / "tuned.toml"
+    before = stage.robot.params_get("limits.linear_m_s")["limits.linear_m_s"]
+    old = f"limits.linear_m_s = {before!r}\n"
+    assert old in dump.stdout
+    file.write_text(dump.stdout.replace(old, "limits.linear_m_s = 0.25\n"), encoding="utf-8")
+    assert params(stage, "load", str(file)).exit_code == 0
+    assert stage.robot.params_get("limits.linear_m_s") == {"limits.linear_m_s": 0.25}
+    file.write_text('limits.linear_m_s = "fast"\n', encoding="utf-8")
+    assert params(stage, "load", str(file)).exit_code == 2
+    file.write_text("limits = 3 = 4\n", encoding="utf-8")
+    assert params(stage, "load", str(file)).exit_code == 2
+    assert stage.robot.params_get("limits.linear_m_s") == {"limits.linear_m_s": 0.25}
