@@ -69,6 +69,10 @@ def slowest_wheel_rad_s(stage):
     return min(abs(joint.velocity_rad_s) for joint in stage.sim.truth().joints.values())
 
 
+def powered(stage):
+    return any(joint.enabled for joint in stage.sim.truth().joints.values())
+
+
 def seconds_to_rest(stage, hurt):
     """From just before `hurt()` until the last wheel stood."""
     before_s = stage.sim.truth().time_s
@@ -140,7 +144,7 @@ def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robo
     """By frames: the drives' own watchdogs would bite long after the bound."""
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
-    settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=20.0")
+    settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=10.0")
     ramp_s = SPEED_M_S / robot.limits.linear_deceleration_m_s2
 
     with running(tmp_path, *settings, motord=HOGGED, environ={"HOG_PIPE": str(pipe)}) as stage:
@@ -154,8 +158,7 @@ def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robo
         with moving(stage, robot):
             assert stage.robot.status()["lines"]["rs485"]["engine"] == "rt"
             assert seconds_to_rest(stage, hurt) < HEARTBEAT_S + ramp_s + BUSY_S
-        joints = stage.sim.truth().joints.values
-        wait_until(lambda: not any(j.enabled for j in joints()), "their power is off", 5.0)
+        wait_until(lambda: not powered(stage), "their power is off", 5.0)
         stage.daemon.kill()
 
 
