@@ -45,12 +45,17 @@ def test_a_speed_is_the_frame_of_the_maker_s_table(rpm, frame):
 
 
 def test_a_mode_is_told_without_a_check_sum_and_not_answered():
-    mode = register(0xA009, RegisterType.U16)  # replaced below by its one byte
-    with pytest.raises(ValueError, match="does not fit"):
-        build_request(1, Command.MODE, {mode: 0x10000})
+    mode = register(0xA008, RegisterType.U16)  # the last two bytes
+    assert build_request(1, Command.MODE, {mode: 2}) == bytes((1, 0xA0, 0, 0, 0, 0, 0, 0, 0, 2))
     assert not is_answered(Command.MODE)
     assert is_answered(Command.SET)
     assert is_answered(Command.QUERY)
+
+
+@pytest.mark.parametrize("raw", [-0x8001, 0x8000])
+def test_a_number_that_does_not_fit_is_refused(raw):
+    with pytest.raises(ValueError, match="does not fit"):
+        build_request(1, Command.SET, {SPEED: raw})
 
 
 @given(st.integers(-0x8000, 0x7FFF), st.integers(1, 0xFE))
