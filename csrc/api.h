@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; what serial lines add is in api_line.h. Two readers: the C compiler
- * (through rt.h) and cffi (through build_ffi.py). So both hold typedefs, enums, comments and prototypes, and no
+ * api.h: the border between Python and C; commands are in api_command.h, serial lines in api_line.h. Two readers: the C compiler
+ * (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and prototypes, and no
  * preprocessor line.
  *
  * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
@@ -9,7 +9,7 @@
  * `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
  */
 
-enum { JOINTS_MAX = 8, LINES_MAX = 4, FIELD_NAME_BYTES = 64 };
+enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 3, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------------------ reasons
  * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
@@ -370,13 +370,11 @@ int64_t histogram_percentile_ns(const histogram *h, double fraction);   /* 0..1;
 typedef struct exchange exchange;
 size_t exchange_bytes(void);
 void exchange_init(exchange *x);                       /* memory aligned to 64 bytes */
-void exchange_put_command(exchange *x, const twist_command *command);     /* asyncio → loop */
 void exchange_put_control(exchange *x, const core_control *control);      /* asyncio → loop */
 int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback);   /* line → loop */
 int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);  /* loop → line */
 /* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
  * -EINVAL for a bad index. Never written: all zero. */
-int exchange_take_command(exchange *x, twist_command *out);
 int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
@@ -402,6 +400,7 @@ typedef struct {
     uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
     int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
     int32_t event_fd;           /* an eventfd, or -1 */
+    int32_t command_fd[COMMAND_SOCKETS];   /* datagram sockets, not blocking, on which commands come in; -1: none */
     uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
 } loop_config;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds `_motord_rt` from api.h and api_line.h by cffi in API mode: the C compiler checks every
+"""Builds `_motord_rt` from the api*.h by cffi in API mode: the C compiler checks every
 field's place.
 
 ABI mode was tried and refused: two swapped fields went through without a word.
@@ -28,7 +28,7 @@ FLAGS = [
 ]
 
 ffi = FFI()
-for header in ("api.h", "api_line.h"):
+for header in ("api.h", "api_command.h", "api_line.h"):
     ffi.cdef((HERE / header).read_text(encoding="utf-8"))
 ffi.set_source(
     "_motord_rt",

@@ -12,7 +12,8 @@ size_t exchange_bytes(void)
 void exchange_init(exchange *x)
 {
     memset(x, 0, sizeof *x);
-    mailbox_init(&x->command.box);
+    mailbox_init(&x->grants.box);
+    mailbox_init(&x->commands.box);
     mailbox_init(&x->control.box);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         mailbox_init(&x->feedback[joint].box);
@@ -23,14 +24,24 @@ void exchange_init(exchange *x)
     }
 }
 
-void exchange_put_command(exchange *x, const twist_command *command)
+void exchange_put_grants(exchange *x, const lease_grants *grants)
 {
-    mailbox_put(&x->command.box, x->command.slot, command, sizeof *command);
+    mailbox_put(&x->grants.box, x->grants.slot, grants, sizeof *grants);
 }
 
-int exchange_take_command(exchange *x, twist_command *out)
+int exchange_take_grants(exchange *x, lease_grants *out)
 {
-    return mailbox_take(&x->command.box, x->command.slot, out, sizeof *out);
+    return mailbox_take(&x->grants.box, x->grants.slot, out, sizeof *out);
+}
+
+void exchange_put_commands(exchange *x, const command_report *report)
+{
+    mailbox_put(&x->commands.box, x->commands.slot, report, sizeof *report);
+}
+
+int exchange_take_commands(exchange *x, command_report *out)
+{
+    return mailbox_take(&x->commands.box, x->commands.slot, out, sizeof *out);
 }
 
 void exchange_put_control(exchange *x, const core_control *control)

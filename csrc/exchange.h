@@ -8,8 +8,13 @@
 
 typedef struct {
     mailbox box;
-    twist_command slot[MAILBOX_SLOTS];
-} command_box;
+    lease_grants slot[MAILBOX_SLOTS];
+} grants_box;
+
+typedef struct {
+    mailbox box;
+    command_report slot[MAILBOX_SLOTS];
+} commands_box;
 
 typedef struct {
     mailbox box;
@@ -27,7 +32,8 @@ typedef struct {
 } setpoints_box;
 
 struct exchange {
-    command_box command;
+    grants_box grants;
+    commands_box commands;
     control_box control;
     feedback_box feedback[JOINTS_MAX];
     setpoints_box setpoints[LINES_MAX];

@@ -32,6 +32,19 @@ static void sleep_until(int64_t deadline_ns)
     }
 }
 
+/* A command is obeyed at once, but once between two ticks: a flood of them costs no more than that. */
+static void wait_until(int64_t deadline_ns)
+{
+    bool listening = false;
+    for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
+        listening |= work.ingress.fd[i] >= 0;
+    }
+    if (listening && ingress_wait(&work.ingress, deadline_ns)) {
+        loop_extra_tick(&work, clock_now_ns());
+    }
+    sleep_until(deadline_ns);
+}
+
 static void *run(void *unused)
 {
     (void)unused;
@@ -44,7 +57,7 @@ static void *run(void *unused)
             (void)sem_post(&ticking);
         }
         work.overruns += schedule_next(&deadline_ns, work.period_ns, clock_now_ns());
-        sleep_until(deadline_ns);
+        wait_until(deadline_ns);
     }
     loop_rest(&work, clock_now_ns());
     return NULL;
@@ -53,7 +66,8 @@ static void *run(void *unused)
 static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
-           loop->page_fd >= -1 && loop->event_fd >= -1;
+           loop->page_fd >= -1 && loop->event_fd >= -1 && loop->command_fd[0] >= -1 && loop->command_fd[1] >= -1 &&
+           loop->command_fd[2] >= -1;
 }
 
 /* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */

@@ -32,6 +32,12 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     work->event_fd = loop->event_fd;
     work->notify_every_ticks = loop->notify_every_ticks;
     work->period_ns = schedule_period_ns(loop->rate_hz);
+    for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
+        work->ingress.fd[i] = loop->command_fd[i];
+    }
+    arbiter_init(&work->arbiter);
+    work->used_stamp_ns = 0;
+    work->stopping = true;
     work->last_ns = 0;
     work->page_fault_base = 0;
     work->clear_histograms = false;
@@ -93,14 +99,42 @@ static void clear_histograms_if_asked(loop_work *work)
     }
 }
 
+/* Whoever asks for motion before the core is armed, or while it stops, shall not move when that changes. */
+static bool may_move(const loop_work *work)
+{
+    const core_control *control = &work->input.control;
+    return control->armed != 0 && work->core.armed != 0 && work->core.faults == 0 && control->stop == 0 &&
+           control->estop == 0 && control->fault == 0;
+}
+
+static void take_commands(loop_work *work, int64_t now_ns)
+{
+    bool granted = exchange_take_grants(&work->exchange, &work->grants) == 1;
+    if (granted) {
+        arbiter_grant(&work->arbiter, &work->grants);
+    }
+    uint32_t before = work->arbiter.report.commander;
+    bool could_move = work->arbiter.report.may_move != 0;
+    uint32_t taken = ingress_take(&work->ingress, &work->arbiter, may_move(work));
+    arbiter_command(&work->arbiter, now_ns, may_move(work), &work->input.command);
+    const command_report *report = &work->arbiter.report;
+    work->input.control.owner = report->commander;
+    if (granted || taken > 0 || report->commander != before || (report->may_move != 0) != could_move) {
+        exchange_put_commands(&work->exchange, report);
+    }
+    int64_t stamp_ns = work->input.command.stamp_ns;
+    if (stamp_ns != work->used_stamp_ns && stamp_ns > 0) {
+        work->used_stamp_ns = stamp_ns;
+        histogram_add(&work->histogram[HISTOGRAM_COMMAND], now_ns - stamp_ns);
+    }
+}
+
 static void take_inputs(loop_work *work, int64_t now_ns)
 {
     core_input *input = &work->input;
     input->now_ns = now_ns;
     exchange_take_control(&work->exchange, &input->control);
-    if (exchange_take_command(&work->exchange, &input->command) == 1 && input->command.stamp_ns > 0) {
-        histogram_add(&work->histogram[HISTOGRAM_COMMAND], now_ns - input->command.stamp_ns);
-    }
+    take_commands(work, now_ns);
     for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {
         exchange_take_feedback(&work->exchange, joint, &input->feedback[joint]);
     }
@@ -140,22 +174,57 @@ static void hand_on(loop_work *work)
     }
 }
 
-void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
+static bool moves_nothing(const setpoints *out)
+{
+    bool moves = false;
+    for (uint32_t joint = 0; joint < out->joint_count; joint++) {
+        moves |= out->joint[joint].velocity_rad_s != 0.0 || out->joint[joint].duty != 0.0;
+    }
+    return out->enabled == 0 || !moves;
+}
+
+static void wake_lines(const loop_work *work)
+{
+    const uint64_t one = 1;
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        int fd = exchange_line_wake(&work->exchange, line);
+        if (fd >= 0 && write(fd, &one, sizeof one) < 0) {
+            continue;   /* full: it is awake */
+        }
+    }
+}
+
+static void work_once(loop_work *work, int64_t now_ns, bool wake)
 {
     clear_histograms_if_asked(work);
     take_inputs(work, now_ns);
     int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
     core_step(&work->core, &work->input, (double)dt_ns * 1e-9, &work->out, &work->snapshot);
     hand_on(work);
+    bool stopping = moves_nothing(&work->out);
+    if (wake || (stopping && !work->stopping)) {
+        wake_lines(work);   /* a new wish, or a stop, does not wait for a line's next turn */
+    }
+    work->stopping = stopping;
     work->last_ns = now_ns;
     work->ticks++;
     work->tick_stamp_ns = now_ns;
-    histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
     notify(work, work->ticks == 1);
+}
+
+void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
+{
+    work_once(work, now_ns, false);
+    histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
     if (work->ticks == 1 || work->ticks % PAGE_FAULT_EVERY_TICKS == 0) {
         count_page_faults(work);
     }
     histogram_add(&work->histogram[HISTOGRAM_STEP], clock_now_ns() - now_ns);
+}
+
+void loop_extra_tick(loop_work *work, int64_t now_ns)
+{
+    work_once(work, now_ns, true);
 }
 
 void loop_rest(loop_work *work, int64_t now_ns)

@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "api.h"
+#include "api_command.h"
 #include "api_line.h"
 
 #endif

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, StringConstraints
 
 from motord import drive_parameters, parameters, procedures, report
-from motord.arbiter import LEASE_MAX_S, LEASE_MIN_S
 from motord.bus.publish.samples import Samples
 from motord.config import SocketInput
 from motord.health import Health
+from motord.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.machine import State
 from motord.operation import Operation
 from motord.rpc import INVALID_PARAMS, Caller, Method, Params, Refused, RpcError
@@ -89,9 +89,9 @@ def _input(operation: Operation) -> SocketInput:
     raise Refused('the robot file has no [input.*] of kind = "socket": nobody drives from here')
 
 
-def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
+async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
     section = _input(operation)
-    lease = operation.drive(
+    lease = await operation.drive(
         caller.connection,
         params.owner,
         section.priority if params.priority is None else params.priority,
@@ -99,7 +99,7 @@ def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[st
         params.linear_m_s,
         params.angular_rad_s,
     )
-    commander = operation.refresh_command()
+    commander = operation.leases.commander()
     return {
         "owner": commander.owner if commander else None,
         "in_command": commander is not None and commander.number == lease.number,

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot in operation: what the daemon knows, and everything it can do without waiting.
 
-One object brings machine, arbiter, core and lines together; all its methods run in the daemon's one
-asyncio thread and return at once. What has to wait for drives or wheels is in `procedures.py`.
+One object brings machine, leases, core and lines together; its methods run in the daemon's one
+asyncio thread and return at once, but for `drive`, which waits for the loop's word. What has to
+wait for drives or wheels is in `procedures.py`.
 
 Rule of the house: what the core is told is made anew from the state each time (`_control`), so that
 no level can be forgotten.
@@ -14,16 +15,15 @@ import asyncio
 import logging
 from collections.abc import Callable
 
-from motord.arbiter import Arbiter, Lease
 from motord.assembly import base_limits
 from motord.config import Limits, Robot
+from motord.leases import Lease, Leases, NoLease
 from motord.machine import Event, Facts, Refusal, State, step
 from motord.rpc import Refused
 from motord.rt import Control, Loop
 from motord.sdnotify import Notifier
 from motord.snapshot import Snapshot
 from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineState
-from motord_hal.rt import now_ns
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ class Operation:
         self.lines: list[Line] = []
         self.state = State.OFF
         self.snapshot: Snapshot = loop.read_state()
-        self.arbiter = Arbiter()
+        self.leases = Leases(loop)
         self.limits: Limits = robot.limits
         self.why: tuple[str, ...] = ()
         """What led to the fault or the emergency stop that is latched."""
@@ -64,7 +64,6 @@ class Operation:
         """Why the daemon itself raises a fault."""
         self._reset_count = 0
         self._odometry_reset_count = 0
-        self._commander: Lease | None = None
         self._changed = asyncio.Event()
 
     # ------------------------------------------------------------------------- the machine's steps
@@ -80,7 +79,7 @@ class Operation:
                 for name, joint in joints.items()
                 if joint.drive_faults
             ),
-            commanding=self.arbiter.wanting(now_ns()),
+            commanding=self.leases.wanting(),
             at_rest=self.snapshot.at_rest,
         )
 
@@ -99,10 +98,7 @@ class Operation:
         _log.info("%s (%s, was %s)", target, event, self.state)
         if target in _LATCHED or event is Event.STOP:
             self.stops += 1
-        if target in _LATCHED or target is State.STOPPING:
-            self.arbiter.hold()
         self.state = target
-        self.refresh_command()
         self.put_control()
         self._notifier.status(target)
         self._notify()
@@ -133,7 +129,6 @@ class Operation:
                 reset_count=self._reset_count,
                 odometry_reset_count=self._odometry_reset_count,
                 machine_state=self.state.number,
-                owner=self._commander.number if self._commander else 0,
                 limits=base_limits(self.limits),
             )
         )
@@ -162,7 +157,7 @@ class Operation:
         self.put_control()
 
     # ---------------------------------------------------------------------------------- commanding
-    def drive(
+    async def drive(
         self,
         connection: int,
         owner: str,
@@ -171,18 +166,19 @@ class Operation:
         linear_m_s: float,
         angular_rad_s: float,
     ) -> Lease:
-        """Take a command. Raises Refused where it will move nothing, ValueError for its numbers."""
-        lease = self.arbiter.submit(
-            now_ns(),
-            owner=owner,
-            connection=connection,
-            priority=priority,
-            lease_s=lease_s,
-            linear_m_s=linear_m_s,
-            angular_rad_s=angular_rad_s,
-            may_move=self.state in _MAY_MOVE,
-        )
-        self.refresh_command()
+        """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
+        numbers."""
+        try:
+            lease = await self.leases.submit(
+                owner=owner,
+                connection=connection,
+                priority=priority,
+                lease_s=lease_s,
+                linear_m_s=linear_m_s,
+                angular_rad_s=angular_rad_s,
+            )
+        except NoLease as error:
+            raise Refused(str(error)) from error
         if self.state not in _MAY_MOVE and lease.wants_motion:
             how = "wait until it is at rest" if self.state is State.STOPPING else "motord arm"
             if self.state in _LATCHED:
@@ -195,29 +191,13 @@ class Operation:
             )
         return lease
 
-    def refresh_command(self) -> Lease | None:
-        """Who commands now; the core is told when it is another command than before."""
-        now = now_ns()
-        lease = self.arbiter.commander(now)
-        if lease != self._commander:
-            self._commander = lease
-            if lease is None:
-                self.loop.put_command(0.0, 0.0, expires_ns=now, stamp_ns=now)
-            else:
-                self.loop.put_command(
-                    *lease.twist, expires_ns=lease.expires_ns, stamp_ns=lease.stamp_ns
-                )
-        return lease
-
     def release(self, connection: int, owner: str) -> None:
         """The owner gives his lease back."""
-        self.arbiter.release(connection, owner)
-        self.refresh_command()
+        self.leases.release(connection, owner)
 
     def disconnect(self, connection: int) -> None:
         """All leases of a connection end with it."""
-        self.arbiter.disconnect(connection)
-        self.refresh_command()
+        self.leases.disconnect(connection)
 
     # ---------------------------------------------------------------------------- what is reported
     def estop(self, why: str) -> None:
@@ -288,7 +268,6 @@ class Operation:
     def beat(self) -> None:
         """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
         self.look()
-        self.refresh_command()
         if self._unready():
             self.take(Event.LOST)
         elif not any(joint.stale for joint in self.snapshot.joints):

@@ -139,5 +139,5 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
             "angular_rad_s": lease.angular_rad_s,
             "held": lease.held,
         }
-        for lease in operation.arbiter.leases(now)
+        for lease in operation.leases.fresh()
     ]

@@ -10,7 +10,11 @@ from __future__ import annotations
 import contextlib
 import enum
 import errno
+import itertools
 import os
+import secrets
+import socket
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +22,14 @@ from typing import Any, Self
 from _motord_rt import ffi, lib
 
 from motord import grants
+from motord.commands import (
+    TOKEN_BYTES,
+    CommandReport,
+    LeaseGrant,
+    LeaseState,
+    Refusal,
+    datagram,
+)
 from motord.page_file import PageFile, PageInUse
 from motord.rt_types import (
     AxisLimits,
@@ -54,7 +66,9 @@ __all__ = [
     "PageInUse",
 ]
 
+LEASES_MAX: int = lib.LEASES_MAX
 _ENABLED_UNKNOWN = 2
+_LEASE_NUMBERS = itertools.count(1)
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
 # Once: each call gives the GIL up, and a busy thread gives it back late.
 _FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
@@ -154,7 +168,8 @@ class HistogramKind(enum.IntEnum):
 class _Buffers:
     """Made once, so that the border is crossed without a new allocation in C's types."""
 
-    command: Any = field(default_factory=lambda: ffi.new("twist_command *"))
+    grants: Any = field(default_factory=lambda: ffi.new("lease_grants *"))
+    commands: Any = field(default_factory=lambda: ffi.new("command_report *"))
     control: Any = field(default_factory=lambda: ffi.new("core_control *"))
     state: Any = field(default_factory=lambda: ffi.new("robot_state *"))
     status: Any = field(default_factory=lambda: ffi.new("loop_status *"))
@@ -180,8 +195,8 @@ class Loop:
         self._page_name = page_name
         self._buffers = _Buffers()
         self._exchange = lib.loop_exchange()
-        self._sequence = 0
         self._event_fd = -1
+        self._door: socket.socket | None = None
         self._release = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -212,19 +227,26 @@ class Loop:
                 page_fd = page.fd
             event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             unless_started.callback(os.close, event_fd)
-            code = lib.loop_start(self._loop_config(page_fd, event_fd), self._core)
+            door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            unless_started.enter_context(door)
+            unless_started.enter_context(inside)
+            os.set_blocking(door.fileno(), False)
+            doors = (inside.fileno(), *self._settings.command_fds)
+            code = lib.loop_start(self._loop_config(page_fd, event_fd, doors), self._core)
             if code == -errno.EBUSY:
                 raise RuntimeError("a loop runs in this process already")
             if code == -errno.EINVAL:
                 raise ValueError(f"the loop refuses {self._settings}")
             _raise_for(code, "loop_start")
-            self._event_fd = event_fd
+            self._event_fd, self._door = event_fd, door
             self._release = unless_started.pop_all()
         self._buffers.control[0] = {"limits": self._limits}
         self.beat()
 
-    def _loop_config(self, page_fd: int, event_fd: int) -> Any:
+    def _loop_config(self, page_fd: int, event_fd: int, doors: tuple[int, ...]) -> Any:
         settings = self._settings
+        if len(doors) > lib.COMMAND_SOCKETS:
+            raise ValueError(f"{len(doors)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
         every = round(settings.rate_hz / settings.notify_hz) if settings.notify_hz > 0 else 0
         return ffi.new(
             "loop_config *",
@@ -235,6 +257,7 @@ class Loop:
                 "cpu_mask": sum(1 << number for number in set(settings.cpu)),
                 "page_fd": page_fd,
                 "event_fd": event_fd,
+                "command_fd": [*doors, *[-1] * (lib.COMMAND_SOCKETS - len(doors))],
                 "lock_memory": settings.lock_memory,
                 "hold_dma_latency": settings.hold_dma_latency,
             },
@@ -247,22 +270,44 @@ class Loop:
         """
         if self._event_fd < 0:
             return
-        self._event_fd = -1
+        self._event_fd, self._door = -1, None
         with self._release:
             _raise_for(lib.loop_stop(), "loop_stop")
 
-    def put_command(
-        self, linear_m_s: float, angular_rad_s: float, expires_ns: int, stamp_ns: int | None = None
-    ) -> None:
-        """A wish of the source in command; `stamp_ns` None: now. NaN and infinities: rest."""
-        self._sequence += 1
-        raw = self._buffers.command
-        raw.stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
-        raw.expires_ns = expires_ns
-        raw.sequence = self._sequence
-        raw.linear_m_s = linear_m_s
-        raw.angular_rad_s = angular_rad_s
-        lib.exchange_put_command(self._exchange, raw)
+    def grant(self, leases: Iterable[LeaseGrant]) -> None:
+        """From the next tick on these may command, and nobody else. At most LEASES_MAX."""
+        raw = self._buffers.grants
+        ffi.memmove(raw, bytes(ffi.sizeof("lease_grants")), ffi.sizeof("lease_grants"))
+        for place, lease in zip(raw.lease, leases, strict=False):
+            place.token = lease.token
+            place.number = lease.number
+            place.priority = lease.priority
+            place.lifetime_ns = lease.lifetime_ns
+            place.barred_until_ns = lease.barred_until_ns
+        lib.exchange_put_grants(self._exchange, raw)
+
+    def send(self, command: bytes) -> None:
+        """A command (commands.datagram) by the door that all of them use. Raises BlockingIOError
+        where the loop takes none, ValueError where it does not run."""
+        if self._door is None:
+            raise ValueError("the loop does not run")
+        self._door.send(command)
+
+    def commands(self) -> CommandReport:
+        """Who commands, and what became of each lease; of the last tick in which something came or
+        changed."""
+        raw = self._buffers.commands
+        lib.exchange_take_commands(self._exchange, raw)
+        return CommandReport(
+            commander=raw.commander,
+            accepted=raw.accepted,
+            refused={kind: raw.refused[kind] for kind in Refusal},
+            leases={lease.number: _lease_state(lease) for lease in raw.lease if lease.number},
+        )
+
+    def open_lease(self, priority: int = 100, lifetime_s: float = 0.3) -> LoopLease:
+        """The only lease from now on: for tools and tests, which need no arbitration."""
+        return LoopLease(self, priority, lifetime_s)
 
     def put_control(self, control: Control) -> None:
         """The daemon's wishes, and a heartbeat with them."""
@@ -274,7 +319,6 @@ class Loop:
         raw.reset_count = control.reset_count
         raw.odometry_reset_count = control.odometry_reset_count
         raw.machine_state = control.machine_state
-        raw.owner = control.owner
         raw.limits = control.limits
         self.beat()
 
@@ -349,6 +393,42 @@ class Loop:
     def _read_histogram(self, kind: HistogramKind) -> Any:
         _raise_for(lib.loop_histogram_read(kind, self._buffers.histogram), "loop_histogram_read")
         return self._buffers.histogram
+
+
+class LoopLease:
+    """A lease that a tool or a test holds by itself."""
+
+    def __init__(self, loop: Loop, priority: int, lifetime_s: float) -> None:
+        self._loop = loop
+        self._grant = LeaseGrant(
+            number=next(_LEASE_NUMBERS),
+            token=secrets.token_bytes(TOKEN_BYTES),
+            priority=priority,
+            lifetime_ns=round(lifetime_s * 1e9),
+        )
+        self._sequence = 0
+        loop.grant([self._grant])
+
+    def send(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> None:
+        """A wish of now, or of `stamp_ns`."""
+        self._sequence += 1
+        stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
+        token = self._grant.token
+        self._loop.send(datagram(token, self._sequence, stamp_ns, linear_m_s, angular_rad_s))
+
+
+def _lease_state(raw: Any) -> LeaseState:
+    return LeaseState(
+        number=raw.number,
+        held=raw.held != 0,
+        sequence=raw.sequence,
+        stamp_ns=raw.stamp_ns,
+        expires_ns=raw.expires_ns,
+        since=raw.since,
+        priority=raw.priority,
+        linear_m_s=raw.linear_m_s,
+        angular_rad_s=raw.angular_rad_s,
+    )
 
 
 def _raise_for(code: int, what: str) -> None:

@@ -98,6 +98,8 @@ class LoopSettings:
     """0: woken for changes only."""
     lock_memory: bool = True
     hold_dma_latency: bool = True
+    command_fds: tuple[int, ...] = ()
+    """Datagram sockets, not blocking, on which commands come in too; they stay the caller's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,5 +127,4 @@ class Control:
     reset_count: int = 0
     odometry_reset_count: int = 0
     machine_state: int = 0
-    owner: int = 0
     limits: BaseLimits

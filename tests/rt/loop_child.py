@@ -8,7 +8,7 @@ import resource
 import sys
 from pathlib import Path
 
-from small_base import LIMITS, arm, core_config, far_ns, hear_wheels, settings, until
+from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
 
 from motord import rt
 from motord_hal.rt import now_ns
@@ -54,8 +54,8 @@ def drive() -> None:
     forget_code("_motord_rt")
     forget_code("libm.so")
     with loop:
-        arm(loop)
-        loop.put_command(0.5, 0.5, far_ns())
+        lease = arm(loop)
+        lease.send(0.5, 0.5)
         for count in range(50):
             hear_wheels(count)
             loop.beat()

@@ -96,14 +96,17 @@ def hear_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
         )
 
 
-def far_ns() -> int:
-    return now_ns() + int(FOREVER_S * 1e9)
+def lease_of(loop: rt.Loop) -> rt.LoopLease:
+    """The only one who commands; what he says lasts."""
+    return loop.open_lease(lifetime_s=FOREVER_S)
 
 
-def arm(loop: rt.Loop) -> None:
+def arm(loop: rt.Loop) -> rt.LoopLease:
     hear_wheels()
-    loop.put_command(0.0, 0.0, far_ns())
+    lease = lease_of(loop)
+    lease.send(0.0, 0.0)
     loop.put_control(rt.Control(limits=LIMITS))
     until(lambda: not set(loop.read_state().reasons) & {"command_stale"})
     loop.put_control(rt.Control(armed=True, limits=LIMITS))
     until(lambda: loop.read_state().armed)
+    return lease

@@ -9,9 +9,10 @@ import subprocess
 
 import pytest
 from _motord_rt import ffi, lib
-from small_base import LIMITS, PATIENCE_S, arm, core_config, far_ns, hear_wheels, settings, until
+from small_base import LIMITS, PATIENCE_S, arm, core_config, hear_wheels, lease_of, settings, until
 
 from motord import rt
+from motord.commands import Refusal
 from motord_hal.rt import LINES_MAX, Exchange
 
 LATENESS, STEP, COMMAND = rt.HistogramKind
@@ -57,8 +58,8 @@ def test_python_that_starts_processes_costs_the_thread_no_page_fault():
 
 
 def test_after_a_stop_in_motion_every_line_is_told_zero_and_off(loop):
-    arm(loop)
-    loop.put_command(0.5, 0.0, far_ns())
+    lease = arm(loop)
+    lease.send(0.5, 0.0)
     line = Exchange.of_loop()
     until(lambda: all(joint.velocity_rad_s > 0 for joint in line.take_setpoints(0).joints))
     assert line.take_setpoints(0).enabled
@@ -82,8 +83,8 @@ def test_it_starts_again_disarmed_and_forgets_what_it_was_told():
         state = loop.read_state()
         assert not state.armed
         assert state.command_age_s == math.inf
-        arm(loop)
-        loop.put_command(0.5, 0.0, far_ns())
+        lease = arm(loop)
+        lease.send(0.5, 0.0)
         until(lambda: loop.read_state().setpoint_linear_m_s > 0)
         loop.stop()
         loop.stop()
@@ -136,6 +137,7 @@ def test_a_cpu_that_cannot_be_written_down_is_refused():
 def test_a_page_that_cannot_be_mapped_leaves_nothing_behind():
     core, config = ffi.new("core_config *", core_config()), ffi.new("loop_config *")
     config.rate_hz, config.event_fd, config.page_fd = 100, -1, 987654
+    config.command_fd = [-1] * lib.COMMAND_SOCKETS
     before = fds()
     assert lib.loop_start(config, core) == -9
     assert fds() == before
@@ -187,16 +189,17 @@ def test_denormal_numbers_are_nothing_to_the_thread():
 
 
 def test_a_command_that_is_no_number_moves_nothing(loop):
-    arm(loop)
-    loop.put_command(math.nan, math.inf, far_ns())
-    until(lambda: "command_not_finite" in loop.read_state().reasons)
+    lease = arm(loop)
+    lease.send(math.nan, math.inf)
+    until(lambda: loop.commands().refused[Refusal.NOT_FINITE] == 1)
     state = loop.read_state()
+    assert (state.wanted_linear_m_s, state.wanted_angular_rad_s) == (0.0, 0.0)
     assert (state.setpoint_linear_m_s, state.setpoint_angular_rad_s) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("stamp_ns", [-(2**63), -1, 0])
 def test_a_stamp_from_before_the_clock_is_a_stale_command(loop, stamp_ns):
-    loop.put_command(0.5, 0.0, far_ns(), stamp_ns=stamp_ns)
+    lease_of(loop).send(0.5, 0.0, stamp_ns)
     seen = loop.status().ticks + 3
     until(lambda: loop.status().ticks > seen)
     assert "command_stale" in loop.read_state().reasons
@@ -218,7 +221,7 @@ def test_the_event_is_written_when_something_changes_and_not_else():
         until(lambda: loop.status().ticks > seen)
         assert loop.drain() == 0
         hear_wheels()
-        loop.put_command(0.0, 0.0, far_ns())
+        lease_of(loop).send(0.0, 0.0)
         assert readable(loop)
         assert "command_stale" not in loop.read_state().reasons
         loop.drain()
@@ -228,8 +231,9 @@ def test_the_event_is_written_when_something_changes_and_not_else():
 
 
 def test_each_command_is_counted_once_with_the_time_it_took(loop):
+    lease = lease_of(loop)
     for sent in range(1, 6):
-        loop.put_command(0.0, 0.0, far_ns())
+        lease.send(0.0, 0.0)
         until(lambda sent=sent: loop.percentiles(COMMAND).samples == sent)
     taken = loop.percentiles(COMMAND)
     assert 0 < taken.p50_ns <= taken.p99_ns <= taken.p99_9_ns <= taken.max_ns
@@ -267,7 +271,7 @@ def test_an_unknown_histogram_is_refused():
 
 def test_the_odometry_reset_and_the_machine_state_reach_the_core(loop):
     before = loop.read_state().odometry_epoch
-    loop.put_control(rt.Control(odometry_reset_count=1, machine_state=3, owner=7, limits=LIMITS))
+    loop.put_control(rt.Control(odometry_reset_count=1, machine_state=3, limits=LIMITS))
     until(lambda: loop.read_state().odometry_epoch != before)
     state = loop.read_state()
-    assert (state.machine_state, state.owner) == (3, 7)
+    assert (state.machine_state, state.owner) == (3, 0)

@@ -27,7 +27,7 @@ WHEEL_RADIUS_M = 0.1
 CODE_M_S = 0.01
 """A command with code n asks for n times this; the code is read back from the wheel's set-point."""
 NO_LIMIT = 1e6
-LEASE_NS = 60_000_000_000
+LEASE_S = 60.0
 PATIENCE_S = 60.0
 """No motor waits for a command, feedback or heartbeat here: a starved asyncio is measured, not
 stopped."""
@@ -129,6 +129,7 @@ class Rig:
 
     def __init__(self, loop: Loop, commands: socket.socket, port_fd: int, every_ticks: int) -> None:
         self._loop, self._commands, self._port_fd = loop, commands, port_fd
+        self._lease = loop.open_lease(lifetime_s=LEASE_S)
         self._exchange = Exchange.of_loop()
         self._answered = 0
         self.arrivals = Arrivals(every_ticks)
@@ -161,9 +162,7 @@ class Rig:
         with contextlib.suppress(BlockingIOError):
             while packet := self._commands.recv(COMMAND.size):
                 stamp_ns, code = COMMAND.unpack(packet)
-                self._loop.put_command(
-                    code * CODE_M_S, 0.0, time.monotonic_ns() + LEASE_NS, stamp_ns
-                )
+                self._lease.send(code * CODE_M_S, 0.0, stamp_ns)
             asyncio.get_running_loop().remove_reader(self._commands)
 
     def stay_alive(self) -> None:

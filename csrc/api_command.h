@@ -1,0 +1,91 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api_command.h: the part of the border by which commands come in. Read after api.h, and like it: typedefs, enums,
+ * comments and prototypes, no preprocessor line.
+ */
+
+/* ------------------------------------------------------------------------------------------------ commands
+ * Who may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
+ * grants leases and ends them; who of them is in command, and whether he may move anything, is decided here. */
+enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_BYTES = 64, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
+
+typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2 } command_kind;
+
+/* One datagram, little-endian as the machine is. docs/commands.md */
+typedef struct {
+    uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
+    uint16_t version;           /* COMMAND_VERSION */
+    uint16_t kind;              /* command_kind */
+    uint8_t token[TOKEN_BYTES]; /* of the lease */
+    uint64_t sequence;          /* greater than the one before, modulo 2^64 */
+    int64_t stamp_ns;           /* CLOCK_MONOTONIC when it was given */
+    uint32_t lifetime_ms;       /* 0: the lease's; more than it: refused */
+    uint32_t reserved;
+    double linear_m_s;
+    double angular_rad_s;
+} command_datagram;
+
+typedef struct {
+    uint8_t token[TOKEN_BYTES];
+    uint32_t number;            /* grows with each lease of the daemon, from 1; 0: no lease */
+    uint32_t priority;          /* the higher one commands; among equals who came first */
+    int64_t lifetime_ns;        /* of a command under it, at most */
+    int64_t barred_until_ns;    /* its owner was held when his last lease ended: held until then, too */
+} lease_grant;
+
+typedef struct {
+    lease_grant lease[LEASES_MAX];
+} lease_grants;
+
+typedef enum {
+    REFUSED_FORM = 0,           /* length, magic, version, kind */
+    REFUSED_TOKEN = 1,
+    REFUSED_SEQUENCE = 2,       /* not greater than the last one's */
+    REFUSED_AGE = 3,            /* from the future, or older than its lifetime */
+    REFUSED_LIFETIME = 4,
+    REFUSED_NOT_FINITE = 5,     /* and the lease commands zero */
+    REFUSAL_KINDS = 6
+} command_refusal;
+
+/* What a lease has come to. */
+typedef struct {
+    uint32_t number;            /* 0: no lease */
+    uint32_t held;              /* its command counts as zero until zero was asked for */
+    uint32_t fresh;             /* a command of it is alive */
+    uint32_t priority;
+    uint64_t since;             /* order in which the leases came alive; among equals the lowest commands */
+    uint64_t sequence;          /* of the newest command; 0: none came */
+    int64_t stamp_ns;
+    int64_t expires_ns;
+    double linear_m_s;          /* as asked for */
+    double angular_rad_s;
+} lease_state;
+
+typedef struct {
+    uint32_t commander;         /* number of the lease in command; 0: nobody */
+    uint32_t may_move;          /* somebody who asks for motion now is not held */
+    uint64_t accepted;
+    uint64_t refused[REFUSAL_KINDS];
+    lease_state lease[LEASES_MAX];
+} command_report;
+
+typedef struct {
+    lease_grants grants;
+    uint64_t comers;            /* leases that have come alive so far */
+    int64_t last_stamp_ns;      /* of the command before */
+    command_report report;
+} arbiter;
+
+void arbiter_init(arbiter *a);
+/* New leases begin, those that are not named any more end; the others go on. */
+void arbiter_grant(arbiter *a, const lease_grants *grants);
+/* 0, or 1 + command_refusal. */
+int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
+/* Once a tick, after what came was submitted: who commands, and what. */
+void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
+
+/* Mailboxes of the exchange, as those of api.h. */
+void exchange_put_grants(exchange *x, const lease_grants *grants);       /* asyncio → loop */
+int exchange_take_grants(exchange *x, lease_grants *out);
+void exchange_put_commands(exchange *x, const command_report *report);   /* loop → asyncio */
+int exchange_take_commands(exchange *x, command_report *out);

@@ -1,0 +1,178 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * arbiter.c: who is in command. The fresh lease with the highest priority; among equals the one who came first. Who asks
+ * for motion while nobody may move is held: his command counts as zero until he has asked for zero himself or has let
+ * it lapse. So a source that goes on sending through a stop, or before arming, moves nothing. */
+#include <math.h>
+#include <string.h>
+
+#include "rt.h"
+
+_Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
+
+static const int64_t FUTURE_NS = 10000000;   /* the sender's clock is this machine's: more is a mistake */
+static const int64_t NS_PER_MS = 1000000;
+
+void arbiter_init(arbiter *a)
+{
+    memset(a, 0, sizeof *a);
+}
+
+static bool alive(const lease_state *lease, int64_t now_ns)
+{
+    return lease->number != 0 && lease->sequence != 0 && now_ns < lease->expires_ns;
+}
+
+static bool wants_motion(const lease_state *lease)
+{
+    return lease->linear_m_s != 0.0 || lease->angular_rad_s != 0.0;
+}
+
+void arbiter_grant(arbiter *a, const lease_grants *grants)
+{
+    lease_state kept[LEASES_MAX];
+    memset(kept, 0, sizeof kept);
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        kept[i].number = grants->lease[i].number;
+        kept[i].priority = grants->lease[i].priority;
+        for (uint32_t before = 0; before < LEASES_MAX && kept[i].number != 0; before++) {
+            if (a->report.lease[before].number == kept[i].number) {
+                kept[i] = a->report.lease[before];
+                kept[i].priority = grants->lease[i].priority;
+            }
+        }
+    }
+    a->grants = *grants;
+    memcpy(a->report.lease, kept, sizeof kept);
+}
+
+/* The same time for a right token and a wrong one. */
+static bool same_token(const uint8_t *one, const uint8_t *other)
+{
+    uint32_t differs = 0;
+    for (uint32_t i = 0; i < TOKEN_BYTES; i++) {
+        differs |= (uint32_t)(one[i] ^ other[i]);
+    }
+    return differs == 0;
+}
+
+static uint32_t find(const arbiter *a, const uint8_t *token)
+{
+    uint32_t found = LEASES_MAX;
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        if (a->grants.lease[i].number != 0 && same_token(token, a->grants.lease[i].token)) {
+            found = i;
+        }
+    }
+    return found;
+}
+
+static int refuse(arbiter *a, command_refusal why)
+{
+    a->report.refused[why]++;
+    return 1 + (int)why;
+}
+
+/* How long it lives, 0: it cannot. */
+static int64_t lifetime_ns(const lease_grant *grant, const command_datagram *command)
+{
+    int64_t asked_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
+    return asked_ns == 0 ? grant->lifetime_ns : asked_ns <= grant->lifetime_ns ? asked_ns : 0;
+}
+
+static bool is_new(const lease_state *lease, uint64_t sequence)
+{
+    return lease->sequence == 0 ? sequence != 0 : (int64_t)(sequence - lease->sequence) > 0;
+}
+
+static int take(arbiter *a, uint32_t place, const command_datagram *command, int64_t now_ns, bool may_move)
+{
+    const lease_grant *grant = &a->grants.lease[place];
+    lease_state *lease = &a->report.lease[place];
+    int64_t life_ns = lifetime_ns(grant, command);
+    if (!is_new(lease, command->sequence)) {
+        return refuse(a, REFUSED_SEQUENCE);
+    }
+    if (life_ns == 0) {
+        return refuse(a, REFUSED_LIFETIME);
+    }
+    if (command->stamp_ns <= 0 || command->stamp_ns > now_ns + FUTURE_NS || now_ns - command->stamp_ns >= life_ns) {
+        return refuse(a, REFUSED_AGE);
+    }
+    bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
+    lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
+    bool barred = alive(lease, now_ns) ? lease->held != 0 : now_ns < grant->barred_until_ns;
+    lease->sequence = command->sequence;
+    lease->stamp_ns = command->stamp_ns;
+    lease->expires_ns = command->stamp_ns + life_ns;
+    lease->linear_m_s = finite ? command->linear_m_s : 0.0;
+    lease->angular_rad_s = finite ? command->angular_rad_s : 0.0;
+    lease->held = wants_motion(lease) && (!may_move || barred);
+    if (!finite) {
+        lease->held = barred;   /* that was no zero */
+        return refuse(a, REFUSED_NOT_FINITE);
+    }
+    if (lease->held == 0) {
+        a->grants.lease[place].barred_until_ns = 0;   /* zero was asked for */
+    }
+    a->report.accepted++;
+    return 0;
+}
+
+int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move)
+{
+    command_datagram command;
+    if (bytes != sizeof command) {
+        return refuse(a, REFUSED_FORM);
+    }
+    memcpy(&command, datagram, sizeof command);
+    if (command.magic != COMMAND_MAGIC || command.version != COMMAND_VERSION ||
+        (command.kind != COMMAND_TWIST && command.kind != COMMAND_RELEASE)) {
+        return refuse(a, REFUSED_FORM);
+    }
+    uint32_t place = find(a, command.token);
+    if (place == LEASES_MAX) {
+        return refuse(a, REFUSED_TOKEN);
+    }
+    if (command.kind == COMMAND_RELEASE) {
+        a->report.lease[place].expires_ns = 0;
+        a->report.accepted++;
+        return 0;
+    }
+    return take(a, place, &command, now_ns, may_move);
+}
+
+static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
+{
+    const lease_state *best = NULL;
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        lease_state *lease = &a->report.lease[i];
+        lease->fresh = alive(lease, now_ns);
+        if (lease->fresh == 0) {
+            continue;
+        }
+        lease->held |= !may_move && wants_motion(lease);
+        bool better = best == NULL || lease->priority > best->priority ||
+                      (lease->priority == best->priority && lease->since < best->since);
+        best = better ? lease : best;
+    }
+    return best;
+}
+
+void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out)
+{
+    const lease_state *lease = commander(a, now_ns, may_move);
+    a->report.may_move = may_move;
+    a->report.commander = lease != NULL ? lease->number : 0;
+    *out = (twist_command){.stamp_ns = a->last_stamp_ns};   /* nobody: its end lies behind us */
+    if (lease == NULL) {
+        return;
+    }
+    a->last_stamp_ns = lease->stamp_ns;
+    out->stamp_ns = lease->stamp_ns;
+    out->expires_ns = lease->expires_ns;
+    out->sequence = lease->sequence;
+    if (lease->held == 0) {
+        out->linear_m_s = lease->linear_m_s;
+        out->angular_rad_s = lease->angular_rad_s;
+    }
+}

@@ -1,0 +1,17 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * ingress.h: commands from datagram sockets, and the waiting of the loop for them. */
+#ifndef MOTORD_INGRESS_H
+#define MOTORD_INGRESS_H
+
+#include "rt.h"
+
+typedef struct {
+    int fd[COMMAND_SOCKETS];    /* -1: none */
+} ingress;
+
+/* Until the time, or until a datagram is there: true. */
+bool ingress_wait(const ingress *in, int64_t until_ns);
+/* Judge what is there, a bounded number of datagrams; how many there were. */
+uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move);
+
+#endif

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The datagram by which every command enters: docs/commands.md, csrc/api_command.h."""
+
+from __future__ import annotations
+
+import enum
+import struct
+from dataclasses import dataclass
+
+MAGIC = 0x434D544D
+VERSION = 1
+TOKEN_BYTES = 16
+TWIST = 1
+RELEASE = 2
+_LAYOUT = struct.Struct("<IHH16sQqIIdd")
+
+
+class Refusal(enum.IntEnum):
+    """Why a datagram was not obeyed: places in `CommandReport.refused`."""
+
+    FORM = 0
+    TOKEN = 1
+    SEQUENCE = 2
+    AGE = 3
+    LIFETIME = 4
+    NOT_FINITE = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseGrant:
+    """What a source may do: whoever has the token commands under it."""
+
+    number: int
+    """Grows with each lease, from 1."""
+    token: bytes
+    priority: int
+    lifetime_ns: int
+    barred_until_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseState:
+    """What the loop knows of a lease. `linear_m_s` and `angular_rad_s` as asked for."""
+
+    number: int
+    held: bool
+    sequence: int
+    """0: no command has come."""
+    stamp_ns: int
+    expires_ns: int
+    since: int
+    """Order in which the leases came alive."""
+    priority: int
+    linear_m_s: float
+    angular_rad_s: float
+
+    def fresh(self, now_ns: int) -> bool:
+        """A command of it is alive."""
+        return self.sequence != 0 and now_ns < self.expires_ns
+
+    @property
+    def wants_motion(self) -> bool:
+        return self.linear_m_s != 0.0 or self.angular_rad_s != 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandReport:
+    """The arbiter's word after its newest look at what came."""
+
+    commander: int
+    """Number of the lease in command; 0: nobody."""
+    accepted: int
+    refused: dict[Refusal, int]
+    leases: dict[int, LeaseState]
+    """By number."""
+
+
+def datagram(
+    token: bytes,
+    sequence: int,
+    stamp_ns: int,
+    linear_m_s: float,
+    angular_rad_s: float,
+    *,
+    lifetime_ms: int = 0,
+    kind: int = TWIST,
+) -> bytes:
+    """One command; `stamp_ns` is CLOCK_MONOTONIC, lifetime 0 is the lease's own."""
+    return _LAYOUT.pack(
+        MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0, linear_m_s, angular_rad_s
+    )

@@ -1,0 +1,134 @@
+"""The arbiter in C with leases by connection and owner, as the daemon grants them; told the time."""
+
+from dataclasses import dataclass
+
+from _motord_rt import ffi, lib
+
+from motord.commands import RELEASE, datagram
+
+
+@dataclass(frozen=True)
+class Lease:
+    number: int
+    owner: str
+    connection: int
+    priority: int
+    expires_ns: int
+    since: int
+    linear_m_s: float
+    angular_rad_s: float
+    held: bool
+
+    @property
+    def wants_motion(self):
+        return self.linear_m_s != 0.0 or self.angular_rad_s != 0.0
+
+    @property
+    def twist(self):
+        return (0.0, 0.0) if self.held else (self.linear_m_s, self.angular_rad_s)
+
+
+class Arbiter:
+    def __init__(self):
+        self.c = ffi.new("arbiter *")
+        lib.arbiter_init(self.c)
+        self.granted = {}
+        self.gone = {}
+        self.sequence = 0
+        self.now_ns = 0
+        self.numbers = 0
+        self.may_move = True
+
+    def grant(self, now_ns, key, priority, lifetime_ns):
+        before = self.granted.get(key)
+        barred_until_ns = self.gone.pop(key[1], 0) if before is None else before["barred_until_ns"]
+        self.numbers += before is None
+        self.granted[key] = {
+            "number": self.numbers if before is None else before["number"],
+            "token": bytes([self.numbers]) * 16 if before is None else before["token"],
+            "priority": priority,
+            "lifetime_ns": lifetime_ns,
+            "barred_until_ns": barred_until_ns,
+        }  # fmt: skip
+        self.tell()
+        return self.granted[key]
+
+    def tell(self):
+        grants = list(self.granted.values())
+        lib.arbiter_grant(self.c, ffi.new("lease_grants *", {"lease": grants}))
+
+    def raw(self, now_ns, datagram_bytes, may_move=True):
+        self.now_ns = now_ns
+        return lib.arbiter_submit(self.c, datagram_bytes, len(datagram_bytes), now_ns, may_move)
+
+    def submit(
+        self, now_ns, *, owner, connection, priority, lease_s, linear_m_s, angular_rad_s, may_move
+    ):
+        key = connection, owner
+        grant = self.grant(now_ns, key, priority, round(lease_s * 1e9))
+        self.sequence += 1
+        command = datagram(grant["token"], self.sequence, now_ns, linear_m_s, angular_rad_s)
+        self.refusal = self.raw(now_ns, command, may_move)
+        return next(lease for lease in self.all() if (lease.connection, lease.owner) == key)
+
+    def all(self):
+        by_number = {grant["number"]: key for key, grant in self.granted.items()}
+        return [
+            Lease(
+                number=raw.number,
+                owner=by_number[raw.number][1],
+                connection=by_number[raw.number][0],
+                priority=raw.priority,
+                expires_ns=raw.expires_ns,
+                since=raw.since,
+                linear_m_s=raw.linear_m_s,
+                angular_rad_s=raw.angular_rad_s,
+                held=raw.held != 0,
+            )
+            for raw in self.c.report.lease
+            if raw.number
+        ]
+
+    def leases(self, now_ns):
+        fresh = [lease for lease in self.all() if now_ns < lease.expires_ns]
+        return sorted(fresh, key=lambda lease: (-lease.priority, lease.since))
+
+    def command(self, now_ns, may_move=True):
+        self.now_ns = now_ns
+        out = ffi.new("twist_command *")
+        lib.arbiter_command(self.c, now_ns, may_move, out)
+        return out
+
+    def commander(self, now_ns):
+        """By the word of C, with the twist that the core gets."""
+        out = self.command(now_ns)
+        number = self.c.report.commander
+        found = next((lease for lease in self.all() if lease.number == number), None)
+        assert (found is None) == (number == 0)
+        if found is not None:
+            assert (out.linear_m_s, out.angular_rad_s) == found.twist
+            assert out.expires_ns == found.expires_ns > now_ns
+        else:
+            assert (out.linear_m_s, out.angular_rad_s) == (0.0, 0.0)
+            assert out.expires_ns <= now_ns
+        return found
+
+    def wanting(self, now_ns):
+        return next((lease.owner for lease in self.leases(now_ns) if lease.wants_motion), None)
+
+    def hold(self):
+        """One tick in which nobody may move."""
+        self.command(self.now_ns, may_move=False)
+
+    def release(self, connection, owner):
+        grant = self.granted.get((connection, owner))
+        if grant is not None:
+            self.raw(self.now_ns, datagram(grant["token"], 0, 0, 0.0, 0.0, kind=RELEASE))
+
+    def disconnect(self, connection):
+        for lease in self.all():
+            if lease.connection == connection:
+                del self.granted[connection, lease.owner]
+                if lease.held:
+                    self.gone[lease.owner] = max(lease.expires_ns, self.gone.get(lease.owner, 0))
+        self.tell()
