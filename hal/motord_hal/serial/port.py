@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opens a serial port: found anew each time, for nobody else, raw, its transceiver's direction
+set, and without waiting in the adapter."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import termios
+from dataclasses import dataclass
+
+from motord_hal.errors import PortError
+from motord_hal.ports import DirectionKind, LineSpec
+from motord_hal.serial.direction import set_kernel_direction
+from motord_hal.serial.gpio import request_line
+from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
+from motord_hal.serial.settings import busy, claim, set_raw
+from motord_hal.serial.sysfs import device_file, holders
+
+
+@dataclass(slots=True)
+class OpenPort:
+    """An open port. The descriptors are this object's own."""
+
+    fd: int
+    de_fd: int = -1
+    """GPIO line that turns the transceiver; -1: none."""
+    path: str = ""
+    """The device file that was found."""
+    facts: tuple[str, ...] = ()
+    """What the user should know of this port, in sentences."""
+
+    def close(self) -> None:
+        os.close(self.fd)
+        if self.de_fd >= 0:
+            os.close(self.de_fd)
+
+
+def open_port(spec: LineSpec) -> OpenPort:
+    """The port of a line; an adapter that came back under another name is found. Raises
+    PortError."""
+    path = device_file(spec.port)
+    fd = open_exclusively(path)
+    with contextlib.ExitStack() as undo:
+        undo.callback(os.close, fd)
+        try:
+            set_raw(fd, spec.baudrate, spec.parity, spec.stop_bits)
+        except (OSError, ValueError, termios.error) as error:
+            wish = f"{spec.baudrate} baud, parity {spec.parity}, {spec.stop_bits} stop bits"
+            raise PortError(f"{path} cannot be set to {wish}: {error}") from error
+        facts = tune(fd, path, spec)
+        de_fd = -1
+        if spec.direction.kind is DirectionKind.GPIO:
+            de_fd = request_line(spec.direction, spec.name)
+        undo.pop_all()
+    return OpenPort(fd, de_fd, path, facts)
+
+
+def tune(fd: int, path: str, spec: LineSpec) -> tuple[str, ...]:
+    """What termios does not know: the kernel's direction and the adapter's latency. Returns facts
+    for the user. Raises PortError."""
+    if spec.direction.kind is DirectionKind.KERNEL:
+        set_kernel_direction(fd, path, spec.direction)
+    ask_low_latency(fd)
+    fact = shorten_latency_timer(path)
+    return (fact,) if fact else ()
+
+
+def open_exclusively(path: str) -> int:
+    """A descriptor that does not block, of a port that nobody else has. Raises PortError."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise PortError(f"{path} cannot be opened: {_reason(path, error)}") from error
+    try:
+        claim(fd)
+    except OSError as error:
+        os.close(fd)
+        raise PortError(f"{path} cannot be opened: {_reason(path, error)}") from error
+    return fd
+
+
+def _reason(path: str, error: OSError) -> str:
+    if busy(error):
+        return f"held by {', '.join(holders(path)) or 'another program'}"
+    return error.strerror or str(error)
