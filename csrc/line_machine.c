@@ -79,61 +79,6 @@ int line_machine_init(line_machine *m, const line_table *table, int64_t now_ns)
     return 0;
 }
 
-/* -------------------------------------------------------------------------------------------------------- asks */
-bool line_machine_ask(line_machine *m, const line_ask *ask)
-{
-    if (m->ask_count == LINE_ASKS_MAX) {
-        return false;
-    }
-    uint32_t place = m->ask_count;
-    if (ask->urgent != 0) {
-        for (place = 0; place < m->ask_count && m->ask[place].urgent != 0; place++) {
-        }
-        memmove(&m->ask[place + 1], &m->ask[place], (m->ask_count - place) * sizeof m->ask[0]);
-    }
-    m->ask[place] = *ask;
-    m->ask_count++;
-    return true;
-}
-
-static void drop_ask(line_machine *m, uint32_t place)
-{
-    m->ask_count--;
-    memmove(&m->ask[place], &m->ask[place + 1], (m->ask_count - place) * sizeof m->ask[0]);
-}
-
-static void answer(line_machine *m, const line_ask *ask, uint32_t kind, int64_t now_ns)
-{
-    m->answer = (line_answer){.id = ask->id, .kind = kind, .done_ns = now_ns, .stamp_ns = now_ns};
-    m->answered = true;
-}
-
-/* One a step: the thread takes them one by one. */
-static void expire_ask(line_machine *m, int64_t now_ns)
-{
-    for (uint32_t i = 0; i < m->ask_count && !m->answered; i++) {
-        bool under_way = m->work == WORK_ASK && i == 0;
-        if (!under_way && (m->ask[i].expires_ns <= now_ns || m->shut != 0)) {
-            answer(m, &m->ask[i], ANSWER_EXPIRED, now_ns);
-            drop_ask(m, i);
-        }
-    }
-}
-
-/* The first whose drive may be asked now; it goes to the front. */
-static bool pick_ask(line_machine *m, int64_t now_ns)
-{
-    for (uint32_t i = 0; i < m->ask_count; i++) {
-        line_ask ask = m->ask[i];
-        if (ask.drive >= m->table.drive_count || m->drive[ask.drive].quiet_until_ns <= now_ns) {
-            memmove(&m->ask[1], &m->ask[0], i * sizeof m->ask[0]);
-            m->ask[0] = ask;
-            return true;
-        }
-    }
-    return false;
-}
-
 /* ---------------------------------------------------------------------------------------------- sending, hearing */
 static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_frame *frame, line_output *out)
 {
@@ -180,7 +125,7 @@ void line_machine_sent(line_machine *m, int64_t now_ns)
 static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
 {
     const line_frame *frame = &m->transaction.frame;
-    answer(m, &m->ask[0], kind, now_ns);
+    line_answer_ask(m, &m->ask[0], kind, now_ns);
     m->answer.sent_ns = m->start_ns;
     m->answer.stamp_ns = m->start_ns + (now_ns - m->start_ns) / 2;
     m->answer.exception = verdict->exception;
@@ -189,7 +134,7 @@ static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int
         m->answer.reply_bytes = frame->reply_bytes;
         memcpy(m->answer.reply, m->transaction.heard + verdict->offset, frame->reply_bytes);
     }
-    drop_ask(m, 0);
+    line_drop_ask(m, 0);
 }
 
 static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
@@ -341,7 +286,7 @@ static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_out
     line_frame frame;
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
     uint32_t quiet = due_probe(m, now_ns);
-    bool asked = pick_ask(m, now_ns);
+    bool asked = line_pick_ask(m, now_ns);
     bool probe_first = quiet < LINE_DRIVES_MAX && (!asked || (m->ask[0].urgent == 0 && m->slot_turn % 2 != 0));
     if (probe_first && mine) {
         line_next_probe(m, quiet, now_ns, &frame);
@@ -476,7 +421,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
         line_guard(m, i, now_ns);
     }
     if (!m->answered) {
-        expire_ask(m, now_ns);
+        line_expire_ask(m, now_ns);
     }
     decide(m, now_ns, out);
     out->feedback_mask = m->feedback_mask;

@@ -5,6 +5,7 @@
  * line_table.c    is a table good?
  * line_values.c   set-points into requests, replies into feedback
  * line_drive.c    one drive: its cycle, its failures, its stops
+ * line_asks.c     requests from outside the cycle
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
 #ifndef MOTORD_LINE_MACHINE_H
@@ -147,6 +148,13 @@ void line_machine_kick(line_machine *m, int64_t now_ns);
 void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out);
 void line_machine_sent(line_machine *m, int64_t now_ns);
 void line_machine_report(const line_machine *m, line_report *report);
+
+/* ------------------------------------------------------------------------- line_asks.c */
+void line_drop_ask(line_machine *m, uint32_t place);
+void line_answer_ask(line_machine *m, const line_ask *ask, uint32_t kind, int64_t now_ns);
+void line_expire_ask(line_machine *m, int64_t now_ns);
+/* The first whose drive may be asked now goes to the front; false: there is none. */
+bool line_pick_ask(line_machine *m, int64_t now_ns);
 
 /* ----------------------------------------------------------------------- line_values.c */
 /* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */

@@ -26,13 +26,15 @@ static void a_mailbox_gives_the_newest_value(void)
 static void each_value_has_a_box_of_its_own(void)
 {
     static exchange x;
-    twist_command command = {.linear_m_s = 0.5};
+    static lease_grants grants = {.lease = {{.number = 5}}};
+    static command_report report = {.commander = 6};
     core_control control = {.armed = 1};
     joint_feedback feedback = {0};
     setpoints out = {0};
     CHECK(exchange_bytes() == sizeof x && exchange_bytes() % CACHE_LINE_BYTES == 0);
     exchange_init(&x);
-    exchange_put_command(&x, &command);
+    exchange_put_grants(&x, &grants);
+    exchange_put_commands(&x, &report);
     exchange_put_control(&x, &control);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         CHECK(exchange_put_feedback(&x, joint, &(joint_feedback){.count = 100 + joint}) == 0);
@@ -40,9 +42,11 @@ static void each_value_has_a_box_of_its_own(void)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         CHECK(exchange_put_setpoints(&x, line, &(setpoints){.tick = 200 + line}) == 0);
     }
-    command.linear_m_s = 0;
+    grants.lease[0].number = 0;
+    report.commander = 0;
     control.armed = 0;
-    CHECK(exchange_take_command(&x, &command) == 1 && command.linear_m_s == 0.5);
+    CHECK(exchange_take_grants(&x, &grants) == 1 && grants.lease[0].number == 5);
+    CHECK(exchange_take_commands(&x, &report) == 1 && report.commander == 6);
     CHECK(exchange_take_control(&x, &control) == 1 && control.armed == 1);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         CHECK(exchange_take_feedback(&x, joint, &feedback) == 1 && feedback.count == 100 + joint);
@@ -54,6 +58,8 @@ static void each_value_has_a_box_of_its_own(void)
     CHECK(exchange_take_feedback(&x, JOINTS_MAX, &feedback) == -EINVAL);
     CHECK(exchange_put_setpoints(&x, LINES_MAX, &out) == -EINVAL);
     CHECK(exchange_take_setpoints(&x, LINES_MAX, &out) == -EINVAL);
+    CHECK(exchange_line_wake(&x, 0) == -1 && exchange_set_line_wake(&x, 0, 7) == 0 && exchange_line_wake(&x, 0) == 7);
+    CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL && exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
 /* Offsets as docs/state-page.md gives them, not as page.c has them. */

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include "check.h"
@@ -37,7 +38,7 @@ static void *writes(void *unused)
         double f = (double)n;
         joint_feedback feedback = {.stamp_ns = (int64_t)n, .count = n, .velocity_rad_s = f, .temperature_c = f};
         CHECK(exchange_put_feedback(x, 3, &feedback) == 0);
-        exchange_put_command(x, &(twist_command){.sequence = n, .linear_m_s = f, .angular_rad_s = f});
+        exchange_put_commands(x, &(command_report){.accepted = n, .lease = {{.linear_m_s = f, .angular_rad_s = f}}});
         state.tick = n;
         state.x_m = f;
         state.joint[JOINTS_MAX - 1].jumps = (uint32_t)n;
@@ -56,7 +57,7 @@ static void *takes(void *unused)
     (void)unused;
     exchange *x = (exchange *)exchange_memory;
     joint_feedback feedback;
-    twist_command command;
+    static command_report report;
     uint64_t last = 0, fresh = 0;
     while (!done || last < ROUNDS) {
         bool is_new = exchange_take_feedback(x, 3, &feedback) == 1;
@@ -65,8 +66,8 @@ static void *takes(void *unused)
               feedback.temperature_c == (double)feedback.count);
         last = feedback.count;
         fresh += is_new;
-        (void)exchange_take_command(x, &command);
-        CHECK(command.linear_m_s == (double)command.sequence && command.angular_rad_s == command.linear_m_s);
+        (void)exchange_take_commands(x, &report);
+        CHECK(report.lease[0].linear_m_s == (double)report.accepted && report.lease[0].angular_rad_s == (double)report.accepted);
         (void)sched_yield();
     }
     CHECK(fresh > 0);
@@ -162,6 +163,8 @@ static void *is_the_line(void *unused)
     return NULL;
 }
 
+static int door[2];
+
 /* asyncio's thread: beats, commands, looks, until enough ticks have gone by with the wheels turning. */
 static void *is_asyncio(void *config)
 {
@@ -169,14 +172,18 @@ static void *is_asyncio(void *config)
     loop_status status;
     robot_state state;
     static histogram h;
+    static command_report commands;
+    exchange_put_grants(x, &(lease_grants){.lease = {{.number = 1, .lifetime_ns = 1000000000}}});
     bool turned = false;
     for (uint64_t n = 1; !turned || status.ticks < LOOP_TICKS; n++) {
         int64_t now_ns = clock_now_ns();
         core_control control = {.heartbeat_ns = now_ns, .armed = n % 100 > 20, .limits = ((core_config *)config)->limits};
         double linear_m_s = n % 100 > 40 ? 0.3 : 0;
         exchange_put_control(x, &control);
-        exchange_put_command(x, &(twist_command){.stamp_ns = now_ns, .expires_ns = now_ns + 1000000000, .sequence = n,
-                                                 .linear_m_s = linear_m_s});
+        command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
+                                    .sequence = n, .stamp_ns = now_ns, .linear_m_s = linear_m_s};
+        CHECK(send(door[0], &command, sizeof command, 0) == (ssize_t)sizeof command);
+        CHECK(exchange_take_commands(x, &commands) >= 0);
         loop_status_read(&status);
         CHECK(loop_state_read(&state) == 0);
         turned = turned || state.setpoint_linear_m_s > 0;
@@ -208,9 +215,10 @@ static void check_rest(const void *shared_page)
 
 static void the_loop_runs_between_asyncio_and_a_line(void)
 {
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM | SOCK_NONBLOCK, 0, door) == 0);
     core_config core = base();
     loop_config loop = {.rate_hz = 1000, .notify_every_ticks = 10, .page_fd = memfd_create("page", 0),
-                        .event_fd = eventfd(0, EFD_NONBLOCK)};
+                        .event_fd = eventfd(0, EFD_NONBLOCK), .command_fd = {door[1], -1, -1}};
     void *shared_page;
     CHECK(loop.page_fd >= 0 && loop.event_fd >= 0 && ftruncate(loop.page_fd, PAGE_BYTES) == 0);
     shared_page = mmap(NULL, PAGE_BYTES, PROT_READ, MAP_SHARED, loop.page_fd, 0);

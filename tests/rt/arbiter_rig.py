@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arbiter in C with leases by connection and owner, as the daemon grants them; told the time."""
 
 from dataclasses import dataclass

@@ -31,10 +31,10 @@ from motord_hal.rt_engine.books import Books
 from motord_hal.rt_engine.drive import RtDrive
 from motord_hal.rt_engine.jobs import DriveJobs
 from motord_hal.rt_engine.news import News
-from motord_hal.rt_engine.port import OpenPort, open_port
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
 from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
+from motord_hal.serial.port import OpenPort, open_port
 
 REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
@@ -136,7 +136,9 @@ class RtLine:
         if self._said_lost:
             self._books.reopened += 1
         self._said_lost = False
-        self._say_all(EventKind.LINE_OPEN, f"{self.spec.name} is open on {self.spec.port}")
+        facts = () if self._port is None else self._port.facts
+        text = f"{self.spec.name} is open on {self.spec.port}"
+        self._say_all(EventKind.LINE_OPEN, "; ".join((text, *facts)))
 
     def _start(self) -> None:
         """Raises HalError."""
