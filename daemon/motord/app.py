@@ -15,6 +15,7 @@ from motord.assembly import core_config, line_specs, loop_settings, profiles_of
 from motord.bus.publish import open_publisher
 from motord.bus.publish.samples import Samples
 from motord.config import Robot
+from motord.doors import open_doors
 from motord.health import Health, Heart
 from motord.machine import Event
 from motord.methods import methods
@@ -55,7 +56,8 @@ async def run(
     with (
         _signals() as (end, hurry),
         listening(path) as listener,
-        Loop(core_config(robot, profiles), loop_settings(robot), name) as loop,
+        open_doors(robot, path) as doors,
+        Loop(core_config(robot, profiles), loop_settings(robot, doors.fds), name) as loop,
     ):
         operation = Operation(robot, loop, notifier)
         for spec in line_specs(robot, profiles):
@@ -67,7 +69,7 @@ async def run(
             work.append(tasks.create_task(_beat(operation)))
             work.append(tasks.create_task(_watch_health(operation, health, notifier)))
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
-            offered = methods(operation, health, feeds)
+            offered = methods(operation, health, feeds, doors)
             server = tasks.create_task(serve(listener, offered, operation.disconnect))
             _say_hello(operation, path)
             notifier.ready()

@@ -28,7 +28,7 @@ def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
     return {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
 
 
-def loop_settings(robot: Robot) -> rt.LoopSettings:
+def loop_settings(robot: Robot, command_fds: tuple[int, ...] = ()) -> rt.LoopSettings:
     """How the loop's thread is to run."""
     rates = (publish.rate_hz for publish in robot.publish.values())
     return rt.LoopSettings(
@@ -38,6 +38,7 @@ def loop_settings(robot: Robot) -> rt.LoopSettings:
         notify_hz=min(max(_NOTIFY_HZ, *rates, 0.0), robot.loop.rate_hz),
         lock_memory=robot.loop.lock_memory,
         hold_dma_latency=robot.loop.hold_dma_latency,
+        command_fds=command_fds,
     )
 
 

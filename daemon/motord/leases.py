@@ -79,7 +79,8 @@ class Leases:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._granted: dict[tuple[int, str], _Granted] = {}
+        self._granted: dict[tuple[int, str, bool], _Granted] = {}
+        """By connection, owner, and whether it has been given out."""
         self._gone: dict[str, int] = {}
         """Owners that were held when their connection ended, and when their lease would have."""
         self._numbers = itertools.count(1)
@@ -95,7 +96,7 @@ class Leases:
             raise ValueError(f"lease_s is {lease_s}: {LEASE_MIN_S} to {LEASE_MAX_S} s")
         now = now_ns()
         lifetime_ns = round(lease_s * 1e9)
-        before = self._granted.get((connection, owner))
+        before = self._granted.get((connection, owner, kept))
         if before is None:
             self._make_room(now)
             grant = LeaseGrant(
@@ -106,13 +107,12 @@ class Leases:
                 barred_until_ns=self._gone.pop(owner, 0),
             )
             before = _Granted(owner, connection, grant, now, kept)
-            self._granted[connection, owner] = before
+            self._granted[connection, owner, kept] = before
             self._publish()
         elif (before.grant.priority, before.grant.lifetime_ns) != (priority, lifetime_ns):
             before.grant = replace(before.grant, priority=priority, lifetime_ns=lifetime_ns)
             self._publish()
         before.used_ns = now
-        before.kept |= kept
         return before.grant
 
     def _make_room(self, now: int) -> None:
@@ -132,7 +132,8 @@ class Leases:
 
     def release(self, connection: int, owner: str) -> None:
         """The owner gives his lease back; no lease: nothing."""
-        if self._granted.pop((connection, owner), None) is not None:
+        ended = [self._granted.pop((connection, owner, kept), None) for kept in (False, True)]
+        if any(ended):
             self._publish()
 
     def disconnect(self, connection: int) -> None:
@@ -165,7 +166,7 @@ class Leases:
             raise ValueError(f"a command of {linear_m_s} m/s, {angular_rad_s} rad/s is not finite")
         async with self._judging:  # one at a time: a refusal has no name on it
             grant = self.grant(connection, owner, priority, lease_s)
-            granted = self._granted[connection, owner]
+            granted = self._granted[connection, owner, False]
             granted.sequence += 1
             before = self._loop.commands()
             command = datagram(grant.token, granted.sequence, now_ns(), linear_m_s, angular_rad_s)

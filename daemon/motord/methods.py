@@ -10,7 +10,9 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from motord import drive_parameters, parameters, procedures, report
 from motord.bus.publish.samples import Samples
+from motord.commands import VERSION
 from motord.config import SocketInput
+from motord.doors import Doors
 from motord.health import Health
 from motord.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.machine import State
@@ -24,6 +26,12 @@ OWNER = "socket"
 class DriveParams(Params):
     linear_m_s: float
     angular_rad_s: float
+    owner: Owner = OWNER
+    priority: int | None = Field(None, ge=0, le=1000)
+    lease_s: float | None = Field(None, ge=LEASE_MIN_S, le=LEASE_MAX_S)
+
+
+class LeaseParams(Params):
     owner: Owner = OWNER
     priority: int | None = Field(None, ge=0, le=1000)
     lease_s: float | None = Field(None, ge=LEASE_MIN_S, le=LEASE_MAX_S)
@@ -44,7 +52,7 @@ class ValuesParams(Params):
 
 
 def methods(
-    operation: Operation, health: Health, feeds: Mapping[str, Samples]
+    operation: Operation, health: Health, feeds: Mapping[str, Samples], doors: Doors
 ) -> dict[str, Method]:
     """By name. The first four only look."""
     return {
@@ -58,6 +66,9 @@ def methods(
         ),
         "params.set": Method(lambda _, params: _set(operation, params), ValuesParams),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
+        "lease": Method(
+            lambda caller, params: _lease(operation, doors, caller, params), LeaseParams
+        ),
         "release": Method(lambda who, params: _release(operation, who, params), ReleaseParams),
         "arm": _acting(lambda _: procedures.arm(operation)),
         "disarm": _acting(lambda _: procedures.disarm(operation)),
@@ -103,6 +114,31 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
     return {
         "owner": commander.owner if commander else None,
         "in_command": commander is not None and commander.number == lease.number,
+    }
+
+
+def _lease(
+    operation: Operation, doors: Doors, caller: Caller, params: LeaseParams
+) -> dict[str, Any]:
+    """The right to command by datagrams, for as long as this connection lasts."""
+    section = doors.section
+    if section is None:
+        raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
+    priority = section.priority if params.priority is None else params.priority
+    if priority > section.priority:
+        raise RpcError(
+            f"priority {priority} is above the robot file's {section.priority}", INVALID_PARAMS
+        )
+    lease_s = section.lease_s if params.lease_s is None else params.lease_s
+    grant = operation.lease(caller.connection, params.owner, priority, lease_s)
+    return {
+        "token": grant.token.hex(),
+        "number": grant.number,
+        "priority": priority,
+        "lease_s": lease_s,
+        "socket": str(doors.path),
+        "udp_port": doors.udp_port,
+        "version": VERSION,
     }
 
 

@@ -16,6 +16,7 @@ import logging
 from collections.abc import Callable
 
 from motord.assembly import base_limits
+from motord.commands import LeaseGrant
 from motord.config import Limits, Robot
 from motord.leases import Lease, Leases, NoLease
 from motord.machine import Event, Facts, Refusal, State, step
@@ -190,6 +191,13 @@ class Operation:
                 "send zero once, or nothing for lease_s, then go on"
             )
         return lease
+
+    def lease(self, connection: int, owner: str, priority: int, lease_s: float) -> LeaseGrant:
+        """A lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
+        try:
+            return self.leases.grant(connection, owner, priority, lease_s, kept=True)
+        except NoLease as error:
+            raise Refused(str(error)) from error
 
     def release(self, connection: int, owner: str) -> None:
         """The owner gives his lease back."""

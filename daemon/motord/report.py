@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from motord.bus.publish.samples import Samples
+from motord.commands import CommandReport
 from motord.health import Health
 from motord.operation import Operation
 from motord.rt import HistogramKind, Loop, Percentiles
@@ -48,6 +49,7 @@ def status(operation: Operation, health: Health, feeds: Mapping[str, Samples]) -
         "loop": _loop(operation),
         "lines": {line.spec.name: _line(line) for line in operation.lines},
         "leases": _leases(operation),
+        "commands": _commands(operation.loop.commands()),
         "publishers": {
             name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
         },
@@ -124,6 +126,12 @@ def _line(line: Line) -> dict[str, Any]:
         "wire_limit_hz": stats.wire_limit_hz,
         "round_trip_us": {"p50": trips.p50_us, "p99": trips.p99_us, "max": trips.max_us},
     }
+
+
+def _commands(report: CommandReport) -> dict[str, Any]:
+    """How many were taken, and how many refused for which reason."""
+    refused = {kind.name.lower(): count for kind, count in report.refused.items()}
+    return {"accepted": report.accepted, "refused": refused}
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:

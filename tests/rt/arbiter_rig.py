@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arbiter in C with leases by connection and owner, as the daemon grants them; told the time."""
+"""The arbiter in C with leases by connection and owner, as the daemon grants them."""
 
 from dataclasses import dataclass
 

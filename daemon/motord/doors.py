@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The datagram sockets on which commands come in from outside, for the loop to take them itself.
+
+There are none unless the robot file has an `[input.*]` of kind "rt".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from motord.config import Robot, RtInput
+
+SOCKET_MODE = 0o660
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Doors:
+    """Where commands may be sent to. `fds` stay open as long as the daemon runs."""
+
+    section: RtInput | None = None
+    path: Path | None = None
+    udp_port: int | None = None
+    fds: tuple[int, ...] = ()
+
+
+def section_of(robot: Robot) -> RtInput | None:
+    """The robot file's word on commands as datagrams; None: there are to be none."""
+    return next((found for found in robot.input.values() if isinstance(found, RtInput)), None)
+
+
+@contextlib.contextmanager
+def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
+    """The sockets of this robot: NAME.cmd.sock beside its local socket, whose owner is ours alone,
+    and UDP on loopback where it is asked for. Raises OSError with the place."""
+    section = section_of(robot)
+    if section is None:
+        yield Doors()
+        return
+    path = beside.with_name(f"{robot.robot.name}.cmd.sock")
+    with contextlib.ExitStack() as sockets:
+        local = sockets.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
+        _bind(local, str(path), str(path))
+        sockets.callback(path.unlink, missing_ok=True)
+        path.chmod(SOCKET_MODE)
+        fds = [local.fileno()]
+        if section.udp_port is not None:
+            udp = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            _bind(udp, (LOOPBACK, section.udp_port), f"UDP {LOOPBACK}:{section.udp_port}")
+            fds.append(udp.fileno())
+        for fd in fds:
+            os.set_blocking(fd, False)
+        yield Doors(section=section, path=path, udp_port=section.udp_port, fds=tuple(fds))
+
+
+def _bind(opened: socket.socket, address: object, said: str) -> None:
+    try:
+        opened.bind(address)  # type: ignore[arg-type]  # a path or a pair, by the family
+    except OSError as error:
+        raise OSError(error.errno, f"commands cannot come in: {error.strerror}", said) from error
