@@ -9,13 +9,16 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check san bench coverage wheel clean
+.PHONY: help demo test check san bench soak fuzz mutants coverage wheel clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
 	@echo "make test      all tests                       make test ARGS=\"tests/unit -k wrap\"" >&2
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
-	@echo "make coverage  the tests, and what they miss   make bench  instruction counts, latency" >&2
+	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick)" >&2
+	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
+	@echo "make fuzz      rtu.c and the line, RUNS=10000000" >&2
+	@echo "make mutants   are the tests of rtu.c good?    make mutants FILE=line_drive.c" >&2
 	@echo "make wheel     a wheel in dist/                make clean  all that make made" >&2
 
 # ------------------------------------------------------------------------------------------- environment
@@ -70,9 +73,22 @@ coverage: $(VENV)/built $(VENV)/test
 	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report
 
-bench: $(VENV)/built $(VENV)/test
-	@$(PYTHON) tests/bench/core_instructions.py
-	@$(VENV)/bin/motord latency --seconds 10 --rate-hz 1000
+$(VENV)/bench: $(VENV)/made
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,bench]' >&2
+	@touch $@
+
+bench: $(VENV)/built $(VENV)/bench
+	@$(PYTHON) tests/bench/run.py $(ARGS)
+
+soak: $(VENV)/built $(VENV)/test
+	@$(PYTHON) tests/soak/soak.py $(ARGS)
+
+# From gcc alone, with ASan and UBSan. FUZZ=line: the whole machine of a line.
+fuzz:
+	@$(MAKE) -C tests/c fuzz >&2
+
+mutants:
+	@$(MAKE) -C tests/c mutants >&2
 
 wheel: $(VENV)/made
 	@$(PYTHON) -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . >&2
