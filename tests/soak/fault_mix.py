@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A seeded script of faults: every kind of the simulator, evenly mixed, in batches."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections import Counter
+from collections.abc import Iterator
+
+from motord_hal.sim.fault_kinds import KINDS
+
+UNITS = 4
+BATCH_S = 1.6
+"""The faults of a batch begin within this time."""
+FAULT_BITS = (0, 2, 5, 10)
+"""Of the profile, a warning among them."""
+UNTAGS = "encoder-wrap"
+"""Takes the tags away that the counters have: it comes in the second half of a robot's life."""
+_OWN_KEYS = ("unit", "from_s", "at_s", "for_s", "p", "nth")
+
+
+# what is drawn evenly from a range instead of the kind's whole range
+_RANGES = {
+    ("delay", "ms"): (1, 80),
+    ("segments", "ms"): (1, 10),
+    ("tear", "after_bytes"): (0, 12),
+    ("exception", "code"): (1, 11),
+    ("stuck-de", "ms"): (0.5, 6),
+    ("slow-flash", "ms"): (20, 200),
+    ("turnaround", "ms"): (0, 6),
+    ("turnaround", "spread_ms"): (0, 4),
+    ("babble", "hz"): (1, 60),
+    ("fault", "channel"): (1, 1),
+}
+_LENGTH_S = {"reboot": (0.05, 0.4), "brown-out": (0.01, 0.1), "unplug": (0.05, 0.6),
+             "tcp-stall": (0.05, 0.5)}  # fmt: skip
+_BITRATES = (9600, 38400, 57600, 230400)
+
+
+def batches(seed: int, faults: int, size: int) -> Iterator[list[str]]:
+    """The faults of one robot's life; the same seed gives the same."""
+    dice = random.Random(seed)
+    kinds = list(itertools.islice(itertools.cycle(_shuffled(dice, list(KINDS))), faults))
+    dice.shuffle(kinds)
+    later = [kind for kind in kinds if kind == UNTAGS]
+    kinds = [kind for kind in kinds if kind != UNTAGS]
+    half = len(kinds) // 2
+    late = kinds[half:] + later
+    dice.shuffle(late)
+    for batch in _cut(kinds[:half] + late, size):
+        yield [fault(dice, kind) for kind in batch]
+
+
+def _cut(items: list[str], size: int) -> Iterator[list[str]]:
+    for begin in range(0, len(items), size):
+        yield items[begin : begin + size]
+
+
+def _shuffled(dice: random.Random, items: list[str]) -> list[str]:
+    dice.shuffle(items)
+    return items
+
+
+def kinds_of(script: list[str]) -> Counter[str]:
+    return Counter(text.partition(":")[0] for text in script)
+
+
+def fault(dice: random.Random, kind: str) -> str:
+    """One fault of that kind: short, somewhere in the batch, at one drive or at all."""
+    keys = KINDS[kind].keys
+    values: dict[str, float] = {}
+    begins = "at_s" if "at_s" in keys else "from_s"
+    values[begins] = dice.uniform(0.0, BATCH_S)
+    if "unit" in keys and dice.random() < 0.8:
+        values["unit"] = dice.randint(1, UNITS)
+    if "for_s" in keys:
+        low, high = _LENGTH_S.get(kind, (0.02, 0.4))
+        values["for_s"] = dice.uniform(low, high)
+    if "p" in keys:
+        values["p"] = dice.choice((1.0, 0.5, 0.2))
+    for name in keys:
+        if name not in _OWN_KEYS:
+            values |= _own(dice, kind, name)
+    return f"{kind}:" + ",".join(f"{name}={value:.6g}" for name, value in values.items())
+
+
+def _own(dice: random.Random, kind: str, name: str) -> dict[str, float]:
+    key = KINDS[kind].keys[name]
+    match kind, name:
+        case "fault", "bit":
+            return {"bit": dice.choice(FAULT_BITS)}
+        case "fault", "code":
+            return {}
+        case "wrong-baud", "baudrate":
+            return {"baudrate": dice.choice(_BITRATES)}
+        case "noise", "ber":
+            return {"ber": 10 ** dice.uniform(-4.0, -1.7)}
+    low, high = _RANGES.get((kind, name), (key.low, key.high))
+    return {name: dice.randint(int(low), int(high)) if key.whole else dice.uniform(low, high)}

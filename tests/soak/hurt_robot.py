@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One robot: its simulator, its daemon, somebody who drives it, and whoever hurts it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tomllib
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fault_mix import BATCH_S, batches, kinds_of
+from said import Said
+
+from motord.client import Client, ClientError, Refused
+from motord.page_file import FOLDER, PREFIX
+from motord.tools.simulator import start_simulator
+from motord_hal.drives.load import load_profile
+from motord_hal.sim.control import SimControl
+from motord_hal.sim.plant import WheelModel
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+ROBOT = HERE / "four-drives.toml"
+PROFILE = HERE / "soak-servo.toml"
+LINE = "rs485"
+DEADLINE_S = 30.0
+RECOVER_S = 15.0
+"""From the last fault's end until the robot moves again."""
+REST_S = 5.0
+"""From a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or power off and a
+wheel of 12 rad/s that its friction brings to rest in 2.5 s; and a busy machine."""
+TURNING_RAD_S = 0.5
+
+
+class Violation(Exception):
+    """The robot has done what it must not, or has not done what it must."""
+
+
+@dataclass(slots=True)
+class Outcome:
+    """Of one robot's life."""
+
+    seed: int
+    engine: str
+    faults: Counter[str] = field(default_factory=Counter)
+    violations: list[str] = field(default_factory=list)
+    checked_counts: int = 0
+    old_answers: int = 0
+    oldest_s: float = 0.0
+    recoveries: int = 0
+    slowest_recovery_s: float = 0.0
+    watchdog_bites: int = 0
+    gap_violations: int = 0
+    duration_s: float = 0.0
+
+
+def limit_m_s() -> tuple[float, float]:
+    """How fast a wheel's rim may ever be, and the tolerance: half a step of the set-point's
+    register, and what a wheel's speed loop is deflected by when friction turns round: a step of
+    load moves a PI loop by less than its proportional gain alone does."""
+    robot = tomllib.loads(ROBOT.read_text(encoding="utf-8"))
+    radius_m = robot["base"]["wheel_radius_m"]
+    fastest_rad_s = max(joint["velocity_max_rad_s"] for joint in robot["joint"].values())
+    model = WheelModel()
+    gain = model.inertia_kg_m2 / model.loop_time_s
+    rounding_rad_s = 0.5 * load_profile(PROFILE).registers["target_velocity"].to_si(1)
+    deflection_rad_s = 2.0 * model.coulomb_n_m / gain
+    return fastest_rad_s * radius_m, (rounding_rad_s + deflection_rad_s) * radius_m
+
+
+def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
+    """What came. Raises Violation."""
+    end_s = time.monotonic() + within_s
+    while not (found := condition()):
+        if time.monotonic() > end_s:
+            raise Violation(f"{what}: not within {within_s:g} s")
+        time.sleep(0.02)
+    return found
+
+
+class Driver(threading.Thread):
+    """Asks for another random twist every now and then, again and again; while it is told to let
+    go, for none."""
+
+    def __init__(self, path: Path, seed: int) -> None:
+        super().__init__(daemon=True)
+        self.letting_go = threading.Event()
+        self.over = threading.Event()
+        self.problem = ""
+        self._client = Client(path)
+        self._dice = random.Random(seed)
+
+    def run(self) -> None:
+        twist, until_s = (0.0, 0.0), 0.0
+        while not self.over.is_set():
+            now_s = time.monotonic()
+            if now_s >= until_s:
+                twist = (self._dice.uniform(-1.0, 1.0), self._dice.uniform(-1.5, 1.5))
+                until_s = now_s + self._dice.uniform(0.3, 1.0)
+            try:
+                self._client.drive(*((0.0, 0.0) if self.letting_go.is_set() else twist))
+            except Refused:
+                pass  # latched: whoever recovers the robot sees it
+            except ClientError as error:
+                self.problem = str(error)
+                return
+            self.over.wait(0.04)
+        self._client.close()
+
+
+@dataclass
+class HurtRobot:
+    robot: Client
+    sim: SimControl
+    driver: Driver
+    said: Said
+    log: Path
+    daemon: subprocess.Popen[bytes]
+
+    # -------------------------------------------------------------------------------- what is
+    def status(self) -> dict[str, Any]:
+        if self.daemon.poll() is not None:
+            raise Violation(f"the daemon has ended with {self.daemon.returncode}")
+        if self.driver.problem:
+            raise Violation(f"the driving client: {self.driver.problem}")
+        return self.robot.status()
+
+    def turns(self) -> bool:
+        wheels = self.sim.truth().joints.values()
+        return any(abs(wheel.velocity_rad_s) > TURNING_RAD_S for wheel in wheels)
+
+    # ------------------------------------------------------------------------------- what is done
+    def recover(self, end_s: float) -> bool:
+        """Whatever is latched: rest, reset, arm, and off again. False: not until `end_s`."""
+        while time.monotonic() < end_s:
+            state = self.status()["state"]
+            if state in ("armed", "moving"):
+                self.driver.letting_go.clear()
+                if self.turns():
+                    return True
+            else:
+                self._towards_armed(state)
+            time.sleep(0.02)
+        return False
+
+    def _towards_armed(self, state: str) -> None:
+        self.driver.letting_go.set()
+        if state in ("fault", "estop"):
+            wait_for(lambda: self.sim.truth().at_rest, REST_S, f"rest after {state}")
+        with contextlib.suppress(Refused):
+            if state in ("fault", "estop"):
+                self.robot.reset()
+            elif state == "idle":
+                self.robot.arm()
+
+    def suffer(self, faults: list[str]) -> float:
+        """A batch of faults from a drive on; seconds until it was on its way again."""
+        for text in faults:
+            self.sim.inject(text)
+        end_s = time.monotonic() + BATCH_S + 0.4
+        while time.monotonic() < end_s:
+            self.recover(end_s)
+            time.sleep(0.05)
+        self.sim.clear_faults_script()
+        began_s = time.monotonic()
+        wait_for(lambda: self._plugged(), RECOVER_S, "the plug is in again")
+        if not self.recover(began_s + RECOVER_S):
+            raise Violation(f"it does not move again: {self.describe()}")
+        wait_for(self._all_answer, RECOVER_S, "everything answers again")
+        self.check()
+        return time.monotonic() - began_s
+
+    def _plugged(self) -> bool:
+        return self.status()["lines"][LINE]["state"] != "closed"
+
+    def _all_answer(self) -> bool:
+        found = self.status()
+        return not any(joint["stale"] for joint in found["joints"].values())
+
+    def describe(self) -> str:
+        found = self.status()
+        joints = {name: joint["drive"] for name, joint in found["joints"].items()}
+        return f"{found['state']}, {found['why']}, {found['faults']}, {joints}"
+
+    # ------------------------------------------------------------------------------- what is proved
+    def check(self) -> None:
+        """Raises Violation."""
+        self.said.check(self.sim)
+        if self.said.violations:
+            raise Violation("; ".join(self.said.violations[:5]))
+        most_m_s, tolerance_m_s = limit_m_s()
+        moved_m_s = self.sim.truth().moved_max_m_s
+        if not moved_m_s <= most_m_s + tolerance_m_s:
+            raise Violation(
+                f"a wheel went at {moved_m_s:.4f} m/s, limit {most_m_s} + {tolerance_m_s:.4f}"
+            )
+
+
+@contextlib.contextmanager
+def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
+    """Simulator, daemon and driver of one robot; all are gone at the end."""
+    with contextlib.ExitStack() as cleanup:
+        simulator = cleanup.enter_context(
+            start_simulator(ROBOT, seed=seed, link_dir=folder, options=("--tagged",))
+        )
+        name = f"soak{uuid.uuid4().hex[:12]}"
+        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        log, path, tap = folder / "daemon.log", folder / "daemon.sock", folder / "tap"
+        daemon = cleanup.enter_context(_daemon(name, engine, simulator.ports[LINE], folder))
+        robot = cleanup.enter_context(_connected(daemon, path, log))
+        driver = Driver(path, seed)
+        cleanup.callback(driver.join)
+        cleanup.callback(driver.over.set)
+        driver.start()
+        joints = tomllib.loads(ROBOT.read_text(encoding="utf-8"))["joint"].values()
+        said = Said(
+            LINE,
+            tuple(joint["unit"] for joint in joints),
+            load_profile(PROFILE).registers["position"],
+            tap,
+        )
+        yield HurtRobot(robot, simulator.control, driver, said, log, daemon)
+
+
+@contextlib.contextmanager
+def _daemon(name: str, engine: str, port: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    settings = (
+        f"robot.name={name}", f"line.{LINE}.port={json.dumps(port)}", f"line.{LINE}.engine={engine}"
+    )  # fmt: skip
+    command = [sys.executable, str(HERE / "tapped_daemon.py"), "run", str(ROBOT)]
+    command += ["--socket", str(folder / "daemon.sock")]
+    command += [part for setting in settings for part in ("--set", setting)]
+    paths = os.pathsep.join(str(ROOT / part) for part in ("daemon", "hal", "."))
+    environ = {"PYTHONPATH": paths, "TAP_FILE": str(folder / "tap"), "TAP_JOINTS": "4"}
+    with (folder / "daemon.log").open("wb") as log:
+        daemon = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log, cwd=ROOT,
+            env={**os.environ, **environ},
+        )  # fmt: skip
+    try:
+        yield daemon
+    finally:
+        daemon.terminate()
+        try:
+            daemon.wait(DEADLINE_S)
+        finally:
+            daemon.kill()
+            daemon.wait()
+
+
+def _connected(daemon: subprocess.Popen[bytes], path: Path, log: Path) -> Client:
+    def attempt() -> Client | None:
+        if daemon.poll() is not None:
+            raise Violation(f"the daemon has ended: {log.read_text(encoding='utf-8')}")
+        with contextlib.suppress(ClientError):
+            return Client(path)
+        return None
+
+    found = wait_for(attempt, DEADLINE_S, "the daemon's socket")
+    assert isinstance(found, Client)
+    return found
+
+
+def live(
+    seed: int, engine: str, faults: int, batch: int, told: Callable[[str], None] = print
+) -> Outcome:
+    """One robot from its start to the last fault; what became of it."""
+    outcome = Outcome(seed, engine)
+    began_s = time.monotonic()
+    with (
+        tempfile.TemporaryDirectory(prefix="soak-") as name,
+        standing(Path(name), seed, engine) as hurt,
+    ):
+        script: list[str] = []
+        try:
+            if not hurt.recover(time.monotonic() + DEADLINE_S):
+                raise Violation(f"it does not set off: {hurt.describe()}")
+            for script in batches(seed, faults, batch):
+                took_s = hurt.suffer(script)
+                outcome.faults += kinds_of(script)
+                outcome.recoveries += 1
+                outcome.slowest_recovery_s = max(outcome.slowest_recovery_s, took_s)
+        except Violation as violation:
+            outcome.violations.append(f"seed {seed}, {engine}: {violation}; batch: {script}")
+            told(hurt.log.read_text(encoding="utf-8")[-3000:])
+        _note(outcome, hurt)
+    outcome.duration_s = time.monotonic() - began_s
+    if not math.isfinite(outcome.duration_s):
+        raise ValueError("no time")
+    return outcome
+
+
+def _note(outcome: Outcome, hurt: HurtRobot) -> None:
+    outcome.checked_counts, outcome.old_answers = hurt.said.checked, hurt.said.old
+    outcome.oldest_s = hurt.said.oldest_s
+    line = hurt.sim.stats()["lines"][LINE]
+    outcome.gap_violations = line["gap_violations"]
+    outcome.watchdog_bites = sum(unit["watchdog_bites"] for unit in line["units"].values())

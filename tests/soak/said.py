@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Was every count that the core was given really said by its drive, then and there?"""
+
+from __future__ import annotations
+
+import bisect
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from motord_hal.drives.profile import Register
+from motord_hal.sim.control import SimControl
+
+EXCHANGE_S = 0.05
+"""Nothing is waited for longer: 1 ms turn-around and 20 ms allowance, 2 ms on the wire, and a
+machine that is late by as much again."""
+PAGE = 1000
+"""Entries of the journal in one answer."""
+
+
+@dataclass(slots=True)
+class Unit:
+    """What one drive has said of its counter: when, and from which journal number on to ask."""
+
+    asked: int = 0
+    times_ns: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
+
+
+@dataclass(slots=True)
+class Said:
+    """`units`: the drive of each joint, in the core's order."""
+
+    line: str
+    units: tuple[int, ...]
+    position: Register
+    tap: Path
+    violations: list[str] = field(default_factory=list)
+    checked: int = 0
+    old: int = 0
+    """Answers to an earlier, equal request of the same drive: RTU cannot tell them apart."""
+    oldest_s: float = 0.0
+    _read: int = 0
+    _known: dict[int, Unit] = field(default_factory=dict)
+
+    def check(self, sim: SimControl) -> None:
+        """Judge what came since the last time. The tap is read first: the journal is ahead of it,
+        because a drive says a thing before it is accepted."""
+        accepted = self._accepted()
+        for unit in self.units:
+            self._learn(sim, unit)
+        for joint, stamp_ns, count in accepted:
+            self._judge(joint, stamp_ns, count)
+
+    def _accepted(self) -> list[tuple[int, int, int]]:
+        with self.tap.open(encoding="ascii") as file:
+            file.seek(self._read)
+            text = file.read()
+        whole = text[: text.rfind("\n") + 1]
+        self._read += len(whole)
+        rows = (line.split() for line in whole.splitlines())
+        return [(int(joint), int(stamp), int(count)) for joint, stamp, count, _ in rows]
+
+    def _learn(self, sim: SimControl, unit: int) -> None:
+        known = self._known.setdefault(unit, Unit())
+        while entries := sim.journal(self.line, unit, known.asked):
+            for entry in entries:
+                offset = self.position.address - entry["address"]
+                words = entry["words"][offset : offset + self.position.type.words]
+                if offset >= 0 and len(words) == self.position.type.words:
+                    count = self.position.decode(tuple(words)) % (1 << 32)
+                    known.times_ns[count].append(entry["monotonic_ns"])
+            known.asked = entries[-1]["number"] + 1
+            if len(entries) < PAGE:
+                return
+
+    def _judge(self, joint: int, stamp_ns: int, count: int) -> None:
+        unit = self.units[joint]
+        times = self._known[unit].times_ns.get(count, [])
+        self.checked += 1
+        window_ns = round(EXCHANGE_S * 1e9)
+        newest = bisect.bisect_right(times, stamp_ns + window_ns)
+        if newest == 0:
+            self.violations.append(
+                f"joint {joint} was given the count {count:#x} at {stamp_ns} ns:"
+                f" drive {unit} has not said it{' before' if times else ''}"
+            )
+        elif (age_ns := stamp_ns - times[newest - 1]) > window_ns:
+            self.old += 1
+            self.oldest_s = max(self.oldest_s, age_ns * 1e-9)
