@@ -137,6 +137,16 @@ static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int
     line_drop_ask(m, 0);
 }
 
+/* Nobody is understood: an adapter that was found to hear itself may not do so any more. */
+static void doubt_echo(line_machine *m)
+{
+    bool understood = false;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        understood |= m->drive[i].mode != DRIVE_QUIET;
+    }
+    m->echo = understood ? m->echo : m->table.echo;
+}
+
 static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
 {
     uint32_t work = m->work, worker = m->worker;
@@ -156,6 +166,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
         line_drive_answered(m, worker, reply, now_ns);
     } else if (worker < m->table.drive_count) {
         line_drive_failed(m, worker, kind, verdict->exception, now_ns);
+        doubt_echo(m);
     }
     if (work == WORK_ASK) {
         finish_ask(m, kind, verdict, now_ns);

@@ -164,7 +164,14 @@ class HurtRobot:
             if state in ("fault", "estop"):
                 self.robot.reset()
             elif state == "idle":
-                self.robot.arm()
+                self._arm()
+
+    def _arm(self) -> None:
+        """A drive that has latched a fault while the robot was idle is refused: it wants a reset."""
+        try:
+            self.robot.arm()
+        except Refused:
+            self.robot.reset()
 
     def suffer(self, faults: list[str]) -> float:
         """A batch of faults from a drive on; seconds until it was on its way again."""

@@ -27,7 +27,7 @@ sys.path[:0] = [str(ROOT / part) for part in ("tests/soak", "daemon", "hal", "."
 from hurt_robot import Outcome, live  # noqa: E402  # the path is made above
 
 LIFE_FAULTS = 500
-BATCH = 25
+BATCH = 40
 ENGINES = {"rt": ("rt",), "asyncio": ("asyncio",), "both": ("rt", "asyncio")}
 
 
