@@ -166,7 +166,8 @@ class Drive:
         """One range that may wait; first of all the one that says whether the drive is enabled."""
         extra, said = self.plan.extra, self.plan.profile.enabled
         if said is not None and said.register not in self._values:
-            return next(r for r in extra if any(x.name == said.register for x in r.registers))
+            telling = (r for r in extra if any(x.name == said.register for x in r.registers))
+            return next(telling, None)  # None: the next cycle reads it
         if not extra or self._cycles % EXTRA_EVERY_CYCLES:
             return None
         return extra[self._cycles // EXTRA_EVERY_CYCLES % len(extra)]
