@@ -142,7 +142,7 @@ static void doubt_echo(line_machine *m)
 {
     bool understood = false;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        understood |= m->drive[i].mode != DRIVE_QUIET;
+        understood |= m->drive[i].failures < m->table.drive[i].tries;
     }
     m->echo = understood ? m->echo : m->table.echo;
 }

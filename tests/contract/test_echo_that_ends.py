@@ -6,7 +6,7 @@ from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import ENGINES, hub_servo, registers_of, spec_of
 
-from motord_hal.modbus.codec import build_request
+from motord_hal.modbus.codec import Function, build_request
 
 
 @pytest.fixture(params=ENGINES)
@@ -17,11 +17,12 @@ async def peer(tmp_path, request):
     peer.pull()
 
 
-def echo(peer):
-    """From now on whatever is sent comes back before the reply."""
+def echo(peer, until=lambda request: False):
+    """From now on whatever is sent comes back before the reply; `until` says which is the last."""
 
     def both(request, honest):
-        peer.tricks.append(both)
+        if not until(request):
+            peer.tricks.append(both)
         return [(0.0, build_request(request) + honest)]
 
     peer.tricks.append(both)
@@ -34,6 +35,12 @@ async def test_a_line_that_does_not_echo_any_more_is_heard_again(peer):
         peer.tricks.clear()
         heard = len(peer.heard)
         await until(lambda: len(peer.heard) > heard + 20, "it goes on asking")
+        await rig.arm()
+
+
+async def test_an_echo_that_ends_while_the_drives_are_set_up_is_given_up_again(peer):
+    echo(peer, until=lambda request: request.function is Function.READ_HOLDING)
+    async with running(spec_of(peer, hub_servo())) as rig:
         await rig.arm()
 
 
