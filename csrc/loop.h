@@ -21,6 +21,7 @@ typedef struct {
     arbiter arbiter;
     lease_grants grants;
     int64_t used_stamp_ns;              /* of the command that was last counted in HISTOGRAM_COMMAND */
+    bool woken;                         /* the tick before had a new wish */
     bool stopping;                      /* the set-points of the last tick were none that move */
     histogram histogram[HISTOGRAM_KINDS];
     core_state core;
@@ -43,7 +44,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
 /* In the thread, before its first tick: runs the core on a state of its own, so that the code's pages are there. */
 void loop_rehearse(loop_work *work, core_state *scratch);
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
-/* Between two ticks, because a command has come: the same work, and the lines are woken. */
+/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on time. */
 void loop_extra_tick(loop_work *work, int64_t now_ns);
 /* The last words: set-points zero, not enabled. */
 void loop_rest(loop_work *work, int64_t now_ns);

@@ -38,6 +38,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     arbiter_init(&work->arbiter);
     work->used_stamp_ns = 0;
     work->stopping = true;
+    work->woken = false;
     work->last_ns = 0;
     work->page_fault_base = 0;
     work->clear_histograms = false;
@@ -194,17 +195,28 @@ static void wake_lines(const loop_work *work)
     }
 }
 
-static void work_once(loop_work *work, int64_t now_ns, bool wake)
+static bool same_wish(const twist_command *one, const twist_command *other)
 {
+    return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns &&
+           one->linear_m_s == other->linear_m_s && one->angular_rad_s == other->angular_rad_s;
+}
+
+static void work_once(loop_work *work, int64_t now_ns)
+{
+    twist_command before = work->input.command;
     clear_histograms_if_asked(work);
     take_inputs(work, now_ns);
     int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
     core_step(&work->core, &work->input, (double)dt_ns * 1e-9, &work->out, &work->snapshot);
     hand_on(work);
     bool stopping = moves_nothing(&work->out);
-    if (wake || (stopping && !work->stopping)) {
-        wake_lines(work);   /* a new wish, or a stop, does not wait for a line's next turn */
+    bool new_wish = !same_wish(&work->input.command, &before);
+    /* A new wish, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
+     * than a drive can be told, so the next tick wakes the lines again. What was refused wakes none. */
+    if (new_wish || work->woken || (stopping && !work->stopping)) {
+        wake_lines(work);
     }
+    work->woken = new_wish;
     work->stopping = stopping;
     work->last_ns = now_ns;
     work->ticks++;
@@ -214,7 +226,7 @@ static void work_once(loop_work *work, int64_t now_ns, bool wake)
 
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
 {
-    work_once(work, now_ns, false);
+    work_once(work, now_ns);
     histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
     if (work->ticks == 1 || work->ticks % PAGE_FAULT_EVERY_TICKS == 0) {
         count_page_faults(work);
@@ -224,7 +236,7 @@ void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
 
 void loop_extra_tick(loop_work *work, int64_t now_ns)
 {
-    work_once(work, now_ns, true);
+    work_once(work, now_ns);
 }
 
 void loop_rest(loop_work *work, int64_t now_ns)

@@ -1,0 +1,151 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of arbiter.c and ingress.c. */
+#include <math.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "check.h"
+#include "ingress.h"
+
+static const int64_t MS = 1000000, START_NS = 5000000000, LIFE_NS = 300000000;
+
+static lease_grant grant_of(uint8_t letter, uint32_t priority)
+{
+    lease_grant grant = {.number = letter, .priority = priority, .lifetime_ns = LIFE_NS};
+    memset(grant.token, letter, TOKEN_BYTES);
+    return grant;
+}
+
+static command_datagram command_of(uint8_t letter, uint64_t sequence, int64_t stamp_ns, double linear_m_s)
+{
+    command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
+                                .sequence = sequence, .stamp_ns = stamp_ns, .linear_m_s = linear_m_s};
+    memset(command.token, letter, TOKEN_BYTES);
+    return command;
+}
+
+static int say(arbiter *a, command_datagram command, int64_t now_ns, bool may_move)
+{
+    return arbiter_submit(a, &command, sizeof command, now_ns, may_move);
+}
+
+static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
+{
+    twist_command out;
+    arbiter_command(a, now_ns, may_move, &out);
+    return now_ns < out.expires_ns ? out.linear_m_s : 0.0;
+}
+
+static void two_sources(arbiter *a)
+{
+    lease_grants grants = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
+    arbiter_init(a);
+    arbiter_grant(a, &grants);
+}
+
+static void the_highest_commands_and_among_equals_the_first(void)
+{
+    static arbiter a;
+    two_sources(&a);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 0);
+    CHECK(say(&a, command_of('a', 1, START_NS, 0.1), START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.1);
+    CHECK(say(&a, command_of('c', 1, START_NS, 0.3), START_NS, true) == 0);
+    CHECK(say(&a, command_of('b', 1, START_NS, 0.2), START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.3 && a.report.commander == 'c');
+    command_datagram release = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE};
+    memset(release.token, 'c', TOKEN_BYTES);
+    CHECK(say(&a, release, START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.2);
+    CHECK(speed_m_s(&a, START_NS + LIFE_NS - 1, true) == 0.2);
+    CHECK(speed_m_s(&a, START_NS + LIFE_NS, true) == 0.0 && a.report.commander == 0);
+}
+
+static void who_asks_through_a_stop_is_held_until_he_asks_for_zero(void)
+{
+    static arbiter a;
+    two_sources(&a);
+    CHECK(say(&a, command_of('a', 1, START_NS, 0.1), START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, false) == 0.0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0);
+    CHECK(say(&a, command_of('a', 2, START_NS, NAN), START_NS, true) == 1 + REFUSED_NOT_FINITE);
+    CHECK(say(&a, command_of('a', 3, START_NS, 0.1), START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0);
+    CHECK(say(&a, command_of('a', 4, START_NS, 0.0), START_NS, true) == 0);
+    CHECK(say(&a, command_of('a', 5, START_NS, 0.1), START_NS, true) == 0);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.1);
+    CHECK(say(&a, command_of('a', 6, START_NS, -INFINITY), START_NS, true) == 1 + REFUSED_NOT_FINITE);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
+}
+
+static void a_lease_that_is_not_granted_any_more_is_over(void)
+{
+    static arbiter a;
+    two_sources(&a);
+    CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
+    lease_grants grants = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
+    arbiter_grant(&a, &grants);   /* b has moved to another place, and goes on */
+    CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
+    grants.lease[1] = (lease_grant){.number = 0};
+    arbiter_grant(&a, &grants);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 0);
+    CHECK(say(&a, command_of('b', 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
+    CHECK(say(&a, command_of(0, 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
+}
+
+static void each_refusal_is_counted_by_its_kind(void)
+{
+    static arbiter a;
+    two_sources(&a);
+    command_datagram good = command_of('a', 7, START_NS, 0.1), bad = good;
+    CHECK(arbiter_submit(&a, &good, sizeof good - 1, START_NS, true) == 1 + REFUSED_FORM);
+    bad.kind = 3;
+    CHECK(say(&a, bad, START_NS, true) == 1 + REFUSED_FORM);
+    bad = good;
+    bad.lifetime_ms = 301;
+    CHECK(say(&a, bad, START_NS, true) == 1 + REFUSED_LIFETIME);
+    bad.lifetime_ms = 20;
+    CHECK(say(&a, bad, START_NS + 20 * MS, true) == 1 + REFUSED_AGE);
+    CHECK(say(&a, command_of('a', 7, START_NS + 11 * MS, 0.1), START_NS, true) == 1 + REFUSED_AGE);
+    CHECK(say(&a, good, START_NS, true) == 0 && say(&a, good, START_NS, true) == 1 + REFUSED_SEQUENCE);
+    const uint64_t refused[REFUSAL_KINDS] = {2, 0, 1, 2, 1, 0};
+    CHECK(memcmp(a.report.refused, refused, sizeof refused) == 0 && a.report.accepted == 1);
+}
+
+static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
+{
+    static arbiter a;
+    int ends[2];
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM | SOCK_NONBLOCK, 0, ends) == 0);
+    ingress in = {.fd = {-1, ends[0], -1}};
+    two_sources(&a);
+    CHECK(!ingress_wait(&in, clock_now_ns() + MS) && !ingress_wait(&in, 0));
+    CHECK(ingress_take(&in, &a, true) == 0);
+    uint64_t sent = 0;
+    command_datagram command = command_of('a', 1, clock_now_ns(), 0.1);
+    while (sent < 40 && send(ends[1], &command, sizeof command, 0) > 0) {
+        command.sequence = ++sent + 1;
+    }
+    CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
+    uint64_t taken = 0, now = 0;
+    while ((now = ingress_take(&in, &a, true)) > 0) {
+        CHECK(now <= 16);
+        taken += now;
+    }
+    CHECK(taken == sent && sent > 1);
+    uint8_t long_one[COMMAND_BYTES + 8] = {0};
+    CHECK(send(ends[1], long_one, sizeof long_one, 0) > 0 && ingress_take(&in, &a, true) == 1);
+    CHECK(a.report.refused[REFUSED_FORM] == 1);
+    CHECK(close(ends[0]) == 0 && close(ends[1]) == 0);
+}
+
+int main(void)
+{
+    the_highest_commands_and_among_equals_the_first();
+    who_asks_through_a_stop_is_held_until_he_asks_for_zero();
+    a_lease_that_is_not_granted_any_more_is_over();
+    each_refusal_is_counted_by_its_kind();
+    a_wake_up_takes_a_bounded_number_of_datagrams();
+    return checks_report("command");
+}
