@@ -88,6 +88,9 @@ bool ring_take(ring *r, const void *places, void *value, size_t value_bytes)
 /* --------------------------------------------------------------------------------------------------- the port */
 static void sleep_until(int64_t until_ns)
 {
+    if (until_ns <= clock_now_ns()) {
+        return;   /* the kernel would set a timer all the same, and be back late */
+    }
     struct timespec until = {.tv_sec = until_ns / NS_PER_S, .tv_nsec = until_ns % NS_PER_S};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR) {
     }

@@ -39,10 +39,15 @@ static void wait_until(int64_t deadline_ns)
     for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
         listening |= work.ingress.fd[i] >= 0;
     }
-    if (listening && ingress_wait(&work.ingress, deadline_ns)) {
+    if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
+        return;   /* it is time; to sleep until a time that is past would cost a wake-up all the same */
+    }
+    if (listening) {
         loop_extra_tick(&work, clock_now_ns());
     }
-    sleep_until(deadline_ns);
+    if (clock_now_ns() < deadline_ns) {
+        sleep_until(deadline_ns);
+    }
 }
 
 static void *run(void *unused)

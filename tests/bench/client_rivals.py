@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What people use instead, reading four registers as fast as it will: one line of JSON at the end.
 
-python client_rivals.py KIND PORT SECONDS HOGS      KIND: pymodbus-async, pymodbus-sync, minimalmodbus
+python client_rivals.py KIND PORT SECONDS HOGS
+
+KIND: pymodbus-async, pymodbus-sync, minimalmodbus
 """
 
 from __future__ import annotations

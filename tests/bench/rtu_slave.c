@@ -6,7 +6,8 @@
  * So one exchange takes (request + reply) characters and two silences: that is the wire's limit, and what a client adds is
  * its own. A request that comes before the second silence is over is a violation (5 % are forgiven: clocks round).
  *
- *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; "stats\n" on stdin prints a line of JSON and begins anew
+ *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a line of JSON:
+ *     "stats" the counters, which begin anew; "changed" when the first one came since that changed a register
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -34,6 +35,7 @@ static float parts[KEPT_MAX];               /* the wire's limit over what an exc
 static uint32_t kept;
 static uint64_t requests, bad_crc, violations, excused;
 static bool was_late;                       /* our own reply was: who did not wait for it is excused */
+static int64_t changed_ns;                  /* first byte of the first request that changed a register; 0: none */
 static int64_t limits_ns, first_ns, last_ns, last_limit_ns;
 
 static int64_t now_ns(void)
@@ -102,7 +104,11 @@ static int read_out(uint8_t *reply, const uint8_t *frame)
 static void write_in(int unit, int address, const uint8_t *words, int count)
 {
     for (int i = 0; i < count; i++) {
-        registers[unit][(uint16_t)(address + i)] = (uint16_t)word(words + 2 * i);
+        uint16_t *to = &registers[unit][(uint16_t)(address + i)];
+        if (*to != (uint16_t)word(words + 2 * i)) {
+            *to = (uint16_t)word(words + 2 * i);
+            changed_ns = changed_ns == 0 ? request_ns : changed_ns;
+        }
     }
 }
 
@@ -218,7 +224,13 @@ static void serve(int fd)
             if (read(0, line, sizeof line) <= 0) {
                 return;
             }
-            print_stats();
+            if (line[0] == 'c') {
+                printf("{\"changed_ns\": %lld}\n", (long long)changed_ns);
+                fflush(stdout);
+                changed_ns = 0;
+            } else {
+                print_stats();
+            }
         }
         if ((fds[0].revents & POLLIN) != 0) {
             int64_t heard_ns = now_ns();
