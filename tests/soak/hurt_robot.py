@@ -167,7 +167,7 @@ class HurtRobot:
                 self._arm()
 
     def _arm(self) -> None:
-        """A drive that has latched a fault while the robot was idle is refused: it wants a reset."""
+        """A drive that latched a fault while the robot was idle is refused: it wants a reset."""
         try:
             self.robot.arm()
         except Refused:

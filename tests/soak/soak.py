@@ -98,7 +98,7 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=None, help="default: a random one, printed")
     parser.add_argument("--engine", choices=ENGINES, default="both")
-    parser.add_argument("--workers", type=int, default=2, help="robots at once")
+    parser.add_argument("--workers", type=int, default=3, help="robots at once")
     parser.add_argument("--batch", type=int, default=BATCH, help="faults at once")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A short soak: the robot of tests/soak, a moving one with four drives, in a few batches of seeded
+faults of every kind. The long one is `make soak`."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "soak"))
+
+from fault_mix import batches, kinds_of
+from hurt_robot import PROFILE, limit_m_s, live
+from said import Said
+
+from motord_hal.drives.load import load_profile
+from motord_hal.sim.fault_kinds import KINDS
+
+SEED = 20
+FAULTS = 100
+BATCH = 50
+ENGINES = ("rt", "asyncio")
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    """Both engines at once."""
+    with ThreadPoolExecutor(len(ENGINES)) as pool:
+        ran = pool.map(lambda engine: live(SEED, engine, FAULTS, BATCH), ENGINES)
+        return dict(zip(ENGINES, ran, strict=True))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_moving_robot_gets_through_every_kind_of_fault(outcomes, engine):
+    outcome = outcomes[engine]
+    assert outcome.violations == []
+    assert outcome.faults.total() == FAULTS
+    assert set(outcome.faults) == set(KINDS)
+    assert outcome.checked_counts > FAULTS
+
+
+def test_a_script_is_made_again_by_its_seed():
+    def script(seed):
+        return list(batches(seed, 200, 20))
+
+    assert script(5) == script(5) != script(6)
+    assert set(kinds_of([text for batch in script(5) for text in batch]).values()) == {8}
+
+
+def test_the_limit_is_the_fastest_wheel_s_and_a_tolerance_that_is_small():
+    most_m_s, tolerance_m_s = limit_m_s()
+    assert most_m_s == pytest.approx(1.2)
+    assert 0.0 < tolerance_m_s < 0.02 * most_m_s
+
+
+class Journal:
+    """What drives have said, without a simulator."""
+
+    def __init__(self, **entries):
+        self.entries = {int(unit.removeprefix("unit_")): rows for unit, rows in entries.items()}
+
+    def journal(self, line, unit, since):
+        rows = self.entries.get(unit, [])[since : since + 1000]
+        return [
+            {"number": since + n, "monotonic_ns": at_ns, "address": address, "words": words}
+            for n, (at_ns, address, words) in enumerate(rows)
+        ]
+
+
+@pytest.fixture
+def said(tmp_path):
+    tap = tmp_path / "tap"
+    tap.touch()
+    return Said("rs485", (1, 2), load_profile(PROFILE).registers["position"], tap)
+
+
+MS = 1_000_000
+AT = 0x20A5
+WORDS = (0, 0, 0x0100, 0x0007, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("row", "wrong"),
+    [
+        pytest.param(f"0 {1000 * MS} {0x01000007} 0", 0, id="said"),
+        pytest.param(f"1 {1000 * MS} {0x01000007} 0", 1, id="said by another drive"),
+        pytest.param(f"0 {1000 * MS} {0x01000006} 0", 1, id="one bit off"),
+        pytest.param(f"0 {900 * MS} {0x01000007} 0", 1, id="before it was said"),
+    ],
+)
+def test_only_a_count_that_the_drive_has_said_passes(said, row, wrong):
+    said.tap.write_text(row + "\n", encoding="ascii")
+    said.check(Journal(unit_1=[(1001 * MS, AT, WORDS), (1001 * MS, 0x2000, (0x0100, 0x0006))]))
+    assert (said.checked, len(said.violations)) == (1, wrong)
+
+
+def test_an_answer_to_an_older_request_is_counted_with_its_age(said):
+    said.tap.write_text(f"0 {1300 * MS} {0x01000007} 0\n", encoding="ascii")
+    said.check(Journal(unit_1=[(1000 * MS, AT, WORDS)]))
+    assert (said.violations, said.old, said.oldest_s) == ([], 1, pytest.approx(0.3))
