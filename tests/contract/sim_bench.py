@@ -55,7 +55,8 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
         stop_bits=profile.stop_bits,
         cycle_hz=cycle_hz,
         gap_s=None,
-        engine="asyncio",
+        engine="rt" if profile.protocol == "ddsm" else "asyncio",  # which speaks Modbus only
+        priority=0,
         joints=joints_of(profile, gear_ratio),
         watchdog_s=watchdog_s,
     )

@@ -168,7 +168,7 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     sim.inject(f"fault:unit=1,channel=1,{which}")
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds(), "the fault is said")
     left = rig.line.spec.joints[0]
-    assert feedback(rig, left).drive_faults != 0
+    await until(lambda: feedback(rig, left).drive_faults != 0, "the loop is told")
     assert rig.line.drive_faults["left"] == (fault.text,)
     assert not sim.truth().joints["left"].enabled
     rig.loop.enabled, rig.loop.velocity_rad_s, rig.loop.duty = False, {}, {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from motord_hal.drives.profile import Channel, Direction, DriveProfile, Register, Step
+from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
 _SPEED_UNITS = ("rpm", "rad/s")
@@ -21,6 +21,10 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
+# the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
+_UNSEALED = 0xA0
+
+
 def check_profile(profile: DriveProfile, problems: Problems) -> None:
     """Add a row for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
@@ -28,6 +32,7 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     for register in profile.registers.values():
         _check_register(profile, register, problems)
     _check_overlaps(profile, problems)
+    _check_serial(profile, problems)
     for number, channel in profile.channels.items():
         _check_channel(profile, f"channel.{number}", channel, problems)
     _check_counter(profile, problems)
@@ -41,6 +46,21 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     _check_faults(profile, problems)
     if profile.bus_voltage is not None:
         _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
+
+
+def _check_serial(profile: DriveProfile, problems: Problems) -> None:
+    if profile.gap_s is not None and profile.gap is not Gap.SPEC:
+        problems.add("serial.gap", "and gap_s exclude each other")
+    if profile.protocol == "modbus-rtu":
+        if profile.read_write_function and profile.write_function != 16:
+            problems.add("serial.read_write_function", "a drive that has 23 has 16 too: say it")
+        return
+    for key, said in (
+        ("read_write_function", profile.read_write_function),
+        ("broadcast_stop", profile.broadcast_stop),
+    ):
+        if said:
+            problems.add(f"serial.{key}", f"{profile.protocol} has no such thing")
 
 
 def _check_register(profile: DriveProfile, register: Register, problems: Problems) -> None:
@@ -63,6 +83,21 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         problems.add(f"{key}.default", f"{register.default} does not fit {register.type.value}")
     if register.mask is not None:
         _check_mask(key, register, problems)
+    if profile.protocol == "ddsm":
+        _check_place(key, register, problems)
+    elif register.type.bits < 16:
+        problems.add(f"{key}.type", f"{register.type.value}: a Modbus register has 16 bits")
+
+
+def _check_place(key: str, register: Register, problems: Problems) -> None:
+    """Ten bytes a frame: unit, command, content, check sum; a mode stands in the last one."""
+    if register.access not in ("r", "w"):
+        problems.add(f"{key}.access", 'a place is in the request ("w") or in the reply ("r")')
+    begin, end = register.address & 0xFF, (register.address & 0xFF) + register.type.bits // 8
+    first = 1 if register.access == "r" else 2
+    last = 10 if register.address >> 8 == _UNSEALED else 9
+    if not first <= begin < end <= last:
+        problems.add(f"{key}.address", f"byte {begin} is outside the content of the frame")
 
 
 def _check_mask(key: str, register: Register, problems: Problems) -> None:
@@ -75,16 +110,22 @@ def _check_mask(key: str, register: Register, problems: Problems) -> None:
 
 def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
     for one, other in combinations(profile.registers.values(), 2):
-        apart = (
-            one.address + one.type.words <= other.address
-            or other.address + other.type.words <= one.address
+        apart = one.address + _span(profile, one) <= other.address or (
+            other.address + _span(profile, other) <= one.address
         )
+        if profile.protocol == "ddsm":  # what is sent and what comes back are two frames
+            apart = apart or one.access != other.access
         shared = one.mask is not None and other.mask is not None and not one.mask & other.mask
         if not apart and not shared:
             problems.add(
                 f"register.{other.name}.address",
                 f"{other.address:#06x} overlaps {one.name} at {one.address:#06x}",
             )
+
+
+def _span(profile: DriveProfile, register: Register) -> int:
+    """How many addresses it takes: bytes of a frame, or words."""
+    return register.type.bits // 8 if profile.protocol == "ddsm" else register.type.words
 
 
 def _reference(
@@ -159,7 +200,7 @@ def _check_counter(profile: DriveProfile, problems: Problems) -> None:
         if (channel.position is None) != (profile.counter_bits == 0):
             problems.add(f"channel.{number}.position", "is there if and only if counter_bits > 0")
         register = profile.registers.get(channel.position or "")
-        if register is not None and profile.counter_bits > 16 * register.type.words:
+        if register is not None and profile.counter_bits > register.type.bits:
             problems.add("motor.counter_bits", f"is wider than {register.name}")
 
 
@@ -225,5 +266,5 @@ def _check_faults(profile: DriveProfile, problems: Problems) -> None:
         seen.add((fault.bit, fault.code))
         for name in words:
             register = profile.registers.get(name or "")
-            if register and fault.bit is not None and fault.bit >= 16 * register.type.words:
+            if register and fault.bit is not None and fault.bit >= register.type.bits:
                 problems.add(f"fault.{index}.bit", f"{fault.bit} is beyond {register.name}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from motord_hal.drives.check import check_profile
@@ -31,6 +32,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
+PROTOCOLS = ("modbus-rtu", "ddsm")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -93,11 +95,14 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     serial = root.table("serial")
     motor = root.table("motor", required=False)
     steps = root.table("steps")
-    registers = _registers(root.table("register"))
+    registers = _registers(root.table("register"), motor.integer("pole_pairs", 0, 100, 0))
+    protocol = root.text("protocol", choices=PROTOCOLS)
+    # where the protocol leaves no choice, the file need not say it
+    one, six = (None, None) if protocol == "modbus-rtu" else (1, 6)
     profile = DriveProfile(
         name=root.text("name"),
         title=root.text("title"),
-        protocol=root.text("protocol", choices=("modbus-rtu",)),
+        protocol=protocol,
         source=root.text("source"),
         path=path,
         baudrate=serial.integer("baudrate", 300, 4_000_000),
@@ -107,14 +112,14 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         turnaround_s=serial.number("turnaround_s", 1e-5, 1.0, unit="s"),
         gap=Gap(serial.text("gap", "spec", choices=[rule.value for rule in Gap]) or "spec"),
         gap_s=serial.number("gap_s", 1e-5, 0.1, unit="s") if "gap_s" in serial else None,
-        max_registers=serial.integer("max_registers", 1, 123),
-        write_function=serial.one_of("write_function", (6, 16)),
+        max_registers=serial.integer("max_registers", 1, 123, one),
+        write_function=serial.one_of("write_function", (6, 16), six),
         read_write_function=(
             serial.one_of("read_write_function", (23,)) if "read_write_function" in serial else None
         ),
         broadcast_stop=serial.flag("broadcast_stop", default=False),
         counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
-        counter_bits=motor.one_of("counter_bits", (0, 8, 16, 24, 32), 0),
+        counter_bits=motor.one_of("counter_bits", (0, 8, 15, 16, 24, 32), 0),
         registers=registers,
         channels=_channels(root.table("channel")),
         configure=_steps(steps, "configure"),
@@ -133,19 +138,20 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     return profile
 
 
-def _registers(parent: Table) -> dict[str, Register]:
+def _registers(parent: Table, pole_pairs: int) -> dict[str, Register]:
     found = {}
     for name in parent:
         if not _NAME.fullmatch(name):
             parent.complain(name, "a register's name is lower case letters, digits and _")
-        found[name] = _register(name, parent.table(name))
+        found[name] = _register(name, parent.table(name), pole_pairs)
     if not found:
         parent.problems.add(parent.name, "there is no register")
     return found
 
 
-def _register(name: str, table: Table) -> Register:
+def _register(name: str, table: Table, pole_pairs: int) -> Register:
     bound = 1e12
+    unit = table.text("unit", "", choices=(*SI_UNITS, "hz"))
     register = Register(
         name=name,
         address=table.integer("address", 0, 0xFFFF),
@@ -153,7 +159,7 @@ def _register(name: str, table: Table) -> Register:
             table.text("type", choices=[kind.value for kind in RegisterType]) or "u16"
         ),
         scale=table.number("scale", -bound, bound, 1.0),
-        unit=table.text("unit", "", choices=SI_UNITS),
+        unit=unit,
         access=table.text("access", choices=("r", "w", "rw")),
         minimum=table.number("minimum", -bound, bound) if "minimum" in table else None,
         maximum=table.number("maximum", -bound, bound) if "maximum" in table else None,
@@ -162,7 +168,25 @@ def _register(name: str, table: Table) -> Register:
         default=table.integer("default", -(1 << 31), (1 << 32) - 1, 0),
     )
     table.finish()
+    if unit == "hz":
+        return _of_frequency(register, table, pole_pairs)
     return register
+
+
+def _of_frequency(register: Register, table: Table, pole_pairs: int) -> Register:
+    """The same register in rpm of the field: 60 f / pole pairs (IEC 60034-1). An induction motor
+    turns slower than its field by its slip."""
+    if not pole_pairs:
+        table.complain("unit", '"hz" needs motor.pole_pairs to become a speed')
+    rpm = 60.0 / max(pole_pairs, 1)
+    least, most = register.minimum, register.maximum
+    return replace(
+        register,
+        unit="rpm",
+        scale=register.scale * rpm,
+        minimum=None if least is None else least * rpm,
+        maximum=None if most is None else most * rpm,
+    )
 
 
 def _channels(parent: Table) -> dict[int, Channel]:

@@ -16,8 +16,10 @@ from types import MappingProxyType
 
 class RegisterType(enum.StrEnum):
     """Width and sign. Words of 32-bit values come high word first unless the name says
-    otherwise."""
+    otherwise. A Modbus register cannot have 8 bits; a place in a frame of another protocol can."""
 
+    U8 = "u8"
+    I8 = "i8"
     U16 = "u16"
     I16 = "i16"
     U32 = "u32"
@@ -26,8 +28,12 @@ class RegisterType(enum.StrEnum):
     I32_LOW_FIRST = "i32-low-first"
 
     @property
+    def bits(self) -> int:
+        return int(self.value.split("-")[0][1:])
+
+    @property
     def words(self) -> int:
-        return 1 if self in (RegisterType.U16, RegisterType.I16) else 2
+        return 2 if self.bits > 16 else 1
 
     @property
     def signed(self) -> bool:
@@ -95,7 +101,7 @@ class Register:
             low_first = self.type.value.endswith("low-first")
             high, low = (words[1], words[0]) if low_first else (words[0], words[1])
             value = high << 16 | low
-        bits = 16 * self.type.words
+        bits = self.type.bits
         if self.mask is not None:
             value = (value & self.mask) // (self.mask & -self.mask)
             bits = self.mask.bit_count()
@@ -104,17 +110,17 @@ class Register:
     @property
     def raw_range(self) -> tuple[int, int]:
         """Smallest and largest raw value of the type."""
-        bits = 16 * self.type.words
+        bits = self.type.bits
         return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
 
     def encode(self, raw: int) -> tuple[int, ...]:
         """Words for the wire; a value that does not fit raises ValueError."""
-        bits = 16 * self.type.words
+        bits = self.type.bits
         low, high = self.raw_range
         if not low <= raw <= high:
             raise ValueError(f"{self.name}: {raw} does not fit {self.type.value}")
         raw &= (1 << bits) - 1
-        if bits == 16:
+        if bits <= 16:
             return (raw,)
         words = (raw >> 16, raw & 0xFFFF)
         return words[::-1] if self.type.value.endswith("low-first") else words
