@@ -87,8 +87,8 @@ soak: $(VENV)/built $(VENV)/test
 fuzz:
 	@$(MAKE) -C tests/c fuzz >&2
 
-mutants:
-	@$(MAKE) -C tests/c mutants >&2
+mutants: $(VENV)/made
+	@$(MAKE) -C tests/c mutants PYTHON=$(abspath $(PYTHON)) >&2
 
 wheel: $(VENV)/made
 	@$(PYTHON) -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . >&2

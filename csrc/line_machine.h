@@ -149,6 +149,10 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
 void line_machine_sent(line_machine *m, int64_t now_ns);
 void line_machine_report(const line_machine *m, line_report *report);
 
+/* ------------------------------------------------------------------------ line_table.c */
+/* Whether a request can be sent and its answer told: nothing beyond its own bytes is ever looked at. */
+bool line_frame_is_good(const line_frame *frame);
+
 /* ------------------------------------------------------------------------- line_asks.c */
 void line_drop_ask(line_machine *m, uint32_t place);
 void line_answer_ask(line_machine *m, const line_ask *ask, uint32_t kind, int64_t now_ns);

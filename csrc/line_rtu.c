@@ -400,9 +400,7 @@ int line_put_ask(uint32_t line, const line_ask *ask)
     if (line >= LINES_MAX || !threads[line].running) {
         return -ESRCH;
     }
-    const line_frame *frame = &ask->frame;
-    if (frame->request_bytes < 1 || frame->request_bytes > FRAME_BYTES_MAX || frame->reply_bytes > FRAME_BYTES_MAX ||
-        frame->echo_bytes > frame->request_bytes || frame->match_bytes > FRAME_MATCH_MAX) {
+    if (!line_frame_is_good(&ask->frame)) {
         return -EINVAL;
     }
     if (!ring_put(&threads[line].asks, threads[line].ask_place, ask, sizeof *ask)) {

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "rtu.h"
+#include "line_machine.h"
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
 
@@ -45,6 +45,14 @@ static void check_frame(finding *f, const line_frame *frame)
         need(f, known > 0 && known <= frame->reply_bytes, "match");
         need(f, frame->reply_seal != SEAL_NONE && frame->reply_bytes > rtu_seal_bytes(frame->reply_seal), "reply_seal");
     }
+}
+
+bool line_frame_is_good(const line_frame *frame)
+{
+    char name[FIELD_NAME_BYTES];
+    finding f = {.name = name, .path = "", .bad = false};
+    check_frame(&f, frame);
+    return !f.bad;
 }
 
 static void check_setpoint(finding *f, const line_setpoint *setpoint, const line_frame *frame)

@@ -157,10 +157,7 @@ heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t 
         return (heard){.kind = HEARD_BAD};
     }
     /* not known whether there is an echo: what is like the request is none, until it has come twice */
-    bool passes = echo == 1 || (echo != 0 && comes_back && (same < sent || rtu_answer_is_request(frame, request)));
-    if (passes && count <= sent) {
-        return (heard){.kind = HEARD_MORE};
-    }
+    bool passes = echo != 0 && comes_back;
     heard found = hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;
     return found;
