@@ -6,13 +6,17 @@ from __future__ import annotations
 import itertools
 import random
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from motord_hal.sim.fault_kinds import KINDS
 
 UNITS = 4
 BATCH_S = 1.6
 """The faults of a batch begin within this time."""
+RARE_PART = 0.8
+"""Of the faults of replies: so many hit a reply now and then all along, so that the robot drives on
+among them and what is accepted there is seen; the others hit every one for a moment."""
+RARE_P = 0.02
 FAULT_BITS = (0, 2, 5, 10)
 """Of the profile, a warning among them."""
 UNTAGS = "encoder-wrap"
@@ -38,10 +42,12 @@ _LENGTH_S = {"reboot": (0.05, 0.4), "brown-out": (0.01, 0.1), "unplug": (0.05, 0
 _BITRATES = (9600, 38400, 57600, 230400)
 
 
-def batches(seed: int, faults: int, size: int) -> Iterator[list[str]]:
+def batches(
+    seed: int, faults: int, size: int, of: Sequence[str] = tuple(KINDS)
+) -> Iterator[list[str]]:
     """The faults of one robot's life; the same seed gives the same."""
     dice = random.Random(seed)
-    kinds = list(itertools.islice(itertools.cycle(_shuffled(dice, list(KINDS))), faults))
+    kinds = list(itertools.islice(itertools.cycle(_shuffled(dice, list(of))), faults))
     dice.shuffle(kinds)
     later = [kind for kind in kinds if kind == UNTAGS]
     kinds = [kind for kind in kinds if kind != UNTAGS]
@@ -75,10 +81,10 @@ def fault(dice: random.Random, kind: str) -> str:
     if "unit" in keys and dice.random() < 0.8:
         values["unit"] = dice.randint(1, UNITS)
     if "for_s" in keys:
-        low, high = _LENGTH_S.get(kind, (0.02, 0.4))
+        low, high = _LENGTH_S.get(kind, (0.02, 0.2))
         values["for_s"] = dice.uniform(low, high)
-    if "p" in keys:
-        values["p"] = dice.choice((1.0, 0.5, 0.2))
+    if "p" in keys and dice.random() < RARE_PART:
+        values["for_s"], values["p"] = BATCH_S, RARE_P
     for name in keys:
         if name not in _OWN_KEYS:
             values |= _own(dice, kind, name)

@@ -26,6 +26,8 @@ sys.path[:0] = [str(ROOT / part) for part in ("tests/soak", "daemon", "hal", "."
 
 from hurt_robot import Outcome, live  # noqa: E402  # the path is made above
 
+from motord_hal.sim.fault_kinds import KINDS  # noqa: E402
+
 LIFE_FAULTS = 500
 BATCH = 40
 ENGINES = {"rt": ("rt",), "asyncio": ("asyncio",), "both": ("rt", "asyncio")}
@@ -49,7 +51,9 @@ def soak(arguments: argparse.Namespace) -> list[Outcome]:
 
     def one(plan: tuple[int, str, int]) -> Outcome:
         seed, engine, count = plan
-        outcome = live(seed, engine, count, arguments.batch, lambda text: _say(lock, text))
+        outcome = live(
+            seed, engine, count, arguments.batch, arguments.kinds, lambda text: _say(lock, text)
+        )
         done.append(outcome)
         verdict = "ok" if not outcome.violations else "VIOLATION"
         _say(lock, f"{len(done)}/{len(planned)} robots: {engine}, seed {seed}, {count} faults,"
@@ -100,6 +104,7 @@ def main() -> int:
     parser.add_argument("--engine", choices=ENGINES, default="both")
     parser.add_argument("--workers", type=int, default=3, help="robots at once")
     parser.add_argument("--batch", type=int, default=BATCH, help="faults at once")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=tuple(KINDS), metavar="KIND")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if arguments.seed is None:

@@ -19,7 +19,7 @@ from motord_hal.modbus.codec import (
 )
 from motord_hal.sim.fault_kinds import KINDS, FaultError, parse_fault
 from motord_hal.sim.faults import FaultScript
-from motord_hal.sim.framing import ModbusFraming
+from motord_hal.sim.framing import DdsmFraming, ModbusFraming
 from motord_hal.sim.noise import disturb
 
 READ = Request(1, Function.READ_HOLDING, 0x100, 3)
@@ -201,3 +201,13 @@ def test_noise_hits_as_many_bits_as_its_rate_says():
 def test_noise_that_cannot_be_is_refused(text):
     with pytest.raises(FaultError):
         parse_fault(text)
+
+
+@pytest.mark.parametrize("framing", [ModbusFraming(), DdsmFraming()])
+@given(data=st.data())
+def test_whatever_happens_to_one_reply_at_once_something_comes_of_it(framing, data):
+    kinds = [kind for kind, what in KINDS.items() if what.happens == "reply"]
+    specs = st.sampled_from([*kinds, *(f"tear:after_bytes={size}" for size in range(12))])
+    made = script(*data.draw(st.lists(specs, max_size=6)))
+    frame = REPLY if isinstance(framing, ModbusFraming) else bytes(10)
+    assert isinstance(made.spoil(1, frame, framing, 0.0).frame, bytes)

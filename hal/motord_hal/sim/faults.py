@@ -168,7 +168,7 @@ def _spoil(spoiled: Spoiled, unit: int, framing: Framing, fault: Fault) -> None:
         case "wrong-unit":
             other = fault.random.choice([one for one in range(1, UNIT_MAX) if one != unit])
             spoiled.frame = framing.readdressed(frame, other)
-        case "exception":
+        case "exception" if len(frame) > 1:  # of less is not known what it answers
             spoiled.frame = framing.refusal(frame, int(fault.values["code"]))
         case "stuck-de":
             spoiled.deafening_s = max(spoiled.deafening_s, fault.values["ms"] / 1000.0)
