@@ -6,9 +6,10 @@ import socket
 import struct
 import sys
 import time
+from typing import Any, TextIO
 
 
-def call(link, method, params):
+def call(link: TextIO, method: str, params: dict[str, Any]) -> Any:
     link.write(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}) + "\n")
     link.flush()
     answer = json.loads(link.readline())
@@ -17,7 +18,7 @@ def call(link, method, params):
     return answer["result"]
 
 
-def main(path, linear_m_s, angular_rad_s, seconds):
+def main(path: str, linear_m_s: float, angular_rad_s: float, seconds: float) -> None:
     with (
         socket.socket(socket.AF_UNIX) as local,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as commands,

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the C tests good? Each mutant is the file with one small mistake in it; tests that still pass do
-not see it.
+"""Are the C tests good? Each mutant is the file with one small mistake in it; tests that still
+pass do not see it.
 
-python tests/c/mutants.py [FILE] [--tests test_rtu,...]      FILE: rtu.c unless something else is said
+python tests/c/mutants.py [FILE] [--tests test_rtu,...]
 
-Ends with 1 where a mutant survives that is not listed in mutants.toml as the same program in other
-words.
+FILE is rtu.c unless something else is said.
+
+Ends with 1 where a mutant survives that is not listed in mutants.toml as the same program in
+other words.
 """
 
 from __future__ import annotations
@@ -40,8 +42,10 @@ _SWAPS = {
 _TOKEN = re.compile(
     r"""(?P<skip>/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|^[ \t]*\#[^\n]*|->)"""
     r"""|(?P<number>\b(?:0[xX][0-9a-fA-F]+|\d+)[uUlL]*\b)"""
-    r"""|(?P<op><<=|>>=|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||\+=|-=|\^=|\|=|[-+*/%&|^<>!]|\btrue\b|\bfalse\b)"""
-    r"""|(?P<statement>^[ \t]+(?:return\b[^;{}]*|[\w\[\]>.\-*()& +]+(?:\s=|\s[|^+\-]=|<<=|>>=)[^;{}]*|\w+\([^;{}]*\));[ \t]*$)""",
+    r"""|(?P<op><<=|>>=|\+\+|--|<<|>>|<=|>=|==|!=|&&|\|\||\+=|-=|\^=|\|=|[-+*/%&|^<>!]"""
+    r"""|\btrue\b|\bfalse\b)"""
+    r"""|(?P<statement>^[ \t]+(?:return\b[^;{}]*"""
+    r"""|[\w\[\]>.\-*()& +]+(?:\s=|\s[|^+\-]=|<<=|>>=)[^;{}]*|\w+\([^;{}]*\));[ \t]*$)""",
     re.DOTALL | re.MULTILINE,
 )
 
@@ -104,20 +108,29 @@ def survives(mutant: Mutant, name: str, tests: list[str], objects: dict[str, lis
         changed = Path(folder, name)
         changed.write_text(mutant.text, encoding="utf-8")
         part = Path(folder, "mutant.o")
-        built = subprocess.run(["gcc", *FLAGS, *WATCHED, "-c", changed, "-o", part],
-                               capture_output=True, timeout=RUN_WITHIN_S)  # fmt: skip
+        built = subprocess.run(
+            ["gcc", *FLAGS, *WATCHED, "-c", changed, "-o", part],
+            capture_output=True,
+            timeout=RUN_WITHIN_S,
+        )
         if built.returncode != 0:
             return False
         for test in tests:
             program = Path(folder, test)
             linked = subprocess.run(
                 ["gcc", *WATCHED, part, *objects[test], "-o", program, "-lm", "-lpthread", "-lrt"],
-                capture_output=True, timeout=RUN_WITHIN_S)  # fmt: skip
+                capture_output=True,
+                timeout=RUN_WITHIN_S,
+            )
             if linked.returncode != 0:
                 return False
             try:
-                run = subprocess.run([program], capture_output=True, timeout=RUN_WITHIN_S,
-                                     env={**os.environ, "ASAN_OPTIONS": "detect_leaks=0"})  # fmt: skip
+                run = subprocess.run(
+                    [program],
+                    capture_output=True,
+                    timeout=RUN_WITHIN_S,
+                    env={**os.environ, "ASAN_OPTIONS": "detect_leaks=0"},
+                )
             except subprocess.TimeoutExpired:
                 return False
             if run.returncode != 0:
@@ -136,8 +149,11 @@ def compiled_rest(name: str, tests: list[str], folder: Path) -> dict[str, list[s
     objects = {}
     for test in tests:
         target = folder / f"{test}.o"
-        subprocess.run(["gcc", *FLAGS, *WATCHED, "-c", HERE / f"{test}.c", "-o", target], check=True,
-                       timeout=120)  # fmt: skip
+        subprocess.run(
+            ["gcc", *FLAGS, *WATCHED, "-c", HERE / f"{test}.c", "-o", target],
+            check=True,
+            timeout=120,
+        )
         objects[test] = [str(target), *rest]
     return objects
 
@@ -169,8 +185,10 @@ def main() -> int:
         print(f"the same program: {mutant} ({known[mutant.what]})")
     for mutant in left:
         print(f"SURVIVED {mutant}")
-    print(f"{asked.file}: {len(found) - len(alive)} of {len(found)} killed, {len(same)} are the same "
-          f"program in other words, {len(left)} survived")  # fmt: skip
+    print(
+        f"{asked.file}: {len(found) - len(alive)} of {len(found)} killed, {len(same)} are the same "
+        f"program in other words, {len(left)} survived"
+    )
     return int(bool(left))
 
 
