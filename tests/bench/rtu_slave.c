@@ -179,8 +179,8 @@ static void print_stats(void)
 {
     double span_ns = (double)(last_ns - first_ns);
     qsort(parts, kept, sizeof parts[0], by_size);
-    printf("{\"requests\": %llu, \"bad_crc\": %llu, \"violations\": %llu, \"excused\": %llu, \"fraction_p50\": %.4f, \"fraction_p01\": %.4f, "
-           "\"throughput\": %.4f, \"per_s\": %.1f}\n",
+    printf("{\"requests\": %llu, \"bad_crc\": %llu, \"violations\": %llu, \"excused\": %llu, "
+           "\"fraction_p50\": %.4f, \"fraction_p01\": %.4f, \"throughput\": %.4f, \"per_s\": %.1f}\n",
            (unsigned long long)requests, (unsigned long long)bad_crc, (unsigned long long)violations,
            (unsigned long long)excused,
            kept > 0 ? (double)parts[kept / 2] : 0.0, kept > 0 ? (double)parts[kept / 100] : 0.0,
