@@ -96,6 +96,10 @@ def power(stage):
     return [joint.enabled for joint in stage.sim.truth().joints.values()]
 
 
+def drives(stage):
+    return {joint["drive"] for joint in stage.robot.status()["joints"].values()}
+
+
 def test_it_starts_disarmed_and_arms_drives_stops_and_disarms_on_request(stage):
     assert not any(power(stage))
     assert stage.robot.arm() == "armed"
@@ -225,8 +229,9 @@ def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
     with pytest.raises(Refused, match=r"not armed|not ready"):
         stage.robot.arm()
     stage.sim.clear_faults_script()
-    stage.wait_for("idle")
     wait_until(lambda: not any(power(stage)), "the power is off")
+    wait_until(lambda: drives(stage) == {"ready"}, "those that went quiet are asked again")
+    stage.wait_for("idle")
     assert stage.robot.arm() == "armed"
 
 
