@@ -177,6 +177,16 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
     m->worker = LINE_DRIVES_MAX;
 }
 
+/* A quiet drive that can be read: an echo shall not make it seem to be back. */
+static bool will_read(const line_machine *m)
+{
+    if (m->work != WORK_PROBE) {
+        return false;
+    }
+    const line_drive *table = &m->table.drive[m->worker];
+    return table->probe > 0 || table->extra_count > 0;
+}
+
 /* What the bytes since the request say. Where it is not known whether the adapter hears itself, an answer that looks
  * like its request is taken: only what is read decides (and set-ups are read back). */
 static heard listen(line_machine *m, const uint8_t *bytes, uint32_t count)
@@ -186,7 +196,7 @@ static heard listen(line_machine *m, const uint8_t *bytes, uint32_t count)
     bool full = count >= room;
     memcpy(t->heard + t->heard_bytes, bytes, full ? room : count);
     t->heard_bytes += full ? room : count;
-    bool alike = m->echo == ECHO_UNKNOWN && rtu_answer_is_request(&t->frame, t->frame.request);
+    bool alike = m->echo == ECHO_UNKNOWN && !will_read(m) && rtu_answer_is_request(&t->frame, t->frame.request);
     heard found = rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->heard,
                                   t->heard_bytes);
     if (found.kind == HEARD_MORE && full) {
@@ -234,7 +244,7 @@ static bool take_stop(line_machine *m, line_output *out)
     }
     for (uint32_t round = 0; round < 2; round++) {   /* quiet ones do not keep the others waiting */
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            bool quiet = m->drive[i].mode == DRIVE_QUIET;
+            bool quiet = m->drive[i].failures > 0;
             if (m->drive[i].stop != STOP_NOTHING && quiet == (round == 1) && line_next_stop(m, i, &frame)) {
                 begin(m, WORK_STOP, i, &frame, out);
                 return true;
@@ -402,14 +412,18 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     if (m->shut == 3) {
         return now_ns + LOOK_RESTING_NS;
     }
-    int64_t wake_ns = now_ns + LOOK_RESTING_NS;
+    int64_t wake_ns = now_ns + (m->shut != 0 ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
         if (drive->told_motion || drive->mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
         if (drive->mode == DRIVE_QUIET) {
-            wake_ns = earlier(wake_ns, later(drive->probe_at_ns, m->slot_due_ns));
+            int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
+            wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
+        }
+        if (drive->stop != STOP_NOTHING) {
+            wake_ns = m->free_ns;   /* stops wait for the gap alone, whatever the mode */
         }
         wake_ns = earlier(wake_ns, due_of(m, i));
     }
