@@ -37,8 +37,9 @@ ROBOT = HERE / "four-drives.toml"
 PROFILE = HERE / "soak-servo.toml"
 LINE = "rs485"
 DEADLINE_S = 30.0
-RECOVER_S = 15.0
-"""From the last fault's end until the robot moves again."""
+RECOVER_S = 30.0
+"""From the last fault's end until the robot moves again: back-off of 2 s, opening, set-up and
+arming, each of which a busy machine may draw out."""
 REST_S = 5.0
 """From a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or power off and a
 wheel of 12 rad/s that its friction brings to rest in 2.5 s; and a busy machine."""
