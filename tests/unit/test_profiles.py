@@ -277,3 +277,40 @@ def test_a_mask_takes_its_bits_out_of_the_word():
 def test_low_first_swaps_words_and_nothing_else():
     assert register(RegisterType.U32_LOW_FIRST).decode((2, 1)) == 0x00010002
     assert register(RegisterType.U32).decode((2, 1)) == 0x00020001
+
+
+# ------------------------------------------------------------------------------ what goes together
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("zlac8015d", "unit = 1\n", 'unit = 1\ngap = "3.5char"\ngap_s = 0.001\n', "exclude"),
+        (
+            "bld-305s",
+            "write_function = 6",
+            "write_function = 6\nread_write_function = 23",
+            "16 too",
+        ),
+        ("zlac8015d", 'type = "i32"', 'type = "u8"', "a Modbus register has 16 bits"),
+        ("ddsm115", "unit = 1\n", "unit = 1\nbroadcast_stop = true\n", "has no such thing"),
+        ("ddsm115", "address = 0x6406", "address = 0x6408", "outside the content"),
+        ("ddsm115", "address = 0x6406", "address = 0x6405", "overlaps velocity"),
+        ("ddsm115", 'access = "w"', 'access = "rw"', "in the request"),
+        ("vfd-el", "pole_pairs = 2", "pole_pairs = 0", "needs motor.pole_pairs"),
+    ],
+)
+def test_parts_that_do_not_go_together_are_said(tmp_path, name, old, new, said):
+    text = (config_dir() / "drives" / f"{name}.toml").read_text(encoding="utf-8")
+    assert old in text
+    rows = problems(tmp_path, text.replace(old, new, 1), name)
+    assert any(said in row for row in rows), rows
+
+
+def test_fifty_hertz_are_a_field_of_1500_rpm_with_two_pole_pairs():
+    frequency = find_profile("vfd-el").registers["frequency"]
+    assert frequency.to_si(5000) == pytest.approx(1500 * 2 * math.pi / 60)
+    assert frequency.from_si(1500 * 2 * math.pi / 60) == 5000
+    assert frequency.from_si(1e6) == 6000
+
+
+def test_ten_drives_are_there():
+    assert len(SHIPPED) >= 10

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.new_drive import new_drive
 from motord_hal.drives.load import find_profile, list_profiles, load_profile
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 from motord_hal.errors import ProfileError
@@ -17,6 +18,13 @@ from motord_hal.errors import ProfileError
 
 @click.command
 @click.argument("name", required=False)
+@click.argument("path", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--answers",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="With new: the answers as a TOML file instead of questions.",
+)
 @click.option(
     "--check",
     "file",
@@ -25,8 +33,10 @@ from motord_hal.errors import ProfileError
     help="Check a profile of your own: every problem at once, as file:line: key: problem.",
 )
 @json_option
-def drives(name: str | None, file: Path | None, as_json: bool) -> None:
-    """List the drive profiles, or show one in full.
+def drives(
+    name: str | None, path: Path | None, answers: Path | None, file: Path | None, as_json: bool
+) -> None:
+    """List the drive profiles, show one in full, or begin a new one.
 
     A profile is a file: the registers of a drive and what to do with them. Name yours in a robot
     file by its path, as in drive = "./mydrive.toml".
@@ -35,7 +45,13 @@ def drives(name: str | None, file: Path | None, as_json: bool) -> None:
     Example: motord drives
              motord drives zlac8015d
              motord drives --check mydrive.toml
+             motord drives new mydrive.toml
     """
+    if name == "new" and path is not None and file is None:
+        new_drive(path, answers)
+        return
+    if name == "new" or path is not None or answers is not None:
+        raise click.UsageError("motord drives new FILE [--answers FILE]")
     if name is not None and file is not None:
         raise click.UsageError("give a name or --check FILE, not both")
     if file is not None:
