@@ -51,7 +51,7 @@ def line_that_says(path, text):
         (
             "demo",
             [('drive = "zlac8015d"', 'drive = "zlac"')],
-            'joint.left.drive: there is no drive profile "zlac" (did you mean "zlac8015d"?)',
+            'joint.left.drive: there is no drive profile "zlac" (did you mean "zlac8030d"?)',
         ),
         (
             "demo",
