@@ -30,7 +30,8 @@ typedef struct {
     uint32_t number;            /* grows with each lease of the daemon, from 1; 0: no lease */
     uint32_t priority;          /* the higher one commands; among equals who came first */
     int64_t lifetime_ns;        /* of a command under it, at most */
-    int64_t barred_until_ns;    /* its owner was held when his last lease ended: held until then, too */
+    int64_t barred_until_ns;    /* its owner was held when another lease of his ended: until then he is held here, too,
+                                   when his next command begins with motion. Only a later time is a new bar */
 } lease_grant;
 
 typedef struct {
@@ -57,6 +58,7 @@ typedef struct {
     uint64_t sequence;          /* of the newest command; 0: none came */
     int64_t stamp_ns;
     int64_t expires_ns;
+    int64_t lifted_ns;          /* the bar that has been over since a command came; 0: none */
     double linear_m_s;          /* as asked for */
     double angular_rad_s;
 } lease_state;

@@ -100,7 +100,9 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, int
     }
     bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
-    bool barred = alive(lease, now_ns) ? lease->held != 0 : now_ns < grant->barred_until_ns;
+    bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
+    bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
+    lease->lifted_ns = grant->barred_until_ns;   /* from here on it is in lease->held */
     lease->sequence = command->sequence;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
@@ -110,9 +112,6 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, int
     if (!finite) {
         lease->held = barred;   /* that was no zero */
         return refuse(a, REFUSED_NOT_FINITE);
-    }
-    if (lease->held == 0) {
-        a->grants.lease[place].barred_until_ns = 0;   /* zero was asked for */
     }
     a->report.accepted++;
     return 0;

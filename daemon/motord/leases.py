@@ -10,7 +10,6 @@ has let it lapse, also when he connects anew for each command.
 from __future__ import annotations
 
 import asyncio
-import itertools
 import math
 import secrets
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from motord.commands import (
     Refusal,
     datagram,
 )
-from motord.rt import LEASES_MAX, Loop
+from motord.rt import LEASE_NUMBERS, LEASES_MAX, Loop
 from motord_hal.rt import now_ns
 
 LEASE_MIN_S = 0.02
@@ -83,7 +82,6 @@ class Leases:
         """By connection, owner, and whether it has been given out."""
         self._gone: dict[str, int] = {}
         """Owners that were held when their connection ended, and when their lease would have."""
-        self._numbers = itertools.count(1)
         self._judging = asyncio.Lock()
 
     # ----------------------------------------------------------------------------------- granting
@@ -96,15 +94,16 @@ class Leases:
             raise ValueError(f"lease_s is {lease_s}: {LEASE_MIN_S} to {LEASE_MAX_S} s")
         now = now_ns()
         lifetime_ns = round(lease_s * 1e9)
+        barred_until_ns = self._gone.pop(owner, 0)  # who has a lease already was told
         before = self._granted.get((connection, owner, kept))
         if before is None:
             self._make_room(now)
             grant = LeaseGrant(
-                number=next(self._numbers),
+                number=next(LEASE_NUMBERS),
                 token=secrets.token_bytes(TOKEN_BYTES),
                 priority=priority,
                 lifetime_ns=lifetime_ns,
-                barred_until_ns=self._gone.pop(owner, 0),
+                barred_until_ns=barred_until_ns,
             )
             before = _Granted(owner, connection, grant, now, kept)
             self._granted[connection, owner, kept] = before
@@ -137,17 +136,26 @@ class Leases:
             self._publish()
 
     def disconnect(self, connection: int) -> None:
-        """Every lease of a connection ends with it. Who is held stays so on his next connection."""
+        """Every lease of a connection ends with it. Who is held stays so on his other connections,
+        those that are there and the next one."""
+        now = now_ns()
         states = self._loop.commands().leases
         ended = [key for key in self._granted if key[0] == connection]
         for key in ended:
             granted = self._granted.pop(key)
             state = states.get(granted.grant.number)
-            if state is not None and state.held:
-                until_ns = self._gone.get(granted.owner, 0)
-                self._gone[granted.owner] = max(until_ns, state.expires_ns)
+            if state is not None and state.held and state.fresh(now):
+                self._bar(granted.owner, state.expires_ns)
         if ended:
             self._publish()
+
+    def _bar(self, owner: str, until_ns: int) -> None:
+        self._gone[owner] = max(self._gone.get(owner, 0), until_ns)
+        for other in self._granted.values():
+            if other.owner == owner:
+                # Later than any that he was told: the loop must see that it is another one.
+                told_ns = max(other.grant.barred_until_ns + 1, until_ns)
+                other.grant = replace(other.grant, barred_until_ns=told_ns)
 
     # --------------------------------------------------------------------------------- commanding
     async def submit(

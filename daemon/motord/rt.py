@@ -68,7 +68,7 @@ __all__ = [
 
 LEASES_MAX: int = lib.LEASES_MAX
 _ENABLED_UNKNOWN = 2
-_LEASE_NUMBERS = itertools.count(1)
+LEASE_NUMBERS = itertools.count(1)  # of the whole process: the loop tells leases apart by them
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
 # Once: each call gives the GIL up, and a busy thread gives it back late.
 _FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
@@ -401,7 +401,7 @@ class LoopLease:
     def __init__(self, loop: Loop, priority: int, lifetime_s: float) -> None:
         self._loop = loop
         self._grant = LeaseGrant(
-            number=next(_LEASE_NUMBERS),
+            number=next(LEASE_NUMBERS),
             token=secrets.token_bytes(TOKEN_BYTES),
             priority=priority,
             lifetime_ns=round(lifetime_s * 1e9),

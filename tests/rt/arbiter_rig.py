@@ -42,7 +42,8 @@ class Arbiter:
 
     def grant(self, now_ns, key, priority, lifetime_ns):
         before = self.granted.get(key)
-        barred_until_ns = self.gone.pop(key[1], 0) if before is None else before["barred_until_ns"]
+        gone_until_ns = self.gone.pop(key[1], 0)
+        barred_until_ns = gone_until_ns if before is None else before["barred_until_ns"]
         self.numbers += before is None
         self.granted[key] = {
             "number": self.numbers if before is None else before["number"],
@@ -130,6 +131,12 @@ class Arbiter:
         for lease in self.all():
             if lease.connection == connection:
                 del self.granted[connection, lease.owner]
-                if lease.held:
-                    self.gone[lease.owner] = max(lease.expires_ns, self.gone.get(lease.owner, 0))
+                if lease.held and self.now_ns < lease.expires_ns:
+                    self.bar(lease.owner, lease.expires_ns)
         self.tell()
+
+    def bar(self, owner, until_ns):
+        self.gone[owner] = max(until_ns, self.gone.get(owner, 0))
+        for (_, other), grant in self.granted.items():
+            if other == owner:
+                grant["barred_until_ns"] = max(grant["barred_until_ns"] + 1, until_ns)

@@ -273,6 +273,38 @@ def test_who_was_held_is_free_on_his_next_connection_when_he_has_sent_zero():
     assert not submit(arbiter, 150, connection=2).held
 
 
+def test_who_was_held_is_held_on_the_connection_that_he_has_already():
+    arbiter = Arbiter()
+    submit(arbiter, 0, connection=2, lease_s=0.02, linear_m_s=0.0)
+    submit(arbiter, 50, connection=1)
+    arbiter.hold()
+    arbiter.disconnect(1)
+    assert submit(arbiter, 100, connection=2).held
+    assert not submit(arbiter, 500, connection=2).held
+
+
+def test_a_bar_that_was_lifted_does_not_come_back_when_others_are_granted():
+    arbiter = Arbiter()
+    submit(arbiter, 0, lease_s=5.0)
+    arbiter.hold()
+    arbiter.disconnect(1)
+    submit(arbiter, 10, connection=2, lease_s=0.02, linear_m_s=0.0, angular_rad_s=0.0)
+    submit(arbiter, 20, "other", connection=3)
+    assert not submit(arbiter, 100, connection=2).held
+
+
+def test_a_second_bar_counts_though_it_ends_before_the_first_one_did():
+    arbiter = Arbiter()
+    submit(arbiter, 0, lease_s=5.0)
+    arbiter.hold()
+    arbiter.disconnect(1)
+    submit(arbiter, 10, connection=2, lease_s=0.02, linear_m_s=0.0, angular_rad_s=0.0)
+    submit(arbiter, 20, connection=3, lease_s=0.3)
+    arbiter.hold()
+    arbiter.disconnect(3)
+    assert submit(arbiter, 100, connection=2).held
+
+
 KEYS = {"connection": st.integers(1, 3), "owner": st.sampled_from("ab")}
 
 
@@ -288,21 +320,31 @@ class Sources(RuleBasedStateMachine):
         """Sources that have asked for motion without a break since the last stop."""
         self.left = {}
         """Owners of those whose connection ended, and when their lease would have."""
+        self.told = {}
+        """The same for each lease that there is: the last that it was told."""
+        self.barred = set()
+        """Those that have sent nothing since they were told."""
 
     @rule(**KEYS, priority=st.integers(0, 3), lease_ms=st.integers(20, 5000),
           linear_m_s=st.sampled_from([0.0, -0.0, 0.5, 1e300]))  # fmt: skip
     def command(self, connection, owner, priority, lease_ms, linear_m_s):
-        fresh = (connection, owner) in self.fresh()
-        left = self.now_ns < self.left.pop(owner, 0)
+        key = connection, owner
+        fresh = key in self.fresh()
+        left_ns = self.left.pop(owner, 0)
+        if key not in self.told:
+            self.told[key] = left_ns
+            self.barred.add(key)
+        left = key in self.barred and self.now_ns < self.told[key]
+        self.barred.discard(key)
         lease = self.arbiter.submit(
             self.now_ns, owner=owner, connection=connection, priority=priority,
             lease_s=lease_ms / 1000, linear_m_s=linear_m_s, angular_rad_s=0.0, may_move=True,
         )  # fmt: skip
         if not fresh or linear_m_s == 0.0:
-            self.stopped.discard((connection, owner))
+            self.stopped.discard(key)
         if not fresh and left and linear_m_s != 0.0:
-            self.stopped.add((connection, owner))
-        if (connection, owner) in self.stopped:
+            self.stopped.add(key)
+        if key in self.stopped:
             assert lease.twist == (0.0, 0.0)
         else:
             assert lease.twist == (linear_m_s, 0.0)
@@ -314,9 +356,15 @@ class Sources(RuleBasedStateMachine):
 
     @rule(connection=st.integers(1, 3))
     def disconnect(self, connection):
-        for key, lease in self.fresh().items():
-            if key[0] == connection and key in self.stopped:
-                self.left[lease.owner] = max(lease.expires_ns, self.left.get(lease.owner, 0))
+        ended = {key: lease for key, lease in self.fresh().items() if key[0] == connection}
+        self.told = {key: told for key, told in self.told.items() if key[0] != connection}
+        self.barred &= set(self.told)
+        for lease in (lease for key, lease in ended.items() if key in self.stopped):
+            self.left[lease.owner] = max(lease.expires_ns, self.left.get(lease.owner, 0))
+            for key in self.told:
+                if key[1] == lease.owner:
+                    self.told[key] = max(lease.expires_ns, self.told[key] + 1)
+                    self.barred.add(key)
         self.arbiter.disconnect(connection)
         assert not any(key[0] == connection for key in self.fresh())
 
