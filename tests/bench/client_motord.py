@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import json
+import resource
 import sys
 import threading
 from pathlib import Path
@@ -44,6 +45,11 @@ def hog() -> None:
         sum(range(1000))
 
 
+def process_cpu_ns() -> int:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return round((used.ru_utime + used.ru_stime) * 1e9)
+
+
 def line_cpu_ns() -> int:
     """CPU time of the line's thread: the first number of schedstat (proc(5))."""
     for task in Path("/proc/self/task").iterdir():
@@ -65,7 +71,11 @@ async def main(port: str, drives: int, gap: str, function: int, hogs: int) -> No
         loop = asyncio.get_running_loop()
         while (await loop.run_in_executor(None, sys.stdin.readline)).strip() == "stats":
             stats = line.stats()
-            found = {"cpu_ns": line_cpu_ns(), "exchanges": stats.exchanges, "errors": stats.errors}
+            found = {
+                "cpu_ns": line_cpu_ns() if hogs else process_cpu_ns(),
+                "exchanges": stats.exchanges,
+                "errors": stats.errors,
+            }
             print(json.dumps(found), flush=True)
         running.cancel()
 

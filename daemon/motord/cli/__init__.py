@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estop": ("motord.cli.talk:estop", "Emergency stop; stays until reset."),
     "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop; stays disarmed."),
     "params": ("motord.cli.talk:params", "List, get and set limits of the running robot."),
+    "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),
     "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
     "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
     "latency": ("motord.cli.latency:latency", "Measure the loop and its handovers."),

@@ -18,6 +18,10 @@ from motord_hal.serial.settings import busy, claim, set_raw
 from motord_hal.serial.sysfs import device_file, holders
 
 
+class SettingRefused(PortError):
+    """The port is there, but it does not take this baud rate, parity or these stop bits."""
+
+
 @dataclass(slots=True)
 class OpenPort:
     """An open port. The descriptors are this object's own."""
@@ -47,7 +51,7 @@ def open_port(spec: LineSpec) -> OpenPort:
             set_raw(fd, spec.baudrate, spec.parity, spec.stop_bits)
         except (OSError, ValueError, termios.error) as error:
             wish = f"{spec.baudrate} baud, parity {spec.parity}, {spec.stop_bits} stop bits"
-            raise PortError(f"{path} cannot be set to {wish}: {error}") from error
+            raise SettingRefused(f"{path} cannot be set to {wish}: {error}") from error
         facts = tune(fd, path, spec)
         de_fd = -1
         if spec.direction.kind is DirectionKind.GPIO:

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord scan`: who answers on an RS485 line, and which drive it may be."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, print_json
+
+if TYPE_CHECKING:
+    from motord.tools.scan import Found, Trial
+
+UNIT_MAX = 247
+
+
+def _units(_context: click.Context, _option: click.Parameter, text: str) -> range:
+    """`7` or `1-32`."""
+    first, _, last = text.partition("-")
+    try:
+        units = range(int(first), int(last or first) + 1)
+    except ValueError:
+        raise click.BadParameter(f'"{text}" is no range of units, as 1-32 is') from None
+    if not units or units[0] < 1 or units[-1] > UNIT_MAX:
+        raise click.BadParameter(f"units are 1 to {UNIT_MAX}")
+    return units
+
+
+@click.command
+@click.argument("port")
+@click.option("--units", "--unit", callback=_units, default="1-16", help="As 1-16 or 7.")
+@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="This one only.")
+@click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="This one only.")
+@click.option(
+    "--within-s", type=click.FloatRange(0.1, 3600), default=60.0, show_default=True,
+    help="Stop looking after so many seconds.",
+)  # fmt: skip
+@click.option("--directions", is_flag=True, help="Try who turns the transceiver; needs one unit.")
+@click.option("--gpio-chip", default="", help="For --directions: chip of the DE line.")
+@click.option("--gpio-line", default="", help="For --directions: name or number of the DE line.")
+@json_option
+def scan(
+    port: str,
+    units: range,
+    baudrate: int | None,
+    parity: str | None,
+    within_s: float,
+    directions: bool,
+    gpio_chip: str,
+    gpio_line: str,
+    as_json: bool,
+) -> None:
+    """Who answers on the line at PORT: baud rate, parity, units, and the drives they may be.
+
+    It only reads. PORT is a device file or usb:SERIAL; nobody else may have it open. Exit status 0
+    when somebody was found, 1 when nobody answers, 3 when the port cannot be had.
+
+    \b
+    Example: motord scan /dev/ttyUSB0
+             motord scan /dev/ttyUSB0 --units 1-247 --baudrate 115200
+             motord scan /dev/ttyAMA0 --directions --unit 1 --baudrate 115200
+    """
+    from motord.tools.scan import USUAL
+    from motord_hal.errors import PortError
+
+    settings = list(dict.fromkeys((baudrate or rate, parity or mark) for rate, mark in USUAL))
+    try:
+        if directions:
+            _try_directions(port, settings[0], units, (gpio_chip, gpio_line), as_json)
+        else:
+            _scan(port, settings, units, within_s, as_json)
+    except PortError as error:
+        raise Failure(str(error), Exit.FAULT) from error
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def _scan(
+    port: str, settings: list[tuple[int, str]], units: range, within_s: float, as_json: bool
+) -> None:
+    from motord.tools.scan import bound_s, scan
+
+    most_s = min(bound_s(settings, units), within_s)
+    _say(f"{port}: {len(settings)} settings, {len(units)} units, at most {most_s:.0f} s; read only")
+    found = list(scan(port, settings, units, within_s, _say))
+    if as_json:
+        print_json({"port": port, "found": [asdict(one) for one in found]})
+    else:
+        for one in found:
+            _print(port, one)
+    if not found:
+        _say(
+            "nobody answers: A and B swapped? power, ground, unit? docs/rs485.md goes on from here"
+        )
+        raise click.exceptions.Exit(Exit.FAILED)
+
+
+def _print(port: str, found: Found) -> None:
+    rows = [f"unit {found.unit} at {found.baudrate} baud, parity {found.parity}: {found.said}"]
+    rows += [
+        f"    {match.profile}: {match.fitting} of {match.asked} registers fit"
+        for match in found.matches[:3]
+    ]
+    if not found.matches:
+        rows.append("    no drive profile fits: `motord drives new` starts one")
+    drive = found.matches[0].profile if found.matches else "..."
+    line = f'kind = "{found.kind}", port = "{port}", baudrate = {found.baudrate}'
+    rows += [
+        "    for the robot file:",
+        f'      [line.rs485]  {line}, parity = "{found.parity}"',
+        f'      [joint.NAME]  line = "rs485", drive = "{drive}", unit = {found.unit}',
+    ]
+    click.echo("\n".join(rows))
+
+
+def _try_directions(
+    port: str, setting: tuple[int, str], units: range, gpio: tuple[str, str], as_json: bool
+) -> None:
+    from motord.tools.scan import ASKED
+    from motord.tools.scan import directions as tried
+    from motord_hal.ports import DirectionKind, DirectionSpec
+
+    if len(units) != 1:
+        raise click.UsageError("--directions asks one unit: give it with --unit")
+    kernel, line = DirectionKind.KERNEL, DirectionKind.GPIO
+    low = "direction_active_high = false"
+    ways = [
+        ("auto", DirectionSpec(), ('direction = "auto"',)),
+        ("kernel", DirectionSpec(kind=kernel), ('direction = "kernel"',)),
+        ("kernel, active low", DirectionSpec(kind=kernel, active_high=False),
+         ('direction = "kernel"', low)),
+    ]  # fmt: skip
+    if all(gpio):
+        where = (f'direction_gpio_chip = "{gpio[0]}"', f'direction_gpio_line = "{gpio[1]}"')
+        spec = DirectionSpec(kind=line, gpio_chip=gpio[0], gpio_line=gpio[1])
+        ways.append(("gpio", spec, ('direction = "gpio"', *where)))
+    trials: list[Trial] = []
+    for trial in tried(port, *setting, units[0], ways):
+        trials.append(trial)
+        said = trial.problem or (
+            f"{trial.answers} of {ASKED} answers, {trial.echoes} echoes, "
+            f"{trial.turnaround_ms:.1f} ms"
+        )
+        _say(f"{trial.name}: {said}")
+    best = max(trials, key=lambda trial: trial.answers)
+    if as_json:
+        values: list[dict[str, Any]] = [asdict(trial) for trial in trials]
+        print_json({"port": port, "unit": units[0], "trials": values})
+    elif best.answers:
+        echo = "yes" if best.echoes else "no"
+        click.echo("\n".join([*best.lines, f'echo = "{echo}"']))
+    if not best.answers:
+        raise Failure(f"unit {units[0]} does not answer, whoever turns the transceiver")

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is on an RS485 line: asks, never writes. One request at a time, each with a deadline.
+
+What answers a read of one register, be it with an exception, is there; then each drive profile's
+readable registers are read, and the profile fits as well as they answer within their ranges.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from motord_hal.ddsm import codec as ddsm
+from motord_hal.drives.load import list_profiles, load_profile
+from motord_hal.drives.profile import DriveProfile, Register
+from motord_hal.errors import PortError, ProfileError
+from motord_hal.modbus.codec import (
+    FrameError,
+    Function,
+    Reply,
+    Request,
+    build_request,
+    character_bits,
+    frame_time_s,
+    parse_reply,
+    reply_bytes,
+    silent_interval_s,
+)
+from motord_hal.ports import DirectionSpec, LineSpec
+from motord_hal.serial.port import OpenPort, SettingRefused, open_port
+
+USUAL = (
+    (115200, "none"), (9600, "none"), (19200, "even"), (19200, "none"), (9600, "even"),
+    (57600, "none"), (38400, "none"), (115200, "even"),
+)  # fmt: skip
+"""Baud rates and parities, the commonest first; MODBUS over Serial Line V1.02, 2.5.1 names 19200
+even as the default."""
+REPLY_WITHIN_S = 0.05
+"""From the request's last byte to the reply's first one: drives take a few milliseconds, adapters
+up to 16."""
+TRIES = 2
+REGISTERS_A_PROFILE = 24
+FITS_FROM = 0.5
+DDSM_QUERY = 0x74
+EXCEPTION_BYTES = 5
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A profile and how many of its registers answered as they should."""
+
+    profile: str
+    fitting: int
+    asked: int
+
+    @property
+    def part(self) -> float:
+        return self.fitting / self.asked if self.asked else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Somebody who answers."""
+
+    unit: int
+    baudrate: int
+    parity: str
+    kind: str
+    """The line's kind in a robot file: "modbus-rtu" or "ddsm"."""
+    said: str
+    matches: tuple[Match, ...] = ()
+
+
+@dataclass(slots=True)
+class Asker:
+    """An open port with one setting. Counts what came that was no answer."""
+
+    port: OpenPort
+    baudrate: int
+    parity: str
+    heard_bytes: int = 0
+    echoes: int = 0
+    answers: int = 0
+    turnaround_s: list[float] = field(default_factory=list)
+
+    def ask(self, request: Request) -> Reply | None:
+        """The answer to exactly this request; None: there is none."""
+        frame = build_request(request)
+        return self._exchange(
+            frame,
+            (reply_bytes(request), EXCEPTION_BYTES),
+            lambda reply: parse_reply(request, reply),
+        )
+
+    def ask_ddsm(self, unit: int) -> bytes | None:
+        """The answer of a drive with ten-byte frames to a query of its state."""
+
+        def parse(reply: bytes) -> bytes:
+            if reply[0] != unit or not ddsm.sealed(reply):
+                raise FrameError("another drive's")
+            return reply
+
+        return self._exchange(ddsm.build_request(unit, DDSM_QUERY, {}), (10,), parse)
+
+    def _exchange(
+        self, frame: bytes, sizes: Sequence[int], parse: Callable[[bytes], Answer]
+    ) -> Answer | None:
+        bits = character_bits(self.parity, 1)
+        time.sleep(silent_interval_s(self.baudrate, bits))
+        self._drain()
+        os.write(self.port.fd, frame)
+        wire_s = frame_time_s(len(frame) + max(sizes), self.baudrate, self.parity, 1)
+        end_s = time.monotonic() + wire_s + REPLY_WITHIN_S
+        sent_s = time.monotonic() + frame_time_s(len(frame), self.baudrate, self.parity, 1)
+        heard = b""
+        while (left_s := end_s - time.monotonic()) > 0:
+            if not select.select([self.port.fd], [], [], left_s)[0]:
+                break
+            heard += self._read()
+            for size, start in ((size, start) for size in sizes for start in range(len(heard))):
+                part = heard[start : start + size]
+                if len(part) < size or (start == 0 and part == frame):
+                    continue
+                try:
+                    answer = parse(part)
+                except FrameError:
+                    continue
+                self.answers += 1
+                self.echoes += heard.startswith(frame)
+                self.turnaround_s.append(max(time.monotonic() - sent_s, 0.0))
+                return answer
+        self.heard_bytes += len(heard)
+        return None
+
+    def _drain(self) -> None:
+        while select.select([self.port.fd], [], [], 0)[0]:
+            self._read()
+
+    def _read(self) -> bytes:
+        try:
+            data = os.read(self.port.fd, 512)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise PortError(f"{self.port.path}: {error.strerror}") from error
+        if not data:
+            raise PortError(f"{self.port.path} has hung up")
+        return data
+
+
+def spec_of(port: str, baudrate: int, parity: str, direction: DirectionSpec) -> LineSpec:
+    """A line that is only looked at."""
+    return LineSpec(
+        index=0, name="scan", kind="modbus-rtu", port=port, baudrate=baudrate, parity=parity,
+        stop_bits=1, cycle_hz=1.0, gap_s=None, engine="rt", joints=(), watchdog_s=1.0,
+        direction=direction,
+    )  # fmt: skip
+
+
+def bound_s(settings: Sequence[tuple[int, str]], units: Sequence[int]) -> float:
+    """The longest time that asking for everybody can take."""
+    each_s = [
+        len(units) * (frame_time_s(8 + 10 + 20, baudrate, parity, 1) + 2 * REPLY_WITHIN_S + 0.008)
+        for baudrate, parity in settings
+    ]
+    return sum(each_s)
+
+
+def scan(
+    port: str,
+    settings: Sequence[tuple[int, str]],
+    units: Sequence[int],
+    within_s: float,
+    say: Callable[[str], None],
+) -> Iterator[Found]:
+    """Everybody who answers, setting by setting. Once somebody does, other baud rates are left out:
+    one line has one. Raises PortError."""
+    end_s = time.monotonic() + within_s
+    for baudrate, parity in settings:
+        say(f"{baudrate} baud, parity {parity}: units {units[0]} to {units[-1]}")
+        try:
+            opened = open_port(spec_of(port, baudrate, parity, DirectionSpec()))
+        except SettingRefused as error:
+            say(str(error))
+            continue
+        try:
+            asker = Asker(opened, baudrate, parity)
+            anybody = False
+            for unit in units:
+                if time.monotonic() > end_s:
+                    say(f"stopped after {within_s:g} s: --within-s looks on for longer")
+                    return
+                for found in _look(asker, unit, say):
+                    anybody = True
+                    yield found
+            if asker.heard_bytes and not anybody:
+                say(f"{asker.heard_bytes} bytes came, but no frame: baud rate or parity differ")
+        finally:
+            opened.close()
+        if anybody:
+            return
+
+
+def _look(asker: Asker, unit: int, say: Callable[[str], None]) -> Iterator[Found]:
+    reply = asker.ask(Request(unit, Function.READ_HOLDING, 0, count=1))
+    if reply is not None:
+        said = "answers" if reply.exception == 0 else f"refuses register 0 ({reply.exception})"
+        say(f"unit {unit} {said}: looking which drive it may be")
+        yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="modbus-rtu",
+                    said=said, matches=fingerprint(asker, unit))  # fmt: skip
+    elif asker.baudrate == 115200 and asker.parity == "none" and asker.ask_ddsm(unit) is not None:
+        names = [name for name, profile in _profiles() if profile.protocol == "ddsm"]
+        yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="ddsm",
+                    said="answers in ten-byte frames",
+                    matches=tuple(Match(name, 1, 1) for name in names))  # fmt: skip
+
+
+def _profiles() -> Iterator[tuple[str, DriveProfile]]:
+    for name, path in list_profiles().items():
+        try:
+            yield name, load_profile(path)
+        except ProfileError:
+            continue  # `motord drives` says what is wrong with it
+
+
+def fingerprint(asker: Asker, unit: int) -> tuple[Match, ...]:
+    """Profiles by how well they fit, the best first; those that do not are left out."""
+    read: dict[tuple[int, int], tuple[int, ...] | None] = {}
+    matches = []
+    for name, profile in _profiles():
+        if profile.protocol != "modbus-rtu":
+            continue
+        registers = [r for r in profile.registers.values() if "r" in r.access]
+        asked = registers[:REGISTERS_A_PROFILE]
+        fitting = sum(_fits(asker, unit, register, read) for register in asked)
+        matches.append(Match(name, fitting, len(asked)))
+    good = (match for match in matches if match.part >= FITS_FROM)
+    return tuple(sorted(good, key=lambda match: (-match.part, -match.fitting)))
+
+
+def _fits(
+    asker: Asker,
+    unit: int,
+    register: Register,
+    read: dict[tuple[int, int], tuple[int, ...] | None],
+) -> bool:
+    """It can be read, and what it holds is within its own range."""
+    place = register.address, register.type.words
+    if place not in read:
+        reply = None
+        for _ in range(TRIES):
+            request = Request(unit, Function.READ_HOLDING, place[0], count=place[1])
+            reply = asker.ask(request)
+            if reply is not None:
+                break
+        read[place] = None if reply is None or reply.exception else reply.values
+    words = read[place]
+    if words is None:
+        return False
+    value = register.decode(words) * register.scale
+    low = register.minimum is None or value >= register.minimum
+    return low and (register.maximum is None or value <= register.maximum)
+
+
+# --------------------------------------------------------------------------------------- direction
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One way of turning the transceiver, and what came of it."""
+
+    name: str
+    lines: tuple[str, ...]
+    """For the robot file."""
+    asked: int = 0
+    answers: int = 0
+    echoes: int = 0
+    turnaround_ms: float = 0.0
+    problem: str = ""
+
+
+ASKED = 10
+
+
+def directions(
+    port: str,
+    baudrate: int,
+    parity: str,
+    unit: int,
+    ways: Iterable[tuple[str, DirectionSpec, tuple[str, ...]]],
+) -> Iterator[Trial]:
+    """Each way with some reads of one unit."""
+    for name, direction, lines in ways:
+        try:
+            opened = open_port(spec_of(port, baudrate, parity, direction))
+        except PortError as error:
+            yield Trial(name=name, lines=lines, problem=str(error))
+            continue
+        try:
+            asker = Asker(opened, baudrate, parity)
+            for _ in range(ASKED):
+                asker.ask(Request(unit, Function.READ_HOLDING, 0, count=1))
+        finally:
+            opened.close()
+        took_s = sorted(asker.turnaround_s)
+        middle_ms = 1e3 * took_s[len(took_s) // 2] if took_s else 0.0
+        yield Trial(name=name, lines=lines, asked=ASKED, answers=asker.answers,
+                    echoes=asker.echoes, turnaround_ms=middle_ms)  # fmt: skip
