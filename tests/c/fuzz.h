@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz.h: a fuzz target that needs nothing but gcc, and is libFuzzer's as well.
  *
- * A target defines FUZZ_NAME, FUZZ_MAX and `static void once(const uint8_t *data, size_t size)`, then includes this. As a program:
+ * A target defines FUZZ_NAME, FUZZ_MAX and `static void once(const uint8_t *data, size_t size)`, then includes this. As a
+ * program:
  *     target RUNS [SEED]     so many inputs of its own: random ones, and small changes of the ones before
  * With clang: -fsanitize=fuzzer -DLIBFUZZER. */
 #ifndef MOTORD_TESTS_FUZZ_H

@@ -97,7 +97,7 @@ def test_a_port_takes_the_speed_that_was_asked(pty_path, baudrate):
 
 def test_a_port_is_opened_once_and_again_after_it_was_closed(pty_path):
     first = open_port(spec_of(pty_path))
-    with pytest.raises(PortError, match="held by"):
+    with pytest.raises(PortError, match="another program has it open"):
         open_port(spec_of(pty_path))
     first.close()
     open_port(spec_of(pty_path)).close()

@@ -86,5 +86,5 @@ def open_exclusively(path: str) -> int:
 
 def _reason(path: str, error: OSError) -> str:
     if busy(error):
-        return f"held by {', '.join(holders(path)) or 'another program'}"
+        return f"another program has it open: {', '.join(holders(path)) or 'who, cannot be seen'}"
     return error.strerror or str(error)
