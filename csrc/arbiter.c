@@ -11,6 +11,8 @@ _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md prom
 
 static const int64_t FUTURE_NS = 10000000;   /* the sender's clock is this machine's: more is a mistake */
 static const int64_t NS_PER_MS = 1000000;
+/* What is shorter would lapse between two commands, and the hold of who is held with it. */
+static const int64_t LIFETIME_LEAST_NS = 20000000;
 
 void arbiter_init(arbiter *a)
 {
@@ -76,7 +78,10 @@ static int refuse(arbiter *a, command_refusal why)
 static int64_t lifetime_ns(const lease_grant *grant, const command_datagram *command)
 {
     int64_t asked_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
-    return asked_ns == 0 ? grant->lifetime_ns : asked_ns <= grant->lifetime_ns ? asked_ns : 0;
+    if (asked_ns == 0) {
+        return grant->lifetime_ns;
+    }
+    return asked_ns >= LIFETIME_LEAST_NS && asked_ns <= grant->lifetime_ns ? asked_ns : 0;
 }
 
 static bool is_new(const lease_state *lease, uint64_t sequence)

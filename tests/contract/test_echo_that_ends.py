@@ -6,7 +6,9 @@ from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import ENGINES, hub_servo, registers_of, spec_of
 
-from motord_hal.modbus.codec import Function, build_request
+from motord_hal.modbus.codec import Function, Request, build_request
+from motord_hal.modbus.guard import StrictFramer
+from motord_hal.ports import DriveState, Echo
 
 
 @pytest.fixture(params=ENGINES)
@@ -49,3 +51,35 @@ async def test_a_line_that_begins_to_echo_is_heard_all_the_same(peer):
         await rig.ready()
         echo(peer)
         await rig.arm()
+
+
+async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
+    """It was heard on an adapter that hears itself; then it dies, and only its echo is left."""
+    echo(peer)
+    async with running(spec_of(peer, hub_servo())) as rig:
+        await rig.ready()
+
+        def only_echo(request, honest):
+            peer.tricks.append(only_echo)
+            return [(0.0, build_request(request))]
+
+        peer.tricks.clear()
+        peer.tricks.append(only_echo)
+        await until(lambda: rig.states() == {DriveState.QUIET}, "it is quiet")
+        heard = len(peer.heard)
+        await until(lambda: len(peer.heard) > heard + 5, "it is probed")
+        assert rig.states() == {DriveState.QUIET}
+
+
+@pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])
+async def test_the_robot_files_word_on_the_echo_is_obeyed(echo_setting, acknowledged):
+    """Of a write of one register echo and reply are alike: asyncio's framer, by itself."""
+    framer = StrictFramer(echo_setting)
+    request = Request(1, Function.WRITE_SINGLE, 0x200E, values=(8,))
+    frame = build_request(request)
+    framer.arm(request)
+    framer.handleFrame(frame, 1, 0)
+    assert (framer.reply is not None) is acknowledged
+    framer.arm(request)
+    framer.handleFrame(frame + frame, 1, 0)
+    assert framer.reply is not None

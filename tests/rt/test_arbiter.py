@@ -188,6 +188,7 @@ def raw(arbiter, at_ms, **changes):
         (Refusal.AGE, {"stamp_ns": START_NS - 300 * MS}),
         (Refusal.AGE, {"stamp_ns": START_NS + 11 * MS}),
         (Refusal.LIFETIME, {"lifetime_ms": 301}),
+        (Refusal.LIFETIME, {"lifetime_ms": 19}),
         (Refusal.FORM, {"kind": 0}),
         (Refusal.FORM, {"kind": 3}),
     ],

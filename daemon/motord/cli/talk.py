@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import signal
 import sys
 import time
 import tomllib
@@ -177,21 +179,37 @@ def drive(
     """
     start_s = due_s = time.monotonic()
     sent = 0
-    try:
-        while seconds is None or time.monotonic() - start_s < seconds:
+    with _interruptible() as interrupts:
+        while not interrupts and (seconds is None or time.monotonic() - start_s < seconds):
             answer = client.drive(linear_m_s, angular_rad_s, owner=owner)
             if sent % 5 == 0:
                 _progress(client, answer, owner)
             sent += 1
             due_s = max(due_s + SEND_PERIOD_S, time.monotonic())
             time.sleep(max(due_s - time.monotonic(), 0.0))
-    except KeyboardInterrupt:
-        pass  # what the release below is for
     client.release(owner)
     _progress(client, None, owner, last=True)
     if as_json:
         found = client.status()
         print_json({"state": found["state"], "sent": sent, "odometry": found["odometry"]})
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Grows with the first Ctrl-C, instead of an exception that may come to nothing where it cannot
+    be raised (in a finalizer); the second one ends the program."""
+    interrupts: list[int] = []
+
+    def interrupted(number: int, _: object) -> None:
+        if interrupts:
+            raise KeyboardInterrupt
+        interrupts.append(number)
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield interrupts
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _progress(

@@ -48,6 +48,8 @@ from motord_hal.modbus.codec import (
     reply_bytes,
     silent_interval_s,
 )
+from motord_hal.ports import Echo
+from motord_hal.serial.sysfs import device_file
 
 SCHEDULING_ALLOWANCE_S = 0.02
 """Added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's latency
@@ -94,7 +96,17 @@ class Strict(FramerBase):
 
 
 class StrictFramer(Strict, FramerRTU):
-    """RTU frames, wherever in the bytes they begin."""
+    """RTU frames, wherever in the bytes they begin.
+
+    An adapter that hears itself brings each request before its reply; of function 6 both are alike.
+    Whether it does is known from the robot file, or from the newest read: then the first copy of a
+    write is no acknowledgement.
+    """
+
+    def __init__(self, echo: Echo = Echo.AUTO) -> None:
+        super().__init__()
+        self._learns = echo is Echo.AUTO
+        self._echoes = echo is Echo.YES
 
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
@@ -104,16 +116,23 @@ class StrictFramer(Strict, FramerRTU):
         request = self._request
         if request is None or request.unit == BROADCAST_UNIT:
             return len(data), None
-        due = reply_bytes(request)
-        for begin in range(len(data)):
+        due, copy = reply_bytes(request), build_request(request)
+        alike = request.function is Function.WRITE_SINGLE
+        first = 0
+        if alike and self._echoes:
+            place = data.find(copy)
+            first = place + len(copy) if place >= 0 else len(data)
+        for begin in range(first, len(data)):
             for size in {due, EXCEPTION_BYTES}:
                 frame = data[begin : begin + size]
                 if len(frame) == size and (pdu := self._accept(request, frame)) is not None:
+                    if self._learns and not alike:
+                        self._echoes = data[:begin].endswith(copy)
                     self.disarm()
                     return len(data), pdu
         # Anything but a tail that may still grow into the answer is garbage.
         self.refused = self.refused or f"{data.hex(' ')} is no answer"
-        return max(0, len(data) - max(due, EXCEPTION_BYTES) + 1), None
+        return max(0, len(data) - max(due, EXCEPTION_BYTES) - len(copy) + 1), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +148,20 @@ class GuardedClient:
     """One serial port, one request in flight."""
 
     def __init__(
-        self, port: str, baudrate: int, parity: str, stop_bits: int, gap_s: float | None
+        self,
+        port: str,
+        baudrate: int,
+        parity: str,
+        stop_bits: int,
+        gap_s: float | None,
+        echo: Echo = Echo.AUTO,
     ) -> None:
         self.port = port
         self._serial = (baudrate, parity, stop_bits)
         bits = character_bits(parity, stop_bits)
         self.gap_s = silent_interval_s(baudrate, bits) if gap_s is None else gap_s
         self._client: AsyncModbusSerialClient | AsyncModbusTcpClient | None = None
-        self._framer: Strict = StrictFramer()
+        self._framer: Strict = StrictFramer(echo)
         self._lock = asyncio.Lock()
         self._last_byte_s = 0.0
         self._sent_s = 0.0
@@ -159,7 +184,7 @@ class GuardedClient:
         self.close()
         baudrate, parity, stop_bits = self._serial
         client = AsyncModbusSerialClient(
-            self.port,
+            device_file(self.port),
             baudrate=baudrate,
             parity=_PARITY[parity],
             stopbits=stop_bits,

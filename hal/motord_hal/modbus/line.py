@@ -24,6 +24,7 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
+    DirectionKind,
     DriveState,
     EventKind,
     LineEvent,
@@ -74,8 +75,13 @@ class ModbusRtuLine:
         self._turn = 0
 
     def _new_client(self, spec: LineSpec) -> GuardedClient:
+        if spec.direction.kind is not DirectionKind.AUTO:
+            raise HalError(
+                f'{spec.name}: direction = "{spec.direction.kind.value}" is the rt engine\'s: '
+                'engine = "rt" or "auto"'
+            )
         return GuardedClient(
-            spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec)
+            spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec), spec.echo
         )
 
     # ------------------------------------------------------------------------------------ what is

@@ -91,7 +91,8 @@ class GatewayClient(GuardedClient):
     def __init__(self, spec: LineSpec) -> None:
         super().__init__(spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec))
         self._raw = spec.kind == "rtu-over-tcp"
-        self._framer = StrictFramer() if self._raw else StrictTcpFramer()
+        self._echo = spec.echo
+        self._framer = StrictFramer(spec.echo) if self._raw else StrictTcpFramer()
         self._silent_since_s = math.inf
 
     def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
@@ -103,7 +104,7 @@ class GatewayClient(GuardedClient):
         """Connect. Raises PortError."""
         self.close()
         host, _, port = self.port.rpartition(":")
-        framer = StrictFramer() if self._raw else StrictTcpFramer()
+        framer = StrictFramer(self._echo) if self._raw else StrictTcpFramer()
         client = AsyncModbusTcpClient(
             host,
             port=int(port),
