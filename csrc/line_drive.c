@@ -8,7 +8,7 @@ static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE
 static const int64_t STOPPING_NS = 1000 * LINE_MS;
 static const int64_t FUTURE_NS = 10 * LINE_MS;
 /* RFC 6298 with a host's scheduling in place of the clock's granularity */
-static const int64_t DEADLINE_LEAST_NS = 5 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
+static const int64_t DEADLINE_LEAST_NS = 10 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
 
 bool line_fresh(const line_machine *m, int64_t now_ns)
 {
