@@ -328,7 +328,9 @@ void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
         drive->count.quiet++;
     }
     demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
-    drive->stop = STOP_NOTHING;
+    if (m->shut == 0 || m->work == WORK_STOP) {
+        drive->stop = STOP_NOTHING;   /* its probes stop it; at the end there are none, so it is told all the same */
+    }
     drive->stopping = drive->back = false;
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
