@@ -413,6 +413,16 @@ static void way_acknowledged(line_drive_state *drive, const line_machine *m, uin
     drive->place++;
 }
 
+static bool reads_on(const line_drive *table, uint32_t place)
+{
+    for (; place < table->cyclic_count; place++) {
+        if (table->cyclic[place].field_count > 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
 static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -429,6 +439,9 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     } else {
         line_read(m, number, &table->cyclic[drive->place], reply, stamp_ns);
         drive->place++;
+        if (!reads_on(table, drive->place)) {
+            line_publish(m, number);   /* the core need not wait until the line is free again */
+        }
     }
 }
 

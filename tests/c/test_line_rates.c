@@ -23,9 +23,10 @@ static figures run_for(int64_t length_ns, uint32_t counted)
         newest_ns[i] = w.machine.joint[i].feedback.stamp_ns;
     }
     while (w.now_ns < end_ns) {
+        int64_t looked_ns = w.now_ns;
         go_on();
         for (uint32_t i = 0; i < counted; i++) {
-            int64_t age_ns = w.now_ns - newest_ns[i];
+            int64_t age_ns = looked_ns - newest_ns[i];
             found.age_ns = age_ns > found.age_ns ? age_ns : found.age_ns;
             if ((w.out.feedback_mask >> i & 1) != 0) {
                 newest_ns[i] = w.machine.joint[i].feedback.stamp_ns;

@@ -31,7 +31,7 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     arm(2);
     arm(3);
     CHECK(shut_down() <= 500 * MS);
-    CHECK(w.power_offs[2] == 2 && w.power_offs[3] == 2);
+    CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
 /* Whatever is under way when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
