@@ -340,7 +340,8 @@ class Drive:
         self.state = DriveState.QUIET
         if not self._said_quiet:
             self._said_quiet = True
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
+            why = "; ".join(filter(None, (str(error), self._link.client.quiet_hint())))
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
             self._probes = deque(self._probe_requests())
             self._probes_at_once = len(self._probes) - 1
         self.probe_at_s = now_s() + self._probe_pause_s()

@@ -8,7 +8,7 @@ obeys where it is safe, and sequences of requests.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 
 from motord_hal.clock import NS_PER_S, now_ns
@@ -57,6 +57,7 @@ class RtDrive:
         thread: LineThread,
         news: News,
         say: Say,
+        hint: Callable[[], str],
     ) -> None:
         self.jobs = jobs
         self.frames = jobs.frames
@@ -67,6 +68,7 @@ class RtDrive:
         self._thread = thread
         self._news = news
         self._say = say
+        self._hint = hint
         self._report: DriveReport | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
@@ -125,7 +127,8 @@ class RtDrive:
     def _is_quiet(self, why: str) -> None:
         if not self._said_quiet:
             self._said_quiet = True
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+            said = "; ".join(filter(None, (why, self._hint())))
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {said}")
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
