@@ -139,6 +139,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
             power_off(m, number);
         }
         drive->mode = DRIVE_OFF;
+        drive->back = false;
         drive->stage = STAGE_IDLE;
         m->current = m->current == number ? LINE_DRIVES_MAX : m->current;
     } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {

@@ -359,6 +359,8 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     }
     if (m->shut < 2) {
         (void)take_cycle(m, now_ns, out);
+    } else {
+        line_shut_down(m, now_ns);   /* all are told: that was it */
     }
 }
 
@@ -376,7 +378,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
         if (drive->told_motion || drive->mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->mode == DRIVE_QUIET) {
+        if (drive->mode == DRIVE_QUIET && m->shut < 2) {
             int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }
