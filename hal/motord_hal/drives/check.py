@@ -165,6 +165,7 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
             setpoint = register
     if setpoint is not None:
         _check_setpoint(profile, key, setpoint, channel.direction, problems)
+        _check_together(profile, f"{key}.setpoint_with", setpoint, channel, problems)
     if channel.direction is not None:
         _check_direction(profile, f"{key}.direction", channel.direction, problems)
 
@@ -183,6 +184,24 @@ def _check_setpoint(
     low, high = register.minimum, register.maximum
     if (low is not None and low > 0) or (high is not None and high < 0):
         problems.add(key, f'the set-point "{register.name}" cannot say zero')
+
+
+def _check_together(
+    profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
+) -> None:
+    """One request carries them all: the drive never obeys half of it."""
+    if not channel.setpoint_with:
+        return
+    words = set(range(setpoint.address, setpoint.address + setpoint.type.words))
+    for name, _ in channel.setpoint_with:
+        register = _reference(profile, f"{key}.{name}", name, "w", (), problems)
+        if register is None:
+            return
+        words |= set(range(register.address, register.address + register.type.words))
+    if max(words) - min(words) + 1 != len(words):
+        problems.add(key, "these registers and the set-point's must lie side by side")
+    if profile.write_function != 16 or len(words) > profile.max_registers:
+        problems.add(key, f"needs write_function = 16 and max_registers = {len(words)} or more")
 
 
 def _check_direction(

@@ -231,9 +231,7 @@ class Drive:
 
     def arming(self) -> Job:
         """Zero in its set-point registers, its set-up still there, then the profile's own steps."""
-        zeros = self.plan.setpoints({}).items()
-        rest = (Step(register=register, value=raw) for register, raw in zeros)
-        return Job("arm", (*rest, *self._kept, *self.plan.profile.arm))
+        return Job("arm", (*self.plan.zero_steps(), *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
         while self.jobs:

@@ -208,7 +208,6 @@ class RtDrive:
 
     def _arming_steps(self) -> tuple[Step, ...]:
         profile = self.frames.profile
-        zeros = (Step(register=name, value=0) for name in self.frames.setpoint_names())
         said = profile.enabled
         enabled: tuple[Step, ...] = ()
         if said is not None:
@@ -220,7 +219,7 @@ class RtDrive:
                     within_s=VERIFY_WITHIN_S,
                 ),
             )
-        return (*zeros, *kept_steps(self._setup), *profile.arm, *enabled)
+        return (*self.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
 
     async def go(self) -> None:
         """The second half: from now on it is told the core's set-points. Raises HalError."""

@@ -168,8 +168,17 @@ class SimulatedDrive:
         for name, raw in written:
             self._follow_sequences(name, raw)
             self._setting_taken |= name in self._settings
+        for motor in self._motors.values():
+            self._take_setpoint(motor, dict(written))
         if written:
             self._apply()
+
+    def _take_setpoint(self, motor: Motor, written: Mapping[str, int]) -> None:
+        """Where the set-point counts only together with others: when all of them came at once."""
+        channel = motor.channel
+        whole = all(written.get(name) == raw for name, raw in channel.setpoint_with)
+        if channel.setpoint_with and channel.setpoint in written and whole:
+            motor.told_raw = written[channel.setpoint]
 
     def _follow_sequences(self, name: str, raw: int) -> None:
         done = {key for key, sequence in self._sequences.items() if sequence.feed(name, raw)}
@@ -189,6 +198,7 @@ class SimulatedDrive:
         for motor in self._motors.values():
             motor.switched_on = on
             motor.braking = False
+            motor.told_raw = 0
 
     # ---------------------------------------------------------------------------------- motors
     def _brake(self) -> None:
@@ -201,8 +211,8 @@ class SimulatedDrive:
 
     def _zero_setpoints(self) -> None:
         for motor in self._motors.values():
-            setpoint = motor.channel.velocity_setpoint or motor.channel.duty_setpoint or ""
-            self.registers.put(setpoint, 0)
+            motor.told_raw = 0
+            self.registers.put(motor.channel.setpoint, 0)
             if motor.channel.direction is not None:
                 self.registers.put(motor.channel.direction.register, motor.channel.direction.rest)
 
@@ -220,8 +230,9 @@ class SimulatedDrive:
 
     def _follow_setpoint(self, motor: Motor) -> None:
         channel, axis = motor.channel, motor.axis
-        name = channel.velocity_setpoint or channel.duty_setpoint or ""
-        value = self.profile.registers[name].to_si(self.registers.stored(name)) * self._way(channel)
+        name = channel.setpoint
+        raw = motor.told_raw if channel.setpoint_with else self.registers.stored(name)
+        value = self.profile.registers[name].to_si(raw) * self._way(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)
         else:
@@ -317,7 +328,7 @@ def _settings(profile: DriveProfile) -> frozenset[str]:
     sequences = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
     often = {step.register for steps in sequences for step in steps}
     for channel in profile.channels.values():
-        often |= {channel.velocity_setpoint or "", channel.duty_setpoint or ""}
+        often |= channel.commands
     return frozenset(once - often)
 
 
