@@ -33,7 +33,7 @@ if [ "$(cat "$dir/others.txt" 2>/dev/null)" != "$wanted" ]; then
 fi
 
 rm -rf "$root"
-install -d "$root"/{DEBIAN,etc/motord} "$root"/usr/{bin,lib/sysusers.d,share/doc/motord/examples} \
+install -d "$root"/{DEBIAN,etc/motord} "$root"/usr/{bin,lib/sysusers.d,share/{doc/motord,motord/robots}} \
     "$home/bin" "${packages%/*}" "$root"/lib/{systemd/system,udev/rules.d}
 cp -a "$dir/others" "$packages"
 # from a copy: what an older build has left beside the sources must not come along
@@ -51,7 +51,7 @@ install -m 755 "$here/motord" "$root/usr/bin/motord"
 install -m 644 "$project"/systemd/motord@.service "$root/lib/systemd/system/"
 install -m 644 "$project"/systemd/*.rules "$root/lib/udev/rules.d/"
 install -m 644 "$project"/systemd/sysusers.conf "$root/usr/lib/sysusers.d/motord.conf"
-install -m 644 "$project"/config/robots/*.toml "$root/usr/share/doc/motord/examples/"
+install -m 644 "$project"/config/robots/*.toml "$root/usr/share/motord/robots/"
 install -m 644 "$project/LICENSE" "$root/usr/share/doc/motord/copyright"
 install -m 755 "$here"/debian/{postinst,prerm,postrm} "$root/DEBIAN/"
 size=$(du -sk --exclude=DEBIAN "$root" | cut -f 1)

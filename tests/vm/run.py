@@ -18,7 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 BUILD = ROOT / "build" / "vm"
-BOOT_AND_TESTS_WITHIN_S = 480.0
+BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "480"))
 ADAPTER_SERIAL = "A10K3XYZ"
 STATUS = "guest: status "
 DISK_MB = 120
@@ -58,7 +58,7 @@ def qemu(disk: Path, folder: Path) -> list[str]:
     """The machine: a UART (ttyS1) cabled to a USB adapter, two CAN controllers on one bus, and the
     monitor as a port in the guest, so that a test can pull the adapter by itself."""
     cable, monitor = folder / "cable", folder / "monitor"
-    append = "console=ttyS0 root=/dev/vda quiet loglevel=4 audit=0 mitigations=off"
+    append = f"console=ttyS0 root=/dev/vda quiet loglevel=4 audit=0 mitigations=off {os.environ.get('MOTORD_VM_APPEND', '')}"
     return [
         "qemu-system-x86_64", "-accel", os.environ.get("MOTORD_VM_ACCEL", "tcg,thread=multi"),
         "-cpu", "max", "-smp", "2", "-m", "1024", "-nodefaults", "-display", "none", "-no-reboot",
@@ -75,7 +75,7 @@ def qemu(disk: Path, folder: Path) -> list[str]:
         "-mon", "chardev=qmp,mode=control",
         "-chardev", f"socket,id=monitor,path={monitor},reconnect=1", "-device", "virtio-serial-pci",
         "-device", "virtserialport,chardev=monitor,name=monitor",
-        "-chardev", "stdio,id=out,signal=off", "-device", "virtserialport,chardev=out,name=out",
+        "-chardev", "file,id=out,path=/dev/stdout", "-device", "virtserialport,chardev=out,name=out",
         "-object", "can-bus,id=can",
         "-device", "kvaser_pci,canbus=can", "-device", "kvaser_pci,canbus=can",
     ]  # fmt: skip
