@@ -97,7 +97,7 @@ wheel: $(VENV)/made
 	@ls dist/*.whl
 
 deb: $(VENV)/built
-	@packaging/deb.sh dist
+	@systemd/deb.sh dist
 
 # Builds the guest, boots it once, runs tests/vm/guest there. Says why, and succeeds, where it cannot.
 vm: $(VENV)/built

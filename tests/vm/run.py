@@ -58,7 +58,7 @@ def qemu(disk: Path, folder: Path) -> list[str]:
     """The machine: a UART (ttyS1) cabled to a USB adapter, two CAN controllers on one bus, and the
     monitor as a port in the guest, so that a test can pull the adapter by itself."""
     cable, monitor = folder / "cable", folder / "monitor"
-    append = f"console=ttyS0 root=/dev/vda quiet loglevel=4 audit=0 mitigations=off {os.environ.get('MOTORD_VM_APPEND', '')}"
+    append = "console=ttyS0 quiet loglevel=4 audit=0 mitigations=off"
     return [
         "qemu-system-x86_64", "-accel", os.environ.get("MOTORD_VM_ACCEL", "tcg,thread=multi"),
         "-cpu", "max", "-smp", "2", "-m", "1024", "-nodefaults", "-display", "none", "-no-reboot",
@@ -73,9 +73,10 @@ def qemu(disk: Path, folder: Path) -> list[str]:
         f"usb-serial,id=adapter,chardev=wire,always-plugged=on,serial={ADAPTER_SERIAL}",
         "-chardev", f"socket,id=qmp,path={monitor},server=on,wait=off",
         "-mon", "chardev=qmp,mode=control",
-        "-chardev", f"socket,id=monitor,path={monitor},reconnect=1", "-device", "virtio-serial-pci",
-        "-device", "virtserialport,chardev=monitor,name=monitor",
-        "-chardev", "file,id=out,path=/dev/stdout", "-device", "virtserialport,chardev=out,name=out",
+        "-chardev", f"socket,id=monitor,path={monitor},reconnect=1",
+        "-device", "virtio-serial-pci", "-device", "virtserialport,chardev=monitor,name=monitor",
+        "-chardev", "file,id=out,path=/dev/stdout",
+        "-device", "virtserialport,chardev=out,name=out",
         "-object", "can-bus,id=can",
         "-device", "kvaser_pci,canbus=can", "-device", "kvaser_pci,canbus=can",
     ]  # fmt: skip
@@ -107,7 +108,7 @@ def main(arguments: list[str]) -> int:
         print(f"make vm: skipped: {reason}", file=sys.stderr)
         return 0
     subprocess.run([HERE / "image.sh", BUILD], check=True, timeout=600)
-    made = subprocess.run([ROOT / "packaging" / "deb.sh", BUILD / "package"],
+    made = subprocess.run([ROOT / "systemd" / "deb.sh", BUILD / "package"],
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="motord-vm-") as folder:
         disk = make_disk(Path(made.stdout.strip()), arguments, Path(folder))

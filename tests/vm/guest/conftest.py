@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests against a real kernel's drivers. They change devices, users and packages of the machine they
-run on: only in the guest of `make vm`, or where MOTORD_VM=1 says that the machine is there for it."""
+"""Tests against a real kernel's drivers. They change devices, users and packages of the machine
+that they run on: only in the guest of `make vm`, or where MOTORD_VM=1 says that it is for that."""
 
 import os
 import sys

@@ -44,7 +44,7 @@ cp -a "$project"/{config,csrc,daemon,hal,setup.py,pyproject.toml,README.md,LICEN
 rm -rf "$packages/bin"
 ln -s /usr/bin/python3 "$home/bin/python3"
 printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "$minor" >"$home/pyvenv.cfg"
-install -m 755 "$here/motord" "$root/usr/bin/motord"
+install -m 755 "$here/deb/motord" "$root/usr/bin/motord"
 # compiled here, and never judged by a time stamp: nothing is written where the package is installed
 "$python" -m compileall -q --invalidation-mode unchecked-hash -s "$root" "$packages" >&2
 
@@ -53,10 +53,10 @@ install -m 644 "$project"/systemd/*.rules "$root/lib/udev/rules.d/"
 install -m 644 "$project"/systemd/sysusers.conf "$root/usr/lib/sysusers.d/motord.conf"
 install -m 644 "$project"/config/robots/*.toml "$root/usr/share/motord/robots/"
 install -m 644 "$project/LICENSE" "$root/usr/share/doc/motord/copyright"
-install -m 755 "$here"/debian/{postinst,prerm,postrm} "$root/DEBIAN/"
+install -m 755 "$here"/deb/{postinst,prerm,postrm} "$root/DEBIAN/"
 size=$(du -sk --exclude=DEBIAN "$root" | cut -f 1)
 sed -e "s/@VERSION@/$version/; s/@ARCHITECTURE@/$architecture/; s/@SIZE@/$size/; s/@PYTHON@/$minor/; s/@NEXT@/$next/" \
-    "$here/debian/control" >"$root/DEBIAN/control"
+    "$here/deb/control" >"$root/DEBIAN/control"
 find "$root" -type d -exec chmod 755 {} +
 package=$dir/motord_${version}_$architecture.deb
 dpkg-deb --build --root-owner-group -Zgzip -z1 "$root" "$package" >&2
