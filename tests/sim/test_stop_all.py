@@ -11,6 +11,9 @@ import sys
 
 import pytest
 from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
+from pymodbus.client import ModbusTcpClient
+
+from motord.tools.simulator import start_simulator
 
 LONG = "safety.drive_watchdog_s=10"
 SPEED_M_S = 0.5
@@ -94,3 +97,25 @@ def test_an_adapter_that_is_gone_is_said(tmp_path):
     status, lines = stop_all(f'line.rs485.port="{tmp_path}/nothing"')
     assert status == 3
     assert "No such file" in lines[0]["problems"][0]
+
+
+def test_drives_behind_a_gateway_stop_too(tmp_path):
+    robot = tmp_path / "gateway.toml"
+    text = ROBOT.read_text(encoding="utf-8")
+    text = text.replace(
+        'kind = "modbus-rtu"', 'kind = "modbus-tcp"\nhost = "127.0.0.1"\ntcp_port = 1'
+    )
+    robot.write_text(
+        text.replace('port = "/dev/ttyUSB0"\nbaudrate = 115200\n', ""), encoding="utf-8"
+    )
+    with start_simulator(robot, options=("--tcp", "0")) as simulator:
+        port = int(simulator.ports["rs485"].rpartition(":")[2])
+        with ModbusTcpClient("127.0.0.1", port=port) as master:
+            for address, value in ((0x2000, 10000), (0x200D, 3), (0x200E, 8), (0x2088, 60)):
+                master.write_registers(address, [value], device_id=1)
+        wait_until(lambda: not simulator.control.truth().at_rest, "a wheel turns")
+        status, lines = stop_all(f"line.rs485.tcp_port={port}", robot=robot)
+        assert (status, lines[0]["problems"]) == (0, [])
+        truth = simulator.control.truth()
+        assert not any(joint.enabled for joint in truth.joints.values())
+        assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())
