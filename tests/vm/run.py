@@ -45,6 +45,8 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
     shutil.copytree(ROOT / "config", content / "config")
+    (content / "tests/sim").mkdir()
+    shutil.copy(ROOT / "tests/sim/daemon_stage.py", content / "tests/sim")
     shutil.copy(package, content / "motord.deb")
     (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")
     subprocess.run(

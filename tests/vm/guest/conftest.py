@@ -8,4 +8,6 @@ from pathlib import Path
 
 collect_ignore_glob = [] if os.environ.get("MOTORD_VM") == "1" else ["*"]
 
-sys.path[:0] = map(str, Path("/usr/lib/motord/lib").glob("python3.*/site-packages"))
+PACKAGES = [str(path) for path in Path("/usr/lib/motord/lib").glob("python3.*/site-packages")]
+sys.path[:0] = PACKAGES
+os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that tests start
