@@ -12,6 +12,7 @@ from pathlib import Path
 
 from daemon_stage import ROBOT, Stage, connected, ended, wait_until
 
+from motord.client import Refused
 from motord.tools.simulator import start_simulator
 from motord_hal.serial.settings import set_raw
 from motord_hal.serial.sysfs import usb_ports
@@ -28,7 +29,7 @@ def adapter():
 
 
 def _monitor(command, **arguments):
-    """One command of QEMU's machine protocol (QMP), and its answer."""
+    """One command of QEMU's machine protocol (QMP); whether it was obeyed."""
     with open("/dev/virtio-ports/monitor", "r+b", buffering=0) as port:
         reader = port
         for request in ({"execute": "qmp_capabilities"},
@@ -37,19 +38,20 @@ def _monitor(command, **arguments):
             answer = {}
             while not answer.keys() & {"return", "error"}:
                 answer = json.loads(reader.readline())
-        assert "error" not in answer, answer
+    return "error" not in answer
 
 
 def pull():
-    _monitor("device_del", id="adapter")
+    assert _monitor("device_del", id="adapter")
     wait_until(lambda: not adapter(), "the adapter is gone")
 
 
 def plug():
     if adapter():
         return
-    _monitor("device_add", driver="usb-serial", id="adapter", chardev="wire", serial=ADAPTER_SERIAL,
-             **{"always-plugged": True})  # fmt: skip
+    device = {"driver": "usb-serial", "id": "adapter", "chardev": "wire", "always-plugged": True}
+    # the old one's end of the cable is let go a little later than the guest sees it leave
+    wait_until(lambda: _monitor("device_add", serial=ADAPTER_SERIAL, **device), "it is plugged in")
     wait_until(adapter, "the adapter is back")
 
 
@@ -146,3 +148,16 @@ def drive_on(stage, speed_m_s=0.5):
         return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)
 
     wait_until(turning, f"the wheels turn\n{stage.said()}")
+
+
+def granted(ask):
+    """Asks until it is not refused any more."""
+
+    def attempt():
+        try:
+            ask()
+        except Refused:
+            return False
+        return True
+
+    wait_until(attempt, "it is granted")

@@ -2,14 +2,31 @@
 """The daemon on serial ports of the kernel's own drivers: 8250 and ftdi_sio."""
 
 import os
+import signal
+from pathlib import Path
 
 import pytest
-from cable import ADAPTER_SERIAL, UART, adapter, daemon, drive_on, plug, pull, robot_file
-from cable import simulated_drive
+from cable import (
+    ADAPTER_SERIAL,
+    UART,
+    adapter,
+    daemon,
+    drive_on,
+    granted,
+    plug,
+    pull,
+    robot_file,
+    simulated_drive,
+)
 from daemon_stage import wait_until
+from gpio_chip import gpio_chip
 
+from motord.tools.scan import spec_of
+from motord_hal.errors import PortError
+from motord_hal.ports import DirectionKind, DirectionSpec
 from motord_hal.serial.counters import read_counters
-from motord_hal.serial.port import open_exclusively
+from motord_hal.serial.latency import ask_low_latency
+from motord_hal.serial.port import open_exclusively, open_port
 
 
 @pytest.fixture(autouse=True)
@@ -47,15 +64,17 @@ def test_an_adapter_that_was_pulled_is_found_again_and_the_drives_are_disarmed(t
     ):
         drive_on(stage)
         before = adapter()
+        somebody = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         pull()
         stage.wait_for("fault")
         wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
         plug()
-        assert adapter() != before, "the old number is still held: this test shows nothing"
+        assert adapter() != before  # somebody still holds the old number
+        os.close(somebody)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"
         assert rests_without_power(sim)
-        stage.robot.reset()
+        granted(stage.robot.reset)
         drive_on(stage)
 
 
@@ -68,3 +87,48 @@ def test_the_kernel_counts_what_a_uart_received():
         wait_until(lambda: read_counters(fd).received >= before.received + 3, "three bytes")
     finally:
         os.close(fd)
+
+
+def test_an_ftdi_adapter_that_keeps_bytes_back_is_told_not_to():
+    timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
+    timer.write_text("16")
+    open_port(spec_of(adapter(), 115200, "none", DirectionSpec())).close()
+    assert int(timer.read_text()) == 1
+
+
+def test_a_plugged_adapter_has_a_short_latency_timer_by_the_udev_rule():
+    pull()
+    plug()
+    timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
+    wait_until(lambda: int(timer.read_text()) == 1, "udev has set the timer")
+
+
+def test_a_uart_hands_bytes_on_at_once():
+    fd = open_exclusively(UART)
+    try:
+        assert ask_low_latency(fd)
+    finally:
+        os.close(fd)
+
+
+def test_a_uart_that_cannot_turn_a_transceiver_says_what_else_can():
+    asked = DirectionSpec(kind=DirectionKind.KERNEL)
+    with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
+        open_port(spec_of(UART, 115200, "none", asked))
+    os.close(open_exclusively(UART))  # and holds nothing
+
+
+@pytest.mark.parametrize("talking", [1, 0], ids=["active high", "active low"])
+def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, talking):
+    with gpio_chip("rs485-hat", "DE") as level_of:
+        robot = robot_file(
+            tmp_path, UART, direction="gpio", direction_gpio_chip="rs485-hat",
+            direction_gpio_line="DE", direction_active_high=bool(talking), direction_after_s=0.005,
+        )  # fmt: skip
+        with simulated_drive(tmp_path, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
+            drive_on(stage)
+            wait_until(lambda: level_of("DE") == talking, "it talks")
+            wait_until(lambda: level_of("DE") != talking, "it listens")
+            stage.robot.disarm()
+            stage.end(signal.SIGKILL)  # the kernel gives the line back: it falls to its pull
+            wait_until(lambda: level_of("DE") == 0, "nobody drives the pair")
