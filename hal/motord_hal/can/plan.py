@@ -72,6 +72,8 @@ class CanPlan:
             if frame.silence_s and (frame.period_s or frame in self.fast)
         )
         """Frames that are missed when they do not come."""
+        self.measuring = self._frames_of(self._measuring_names())
+        """What odometry is made of."""
         self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)
         self.asked_slow = tuple(frame for frame in self.slow if frame.ask and not frame.period_s)
         self._by_identifier: dict[tuple[int, bool], list[Frame]] = {}
@@ -93,6 +95,10 @@ class CanPlan:
             channel = self.channel(joint)
             names += [n for n in (channel.position, channel.velocity, channel.fault) if n]
         return names
+
+    def _measuring_names(self) -> list[str]:
+        channels = [self.channel(joint) for joint in self.joints]
+        return [name for c in channels if (name := c.position or c.velocity) is not None]
 
     def _slow_names(self) -> list[str]:
         names = [self.profile.bus_voltage]
