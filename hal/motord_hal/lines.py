@@ -20,6 +20,7 @@ KINDS = MappingProxyType(
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
         ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("can", "asyncio"): "motord_hal.can.line:CanLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }

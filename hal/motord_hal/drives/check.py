@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord_hal.drives.can_check import check_can
 from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
-_SPEED_UNITS = ("rpm", "rad/s")
+_SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written
 _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
-    "position": (("count",), "r"),
+    "position": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
     "temperature": (("c",), "r"),
@@ -29,10 +30,10 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     """Add a row for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
         problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
-    for register in profile.registers.values():
-        _check_register(profile, register, problems)
-    _check_overlaps(profile, problems)
-    _check_serial(profile, problems)
+    if profile.can is not None:
+        check_can(profile, profile.can, problems)
+    else:
+        _check_wire(profile, problems)
     for number, channel in profile.channels.items():
         _check_channel(profile, f"channel.{number}", channel, problems)
     _check_counter(profile, problems)
@@ -46,6 +47,14 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     _check_faults(profile, problems)
     if profile.bus_voltage is not None:
         _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
+
+
+def _check_wire(profile: DriveProfile, problems: Problems) -> None:
+    """What only a drive on a serial line has."""
+    for register in profile.registers.values():
+        _check_register(profile, register, problems)
+    _check_overlaps(profile, problems)
+    _check_serial(profile, problems)
 
 
 def _check_serial(profile: DriveProfile, problems: Problems) -> None:
@@ -177,7 +186,7 @@ def _check_setpoint(
     direction: Direction | None,
     problems: Problems,
 ) -> None:
-    if register.type.words == 2 and profile.write_function == 6:
+    if profile.can is None and register.type.words == 2 and profile.write_function == 6:
         problems.add(key, "a 32-bit set-point cannot be written with function 6")
     if direction is not None and register.type.signed:
         problems.add(f"{key}.direction", "the set-point is signed: it needs no direction")

@@ -35,6 +35,11 @@ class Job:
         """The current step; None when all are done."""
         return self.steps[self._index] if self._index < len(self.steps) else None
 
+    @property
+    def steps_ahead(self) -> tuple[Step, ...]:
+        """From the current step on."""
+        return self.steps[self._index :]
+
     def advance(self) -> None:
         self._index += 1
         self.failures = 0

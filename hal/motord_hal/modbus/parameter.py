@@ -43,7 +43,7 @@ def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
         raise ValueError(f"{profile.name}: {name} can only be read")
     if name in kept_back(profile):
         raise ValueError(f"{profile.name}: {name} is written by motord itself")
-    low, high = limits(register)
+    low, high = register.si_limits
     if not (math.isfinite(value) and low <= value <= high):
         unit = SI_UNITS[register.unit][0]
         raise ValueError(f"{name}: {value:g} is not within {low:g} to {high:g} {unit}".rstrip())
@@ -54,15 +54,3 @@ def write_steps(profile: DriveProfile, name: str, value: float) -> tuple[Step, S
     """Write a value in SI, and read it back. Raises as `raw_to_write`."""
     write = Step(register=name, value=raw_to_write(profile, name, value))
     return write, read_back(write)
-
-
-def limits(register: Register) -> tuple[float, float]:
-    """Least and largest value of a register in SI: its type's, and its own where it has any."""
-    by_type = sorted(register.to_si(raw) for raw in register.raw_range)
-    per_unit = SI_UNITS[register.unit][1]
-    low, high = by_type
-    if register.minimum is not None:
-        low = max(low, register.minimum * per_unit)
-    if register.maximum is not None:
-        high = min(high, register.maximum * per_unit)
-    return low, high

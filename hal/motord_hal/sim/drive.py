@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
+from motord_hal.sim.can_content import CanContent
 from motord_hal.sim.content import FrameContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
@@ -70,9 +71,7 @@ class SimulatedDrive:
         self.unit = unit
         self.stats = DriveStats()
         self.journal = Journal()
-        self.registers: RegisterFile | FrameContent = (
-            FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
-        )
+        self.registers = _content(profile)
         self._settings = _settings(profile)
         self._setting_taken = False
         self._watchdog_s = watchdog_s
@@ -82,6 +81,7 @@ class SimulatedDrive:
         self._sequences = {
             name: _Sequence(getattr(profile, name))
             for name in ("arm", "disarm", "quick_stop", "clear_fault")
+            if _commands(profile, name)
         }
         self._always_on = not any(step.value is not None for step in profile.arm)
         self._switch(on=self._always_on)
@@ -142,7 +142,7 @@ class SimulatedDrive:
 
     def _execute(self, request: Request) -> tuple[int, ...]:
         registers = self.registers
-        if request.function not in self.functions or isinstance(registers, FrameContent):
+        if request.function not in self.functions or not isinstance(registers, RegisterFile):
             raise Refusal(ILLEGAL_FUNCTION, f"function {request.function}")
         if request.function == Function.READ_HOLDING:
             return registers.read(request.address, request.count)
@@ -163,6 +163,12 @@ class SimulatedDrive:
         if reply is not None:
             self.journal.add(now_s, frame[1], 0, tuple(reply))
         return reply
+
+    def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
+        """A frame to this drive has come, and these signals in it."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        self._obey(written)
 
     def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
@@ -319,6 +325,21 @@ class SimulatedDrive:
         it is."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
+
+
+def _content(profile: DriveProfile) -> RegisterFile | FrameContent | CanContent:
+    if profile.can is not None:
+        return CanContent(profile, profile.can)
+    return FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
+
+
+def _commands(profile: DriveProfile, name: str) -> bool:
+    """Whether a sequence is more than set-points: those tell a drive nothing but a speed."""
+    setpoints = set()
+    for channel in profile.channels.values():
+        setpoints |= {channel.velocity_setpoint, channel.duty_setpoint}
+    writes = {step.register for step in getattr(profile, name) if step.value is not None}
+    return profile.can is None or not writes or not writes <= setpoints
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:
