@@ -17,6 +17,7 @@ KINDS = MappingProxyType(
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
         ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }
