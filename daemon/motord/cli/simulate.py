@@ -26,6 +26,7 @@ from motord.config import Joint, Robot
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.sim.board_line import SimulatedBoard
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.rig import TCP_KINDS, PortSpec, Rig, RigSpec, WheelSpec
@@ -233,7 +234,7 @@ def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:
     click.echo("Ctrl-C ends it.")
 
 
-def _setting(line: SimulatedLine) -> str:
+def _setting(line: SimulatedLine | SimulatedBoard) -> str:
     """What makes a robot file find the line here."""
     name, address = line.spec.name, line.port.address
     if line.spec.kind not in TCP_KINDS:

@@ -35,7 +35,9 @@ WAIT_LEAST_S = 0.25
 class Board:
     """State of the board. All its methods run in the line's task or in its reader."""
 
-    def __init__(self, spec: LineSpec, exchange: Exchange, say: Say, *, answers: bool) -> None:
+    def __init__(
+        self, spec: LineSpec, exchange: Exchange, say: Say, *, period_s: float, answers: bool
+    ) -> None:
         self.plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
         self.state = DriveState.UNKNOWN
         self.jobs: deque[Job] = deque()
@@ -45,7 +47,7 @@ class Board:
         self.faults = {name: FaultWatch(name, self.plan.profile, say) for name in self.names}
         self.watchdog_s = watchdog_time_s(self.plan.profile, spec.watchdog_s)
         tries = max(joint.tries for joint in spec.joints)
-        self.quiet_after_s = tries / spec.cycle_hz + QUIET_ALLOWANCE_S
+        self.quiet_after_s = tries * period_s + QUIET_ALLOWANCE_S
         self._line = spec.name
         self._exchange = exchange
         self._say = say

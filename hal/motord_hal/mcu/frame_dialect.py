@@ -10,10 +10,6 @@ from motord_hal.drives.profile import DriveProfile
 from motord_hal.errors import ProfileError
 from motord_hal.mcu.dialect import Said
 from motord_hal.mcu.frames import (
-    FEEDBACK_HEAD_BYTES,
-    FEEDBACK_MOTOR_BYTES,
-    SETPOINTS_HEAD_BYTES,
-    SETPOINTS_MOTOR_BYTES,
     Frame,
     FrameError,
     Heard,
@@ -24,15 +20,15 @@ from motord_hal.mcu.frames import (
     parse,
     pick,
     setpoints_payload,
+    wire_bytes,
 )
+from motord_hal.mcu.pace import period_s
 from motord_hal.mcu.stamps import NS_PER_US, BoardClock
 from motord_hal.ports import LineSpec
 
 SEQUENCES_KEPT = 256
 HELD_TOLERANCE_S = 0.002
 """Heard earlier than sent: the number is that of set-points of an earlier program."""
-_AROUND_BYTES = 8 + 2 + 3
-"""Head, CRC, the two zeros and one byte of stuffing."""
 
 
 class FrameDialect:
@@ -46,7 +42,7 @@ class FrameDialect:
         self._registers = tuple(profile.registers.values())
         self._read = tuple(r for r in self._registers if "r" in r.access)
         self._motors = max(profile.channels)
-        self._feedback_s = 1.0 / spec.cycle_hz
+        self._feedback_s = period_s(spec, self.wire_bytes())
         self._sequence = 0
         if spec.joints[0].profile.protocol != "mcu-frame":
             raise ProfileError(f"{spec.name}: {profile.name} speaks {profile.protocol}")
@@ -87,6 +83,4 @@ class FrameDialect:
         return Said(values, stamp_ns, sent_ns, trip_s)
 
     def wire_bytes(self) -> int:
-        out = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * self._motors
-        back = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * self._motors
-        return _AROUND_BYTES + max(out, back)
+        return wire_bytes(self._motors)

@@ -126,6 +126,13 @@ class Splitter:
             self._tail += piece[:room]
 
 
+def wire_bytes(motors: int) -> int:
+    """Of the longer of both frames, with the zeros and the byte that the stuffing adds."""
+    setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
+    feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors
+    return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
+
+
 def newer(sequence: int, than: int) -> bool:
     """Whether a sequence number comes after another: serial arithmetic of 16 bits (RFC 1982)."""
     return 0 < (sequence - than & 0xFFFF) < 0x8000

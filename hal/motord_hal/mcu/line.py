@@ -18,7 +18,7 @@ from motord_hal.mcu.board import Board, Wanted
 from motord_hal.mcu.dialect import Dialect, Said
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
-from motord_hal.modbus.codec import frame_time_s
+from motord_hal.mcu.pace import period_s, wire_limit_hz
 from motord_hal.modbus.job import Job, clear_steps
 from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.units import joints_by_unit
@@ -59,7 +59,10 @@ class McuLine:
         self._listener = listener
         self._dialect = self._new_dialect(spec)
         self._stream = Stream(spec, self._take_in)
-        self._board = Board(spec, exchange, self._say, answers=self._dialect.answers)
+        self._period_s = period_s(spec, self._dialect.wire_bytes())
+        self._board = Board(
+            spec, exchange, self._say, period_s=self._period_s, answers=self._dialect.answers
+        )
         self._open = False
         self._said_lost = False
         self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
@@ -103,16 +106,12 @@ class McuLine:
         if self._dialect.bad:
             stats.errors["bad_reply"] = self._dialect.bad
         stats.cycle_hz = (len(starts) - 1) / span_s if span_s > 0 else 0.0
-        stats.wire_limit_hz = 1.0 / self._wire_time_s(self._dialect.wire_bytes())
+        stats.wire_limit_hz = wire_limit_hz(self.spec, self._dialect.wire_bytes())
         if ordered_s:
             last = len(ordered_s) - 1
             places = (round(last * part) for part in (0.5, 0.99, 1.0))
             stats.round_trip = RoundTrips(*(ordered_s[place] * 1e6 for place in places))
         return stats
-
-    def _wire_time_s(self, size_bytes: int) -> float:
-        spec = self.spec
-        return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)
 
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._errors["no_reply"] += kind is EventKind.DRIVE_QUIET
@@ -165,7 +164,6 @@ class McuLine:
 
     async def _go_round(self) -> None:
         """Cycle for ever at `cycle_hz`; a late cycle is not caught up. Raises PortError."""
-        period_s = 1.0 / self.spec.cycle_hz
         due_s = now_s()
         while True:
             self._stats.cycles += 1
@@ -176,7 +174,7 @@ class McuLine:
             self._send()
             if self._board.state is not DriveState.UNKNOWN:
                 self._backoff.reset()
-            due_s = max(due_s + period_s, now_s())
+            due_s = max(due_s + self._period_s, now_s())
             await self._wait_for_cycle(due_s)
             due_s = min(due_s, now_s())
 
@@ -242,7 +240,7 @@ class McuLine:
         """Quick stop, then power off; within SHUTDOWN_WITHIN_S."""
         if not self._open:
             return
-        board, period_s = self._board, min(1.0 / self.spec.cycle_hz, LOOK_EVERY_S)
+        board, pause_s = self._board, min(self._period_s, LOOK_EVERY_S)
         stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
@@ -250,10 +248,10 @@ class McuLine:
                     board.quick_stop()
                 while board.is_stopping and now_s() < stopping_by_s:
                     self._send()
-                    await asyncio.sleep(period_s)
+                    await asyncio.sleep(pause_s)
                 board.power_off()
                 self._send()
-                await asyncio.sleep(self._wire_time_s(2 * self._dialect.wire_bytes()) + period_s)
+                await asyncio.sleep(2 * pause_s)  # until it is on the wire
         except (TimeoutError, PortError) as error:
             text = f"{self.spec.name}: the board was not switched off at the end: {error}"
             self._say(EventKind.DRIVE_WARNING, board.names, text)
@@ -328,7 +326,7 @@ class McuLine:
 
     async def _finish(self, job: Job) -> None:
         """Wait for it; raises its HalError, or NoReply when it takes too long."""
-        limit_s = JOB_ALLOWANCE_S + job.limit_s(max(1.0 / self.spec.cycle_hz, LOOK_EVERY_S), 1)
+        limit_s = JOB_ALLOWANCE_S + job.limit_s(max(self._period_s, LOOK_EVERY_S), 1)
         try:
             async with asyncio.timeout(limit_s):
                 await job.done

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
-from motord_hal.sim.content import FrameContent
+from motord_hal.sim.content import FrameContent, NamedContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
 from motord_hal.sim.reports import Reports
@@ -70,9 +70,7 @@ class SimulatedDrive:
         self.unit = unit
         self.stats = DriveStats()
         self.journal = Journal()
-        self.registers: RegisterFile | FrameContent = (
-            FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
-        )
+        self.registers: RegisterFile | NamedContent = _registers(profile)
         self._settings = _settings(profile)
         self._setting_taken = False
         self._watchdog_s = watchdog_s
@@ -142,7 +140,7 @@ class SimulatedDrive:
 
     def _execute(self, request: Request) -> tuple[int, ...]:
         registers = self.registers
-        if request.function not in self.functions or isinstance(registers, FrameContent):
+        if request.function not in self.functions or isinstance(registers, NamedContent):
             raise Refusal(ILLEGAL_FUNCTION, f"function {request.function}")
         if request.function == Function.READ_HOLDING:
             return registers.read(request.address, request.count)
@@ -163,6 +161,17 @@ class SimulatedDrive:
         if reply is not None:
             self.journal.add(now_s, frame[1], 0, tuple(reply))
         return reply
+
+    def obey(self, written: Mapping[str, int], now_s: float) -> None:
+        """Do what a frame says that carries every register; a sequence goes on with a change."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        changed = [
+            (name, raw) for name, raw in written.items() if raw != self.registers.stored(name)
+        ]
+        for name, raw in changed:
+            self.registers.put(name, raw)
+        self._obey(changed)
 
     def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
@@ -308,6 +317,12 @@ class SimulatedDrive:
         it is."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
+
+
+def _registers(profile: DriveProfile) -> RegisterFile | NamedContent:
+    if profile.protocol == "ddsm":
+        return FrameContent(profile)
+    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:

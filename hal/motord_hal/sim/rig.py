@@ -21,9 +21,11 @@ from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
+from motord_hal.sim.board_line import SimulatedBoard
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
+from motord_hal.sim.frame_talk import FrameTalk
 from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
@@ -155,7 +157,7 @@ class Rig:
         spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
         return spare | {joint.unit: joint.profile for joint in line.joints}
 
-    def _make_line(self, line: LineSpec, link_dir: Path) -> SimulatedLine:
+    def _make_line(self, line: LineSpec, link_dir: Path) -> SimulatedLine | SimulatedBoard:
         drives = {}
         for unit, profile in self._profiles(line).items():
             axes = {
@@ -166,7 +168,11 @@ class Rig:
             axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
             watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
             drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
-        return SimulatedLine(line, drives, self.script, self._make_port(line, link_dir))
+        port = self._make_port(line, link_dir)
+        if line.kind == "mcu":
+            talk = FrameTalk(line.joints[0].profile)
+            return SimulatedBoard(line, drives, self.script, port, talk)
+        return SimulatedLine(line, drives, self.script, port)
 
     def _make_port(self, line: LineSpec, link_dir: Path) -> Port:
         wanted = self.spec.ports.get(line.name)
@@ -294,7 +300,7 @@ class Rig:
         for name in [line] if line else list(self.lines):
             self._line(name).plug()
 
-    def _line(self, name: str) -> SimulatedLine:
+    def _line(self, name: str) -> SimulatedLine | SimulatedBoard:
         if name not in self.lines:
             raise ValueError(f'no line "{name}"; known: {", ".join(self.lines)}')
         return self.lines[name]
