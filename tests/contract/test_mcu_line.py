@@ -12,6 +12,7 @@ from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.lines import open_line
+from motord_hal.mcu import board
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState
 from motord_hal.rt import Exchange
 
@@ -68,6 +69,19 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
     assert await rig.line.read_register("left", "watchdog") == pytest.approx(0.2)
     assert not any(told.enabled for told in peer.told)
+
+
+async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(program, tmp_path, monkeypatch):
+    monkeypatch.setattr(board, "START_GRACE_S", 0.1)
+    peer = McuPeer(program, tmp_path / "board")
+    peer.do("m")
+    async with running(spec_of(peer.link)) as rig:
+        await until(lambda: rig.states() == {DriveState.QUIET})
+        cycles = rig.line.stats().cycles
+        await until(lambda: rig.line.stats().cycles > cycles + 20)
+        assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_QUIET]
+        assert not any(told.enabled for told in peer.told)
+    peer.pull()
 
 
 async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):

@@ -22,6 +22,8 @@ from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
+_PROTOCOLS = {"ddsm": "ddsm", "mcu": "mcu-frame"}
+"""Of a line's kind; all others carry Modbus."""
 
 
 def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -45,7 +47,7 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
-        if (kind == "ddsm") != (protocol == "ddsm"):
+        if _PROTOCOLS.get(kind, "modbus-rtu") != protocol:
             text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
             yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
 

@@ -108,5 +108,24 @@ class RtuOverTcpLine(GatewayLine):
     kind: Literal["rtu-over-tcp"]
 
 
-AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine
+class PortLine(Line):
+    """One device alone on a serial port of this machine, without a transceiver to turn."""
+
+    port: str = Field(min_length=1)
+    """Device file (/dev/serial/by-id/... names the same board after every start), or usb:SERIAL
+    for the board with that serial number."""
+
+    @property
+    def address(self) -> str:
+        """Where it is plugged in."""
+        return self.port
+
+
+class McuLine(PortLine):
+    """A board of one's own (ESP32, Arduino, Pico) that speaks motord's frames."""
+
+    kind: Literal["mcu"]
+
+
+AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | McuLine
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

@@ -28,6 +28,8 @@ STOPPING_WITHIN_S = 1.0
 REST_VELOCITY_RAD_S = 0.1
 QUIET_ALLOWANCE_S = 0.05
 """On top of the feedback that may be lost: the event loop, or an adapter, may be late."""
+START_GRACE_S = 2.5
+"""An Arduino restarts when its port is opened, and its boot loader waits for two seconds."""
 WAIT_LEAST_S = 0.25
 """For a step that waits: a frame there and one back, also where the profile gives it no time."""
 
@@ -58,6 +60,8 @@ class Board:
         """What the steps have written: it is in every frame."""
         self._values: dict[str, int] = {}
         self._heard_s = 0.0
+        self._heard = False
+        """Since the port was opened."""
         self._written_ns = 0
         self._stamp_ns = 0
         self._epoch = 0
@@ -76,14 +80,14 @@ class Board:
     def sent(self) -> None:
         """A frame has gone: a board that cannot answer is taken to be there."""
         if not self._answers:
-            self._heard_s = now_s()
+            self._heard, self._heard_s = True, now_s()
             self._stamp_ns = now_ns()
             self._publish()
 
     # -------------------------------------------------------------------------------- what it says
     def hear(self, said: Said) -> None:
         """A good feedback."""
-        self._heard_s = now_s()
+        self._heard, self._heard_s = True, now_s()
         self._stamp_ns = said.stamp_ns
         self._values = said.values
         if self.state is DriveState.QUIET:
@@ -160,13 +164,14 @@ class Board:
     # ------------------------------------------------------------------------------ whether it is
     def begin(self) -> None:
         """The port is open."""
-        self._heard_s = now_s()
+        self._heard, self._heard_s = False, now_s()
         self.configure("the line has just been opened")
 
     def check_quiet(self) -> None:
         """Once a cycle."""
         silent_s = now_s() - self._heard_s
-        if self.state is DriveState.QUIET or silent_s <= self.quiet_after_s:
+        limit_s = self.quiet_after_s if self._heard else START_GRACE_S
+        if self.state is DriveState.QUIET or silent_s <= limit_s:
             return
         self._go_quiet(NoReply(f"{self._line}: nothing for {silent_s * 1e3:.0f} ms"))
 
@@ -213,7 +218,7 @@ class Board:
         """Once a cycle, before its frame: the next write, or a look at the clock."""
         while self.jobs and self.jobs[0].done.done():  # whoever wanted it has gone
             self.jobs.popleft()
-        if not self.jobs:
+        if not self.jobs or not self._heard:
             return
         job = self.jobs[0]
         step = job.step

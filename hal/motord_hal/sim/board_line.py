@@ -71,7 +71,7 @@ class SimulatedBoard:
         self._reboots = 0
         self.wire = Wire(port, self._bits / spec.baudrate)
         self._incoming: deque[tuple[float, bytes]] = deque()
-        self._feedback_due_s = 0.0
+        self._fed_back_s = 0.0
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
@@ -97,6 +97,10 @@ class SimulatedBoard:
         heard_s = self._incoming[0][0] if self._incoming else math.inf
         port_s = self.port.due_s(now_s)
         return min(heard_s, self.wire.due_s(), port_s, self._feedback_due_s)
+
+    @property
+    def _feedback_due_s(self) -> float:
+        return self._fed_back_s + self._talk.feedback_s
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
         """Take in what has come, do what is due."""
@@ -159,7 +163,7 @@ class SimulatedBoard:
         return self._drive.on
 
     def _feed_back(self, now_s: float, *, connected: bool) -> None:
-        self._feedback_due_s = now_s + self._talk.feedback_s
+        self._fed_back_s = now_s
         silent = self._script.silent(self._drive.unit, now_s)
         content = self._drive.registers
         if not connected or not self._awake() or silent or not isinstance(content, NamedContent):
