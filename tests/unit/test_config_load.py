@@ -145,7 +145,7 @@ def test_what_only_follows_from_a_mistake_is_not_said(problems_of):
     )
     base, line = [row.partition(":")[2] for row in problems_of(text)]
     assert base == " base.trak_m: unknown key (did you mean track_m?)"
-    assert line.startswith(' line.rs485.kind: "smoke" is not in this version of motord ("')
+    assert line.startswith(' line.rs485.kind: "smoke" is unknown ("')
     assert '"modbus-rtu", "modbus-tcp", ' in line
 
 
