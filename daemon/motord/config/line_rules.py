@@ -33,7 +33,7 @@ def _engine(robot: Robot) -> Iterator[Finding]:
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        alone = isinstance(robot.line[first.line], McuLine)
+        alone = isinstance(robot.line.get(first.line), McuLine)
         if alone and first.line == second.line and first.unit != second.unit:
             text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
             yield Finding((("joint", other, "unit"), ("joint", one, "unit")), text)
