@@ -23,8 +23,8 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 
 # the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
 _UNSEALED = 0xA0
-_FRAMES = ("ddsm", "mcu-frame")
-"""Protocols in which an address is a place in a frame."""
+_FRAMES = ("ddsm", "mcu-frame", "ascii")
+"""Protocols in which an address is a place in a frame, or (ascii) just a number."""
 # bytes of a board's payloads that the line itself fills and reads (motord_hal.mcu.frames)
 _BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
 _BOARD_BYTES = {"w": 6 + 6 * 8, "r": 16 + 10 * 8}
@@ -92,7 +92,7 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         _check_place(key, register, problems)
     elif profile.protocol == "mcu-frame":
         _check_board_place(key, register, problems)
-    elif register.type.bits < 16:
+    elif profile.protocol == "modbus-rtu" and register.type.bits < 16:
         problems.add(f"{key}.type", f"{register.type.value}: a Modbus register has 16 bits")
 
 
