@@ -34,7 +34,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "can")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (

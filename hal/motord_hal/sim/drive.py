@@ -17,7 +17,7 @@ from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
 from motord_hal.sim.can_content import CanContent
-from motord_hal.sim.content import FrameContent
+from motord_hal.sim.content import FrameContent, NamedContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
 from motord_hal.sim.reports import Reports
@@ -169,6 +169,17 @@ class SimulatedDrive:
         self.stats.requests += 1
         self._heard_s = now_s
         self._obey(written)
+
+    def obey(self, written: Mapping[str, int], now_s: float) -> None:
+        """Do what a frame says that carries every register; a sequence goes on with a change."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        changed = [
+            (name, raw) for name, raw in written.items() if raw != self.registers.stored(name)
+        ]
+        for name, raw in changed:
+            self.registers.put(name, raw)
+        self._obey(changed)
 
     def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
@@ -327,17 +338,17 @@ class SimulatedDrive:
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
 
 
-def _content(profile: DriveProfile) -> RegisterFile | FrameContent | CanContent:
+def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
     if profile.can is not None:
         return CanContent(profile, profile.can)
-    return FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
+    if profile.protocol == "ddsm":
+        return FrameContent(profile)
+    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
     """Whether a sequence is more than set-points: those tell a drive nothing but a speed."""
-    setpoints = set()
-    for channel in profile.channels.values():
-        setpoints |= {channel.velocity_setpoint, channel.duty_setpoint}
+    setpoints = {channel.setpoint for channel in profile.channels.values()}
     writes = {step.register for step in getattr(profile, name) if step.value is not None}
     return profile.can is None or not writes or not writes <= setpoints
 
