@@ -77,11 +77,11 @@ class CanBus:
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
                 self._bus = await asyncio.shield(opening)
-        except (TimeoutError, asyncio.CancelledError) as error:
-            opening.add_done_callback(_shut_late)
-            if isinstance(error, asyncio.CancelledError):
-                raise
+        except TimeoutError:
             raise PortError(f"{self.address}: not open after {OPEN_WITHIN_S:g} s") from None
+        finally:
+            if self._bus is None:
+                opening.add_done_callback(_shut_late)
         self.trouble = None
         self._bad_in_a_row = 0
         self._listen(self._bus)
@@ -109,7 +109,7 @@ class CanBus:
     def _listen(self, bus: can.BusABC) -> None:
         try:
             self._fd = bus.fileno()
-        except NotImplementedError:
+        except RuntimeError:  # python-can's word for: it has none
             self._fd = None
         if self._fd is not None and self._fd >= 0:
             asyncio.get_running_loop().add_reader(self._fd, self._readable)
