@@ -115,8 +115,7 @@ class CanLine(Section):
     interface: str = Field(default="socketcan", pattern=r"^[a-z][a-z0-9_]*$")
     """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ..."""
     channel: str = Field(min_length=1)
-    """Which one: the network interface (can0), the serial port (/dev/ttyACM0), or GROUP:PORT of UDP
-    datagrams."""
+    """Which one: network interface (can0), serial port (/dev/ttyACM0), or GROUP:PORT of UDP."""
     bitrate: int = number(
         "bits a second; on socketcan as the interface was set up", 10_000, 1_000_000, "1/s", 500_000
     )

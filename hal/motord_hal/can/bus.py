@@ -11,6 +11,7 @@ import asyncio
 import errno
 import logging
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -31,6 +32,9 @@ READ_AT_ONCE = 64
 QUEUE_FRAMES = 1024
 """Of the reader thread; the oldest are lost first."""
 THREAD_LOOKS_S = 0.05
+AGE_MAX_S = 0.1
+"""A frame that the event loop has not seen for longer counts as new: a stamp that says so is more
+likely to be wrong."""
 BAD_FRAMES_MAX = 100
 """So many failures to read in a row are no bad frames any more."""
 IFF_UP = 0x1
@@ -73,11 +77,11 @@ class CanBus:
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
                 self._bus = await asyncio.shield(opening)
-        except (TimeoutError, asyncio.CancelledError) as error:
-            opening.add_done_callback(_shut_late)
-            if isinstance(error, asyncio.CancelledError):
-                raise
+        except TimeoutError:
             raise PortError(f"{self.address}: not open after {OPEN_WITHIN_S:g} s") from None
+        finally:
+            if self._bus is None:
+                opening.add_done_callback(_shut_late)
         self.trouble = None
         self._bad_in_a_row = 0
         self._listen(self._bus)
@@ -105,7 +109,7 @@ class CanBus:
     def _listen(self, bus: can.BusABC) -> None:
         try:
             self._fd = bus.fileno()
-        except NotImplementedError:
+        except RuntimeError:  # python-can's word for: it has none
             self._fd = None
         if self._fd is not None and self._fd >= 0:
             asyncio.get_running_loop().add_reader(self._fd, self._readable)
@@ -139,7 +143,7 @@ class CanBus:
                 return
             if message is None:
                 return
-            self._take_in(message, now_ns())
+            self._take_in(message, came_ns(message))
 
     def _take_in(self, message: can.Message, stamp_ns: int) -> None:
         self._bad_in_a_row = 0
@@ -194,6 +198,14 @@ class CanBus:
             raise self.trouble
         if self._bus is None:
             raise PortError(f"{self.address} is closed")
+
+
+def came_ns(message: can.Message) -> int:
+    """When it came: CLOCK_MONOTONIC, by the age that the kernel's or the adapter's stamp gives it.
+    Those stamps are of the wall clock, which may be set meanwhile, or count from the adapter's
+    start; one that cannot be is not used, and the frame has come now."""
+    age_s = time.time() - message.timestamp
+    return now_ns() - (round(age_s * 1e9) if 0.0 <= age_s <= AGE_MAX_S else 0)
 
 
 def _filter(identifier: int, extended: bool) -> dict[str, Any]:
@@ -260,7 +272,7 @@ class _ReaderThread:
                 self._stopped.wait(THREAD_LOOKS_S)
                 continue
             if message is not None:
-                self._queue.append((message, now_ns()))
+                self._queue.append((message, came_ns(message)))
                 self._tell(self._drain)
         _shut(self._bus)
 

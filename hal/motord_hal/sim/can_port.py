@@ -55,7 +55,7 @@ class CanPort:
             raise OSError(error.error_code or 0, str(error), self._address) from error
         try:
             self._fd = self._bus.fileno()
-        except NotImplementedError:
+        except RuntimeError:  # python-can's word for: it has none
             self._fd = None
 
     def pull(self) -> None:
