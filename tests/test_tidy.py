@@ -197,7 +197,7 @@ UNITLESS = {
     # counts, names, ratios: numbers without a dimension
     "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries",
     "counts_per_turn", "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor",
-    "schema",
+    "schema", "scale",
 }  # fmt: skip
 
 
