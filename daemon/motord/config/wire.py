@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from motord_hal.ascii.dialect import text_bytes
 from motord_hal.drives.profile import Gap
+from motord_hal.errors import ProfileError
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
@@ -108,7 +109,12 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
 
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
-    return wire_bytes(max(joints[0].profile.channels)) if spec.kind == "mcu" else text_bytes(spec)
+    if spec.kind == "mcu":
+        return wire_bytes(max(joints[0].profile.channels))
+    try:
+        return text_bytes(spec)
+    except ProfileError:
+        return 1  # a wrong template, which another rule says
 
 
 def _wire_time_s(spec: LineSpec, size_bytes: int) -> float:
