@@ -19,6 +19,7 @@ KINDS = MappingProxyType(
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
         ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
+        ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }

@@ -17,7 +17,13 @@ ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
 CHARACTER_S = 10 / 115200
 WATCHDOG_S = 0.5
-KINDS = {"modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "mcu-frame": "mcu", "ascii": "ascii"}
+KINDS = {
+    "modbus-rtu": "modbus-rtu",
+    "ddsm": "ddsm",
+    "mcu-frame": "mcu",
+    "ascii": "ascii",
+    "roboclaw": "roboclaw",
+}
 GEAR = 2.0
 
 

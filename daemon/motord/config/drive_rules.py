@@ -22,7 +22,7 @@ from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
-_PROTOCOLS = {"ddsm": "ddsm", "mcu": "mcu-frame", "ascii": "ascii"}
+_PROTOCOLS = {"ddsm": "ddsm", "mcu": "mcu-frame", "ascii": "ascii", "roboclaw": "roboclaw"}
 """Of a line's kind; all others carry Modbus."""
 
 

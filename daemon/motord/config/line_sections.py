@@ -127,6 +127,12 @@ class McuLine(PortLine):
     kind: Literal["mcu"]
 
 
+class RoboclawLine(PortLine):
+    """RoboClaws in packet serial mode; several may share a port."""
+
+    kind: Literal["roboclaw"]
+
+
 class AsciiLine(PortLine):
     """A board that reads its set-points as text."""
 
@@ -146,5 +152,5 @@ class AsciiLine(PortLine):
     )
 
 
-AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | McuLine | AsciiLine
+AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | McuLine | AsciiLine | RoboclawLine
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

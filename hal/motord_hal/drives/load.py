@@ -7,6 +7,7 @@ follows only from several of them together is checked in `check.py`.
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Iterable
@@ -32,7 +33,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "mcu-frame", "ascii")
+PROTOCOLS = ("modbus-rtu", "ddsm", "mcu-frame", "ascii", "roboclaw")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -95,10 +96,12 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     serial = root.table("serial")
     motor = root.table("motor", required=False)
     steps = root.table("steps")
-    registers = _registers(root.table("register"), motor.integer("pole_pairs", 0, 100, 0))
+    counts_per_turn = motor.integer("counts_per_turn", 0, 1 << 30, 0)
+    pole_pairs = motor.integer("pole_pairs", 0, 100, 0)
+    registers = _registers(root.table("register"), pole_pairs, counts_per_turn)
     protocol = root.text("protocol", choices=PROTOCOLS)
     # where the protocol leaves no choice, the file need not say it
-    one, six = (None, None) if protocol == "modbus-rtu" else (1, 6)
+    one, six = (None, None) if protocol in ("modbus-rtu", "roboclaw") else (1, 6)
     profile = DriveProfile(
         name=root.text("name"),
         title=root.text("title"),
@@ -118,7 +121,7 @@ def _profile(root: Table, path: Path) -> DriveProfile:
             serial.one_of("read_write_function", (23,)) if "read_write_function" in serial else None
         ),
         broadcast_stop=serial.flag("broadcast_stop", default=False),
-        counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
+        counts_per_turn=counts_per_turn,
         counter_bits=motor.one_of("counter_bits", (0, 8, 15, 16, 24, 32), 0),
         registers=registers,
         channels=_channels(root.table("channel")),
@@ -138,20 +141,20 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     return profile
 
 
-def _registers(parent: Table, pole_pairs: int) -> dict[str, Register]:
+def _registers(parent: Table, pole_pairs: int, counts_per_turn: int) -> dict[str, Register]:
     found = {}
     for name in parent:
         if not _NAME.fullmatch(name):
             parent.complain(name, "a register's name is lower case letters, digits and _")
-        found[name] = _register(name, parent.table(name), pole_pairs)
+        found[name] = _register(name, parent.table(name), pole_pairs, counts_per_turn)
     if not found:
         parent.problems.add(parent.name, "there is no register")
     return found
 
 
-def _register(name: str, table: Table, pole_pairs: int) -> Register:
+def _register(name: str, table: Table, pole_pairs: int, counts_per_turn: int) -> Register:
     bound = 1e12
-    unit = table.text("unit", "", choices=(*SI_UNITS, "hz"))
+    unit = table.text("unit", "", choices=(*SI_UNITS, "hz", "count/s"))
     register = Register(
         name=name,
         address=table.integer("address", 0, 0xFFFF),
@@ -170,7 +173,16 @@ def _register(name: str, table: Table, pole_pairs: int) -> Register:
     table.finish()
     if unit == "hz":
         return _of_frequency(register, table, pole_pairs)
+    if unit == "count/s":
+        return _of_edges(register, table, counts_per_turn)
     return register
+
+
+def _of_edges(register: Register, table: Table, counts_per_turn: int) -> Register:
+    """The same register in rad/s of the shaft: 2π / edges of a turn."""
+    if not counts_per_turn:
+        table.complain("unit", '"count/s" needs motor.counts_per_turn to become a speed')
+    return _in_unit(register, "rad/s", 2.0 * math.pi / max(counts_per_turn, 1))
 
 
 def _of_frequency(register: Register, table: Table, pole_pairs: int) -> Register:
@@ -178,14 +190,17 @@ def _of_frequency(register: Register, table: Table, pole_pairs: int) -> Register
     turns slower than its field by its slip."""
     if not pole_pairs:
         table.complain("unit", '"hz" needs motor.pole_pairs to become a speed')
-    rpm = 60.0 / max(pole_pairs, 1)
+    return _in_unit(register, "rpm", 60.0 / max(pole_pairs, 1))
+
+
+def _in_unit(register: Register, unit: str, factor: float) -> Register:
     least, most = register.minimum, register.maximum
     return replace(
         register,
-        unit="rpm",
-        scale=register.scale * rpm,
-        minimum=None if least is None else least * rpm,
-        maximum=None if most is None else most * rpm,
+        unit=unit,
+        scale=register.scale * factor,
+        minimum=None if least is None else least * factor,
+        maximum=None if most is None else most * factor,
     )
 
 

@@ -186,6 +186,8 @@ class SimulatedDrive:
             for motor in self._motors.values():
                 motor.faults.clear()
         if self._always_on:
+            if "disarm" in done:
+                self._zero_setpoints()
             return
         if "arm" in done:
             self._switch(on=not any(motor.stopped_by_fault for motor in self._motors.values()))
@@ -322,7 +324,8 @@ class SimulatedDrive:
 def _registers(profile: DriveProfile) -> RegisterFile | NamedContent:
     if profile.protocol == "ddsm":
         return FrameContent(profile)
-    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
+    words = profile.protocol in ("modbus-rtu", "roboclaw")
+    return RegisterFile(profile) if words else NamedContent(profile)
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:
