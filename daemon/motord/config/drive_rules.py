@@ -134,6 +134,18 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((drive, path), text, warning=True)
 
 
+def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """A drive whose speeds are counted in encoder edges has their number in its profile."""
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        if profile.protocol != "roboclaw" or joint.counts_per_turn is None:
+            continue
+        if joint.counts_per_turn != profile.counts_per_turn:
+            path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+            text = f'drive "{joint.drive}" counts its speed in edges, {profile.counts_per_turn} a'
+            yield Finding((path, drive), f"{text} turn: copy its profile to change that")
+
+
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Limits that the wheels cannot serve are no error: the core scales the twist down."""
     joints = robot.joint.items()
@@ -247,6 +259,7 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _duty,
     _reverse,
     _counter,
+    _edges,
     _reach,
     _serial,
     _times,
