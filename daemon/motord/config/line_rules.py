@@ -47,7 +47,8 @@ def _one_board(robot: Robot) -> Iterator[Finding]:
         alone = isinstance(robot.line.get(first.line), McuLine | AsciiLine)
         if alone and first.line == second.line and first.unit != second.unit:
             text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
-            yield Finding((("joint", other, "unit"), ("joint", one, "unit")), text)
+            kind: Path = ("line", first.line, "kind")
+            yield Finding((("joint", other, "unit"), ("joint", one, "unit"), kind), text)
 
 
 def _templates(robot: Robot) -> Iterator[Finding]:
@@ -65,7 +66,7 @@ def _templates(robot: Robot) -> Iterator[Finding]:
         try:
             heard = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
         except ValueError as error:
-            yield Finding((("line", name, "feedback"),), str(error))
+            yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
             continue
         yield from _counts(robot, joints, heard.fields if heard else ())
 
@@ -80,13 +81,18 @@ def _twist(
 
 def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> Iterator[Finding]:
     for joint in joints:
-        path: Path = ("joint", joint, "counts_per_turn")
+        line = robot.joint[joint].line
+        at: tuple[Path, ...] = (
+            ("joint", joint, "counts_per_turn"),
+            ("joint", joint, "line"),
+            ("line", line, "kind"),
+        )
         told, given = joint + COUNT in heard, robot.joint[joint].counts_per_turn
         if told and not given:
-            yield Finding((path, ("joint", joint, "line")), "is missing: the board tells a count")
+            yield Finding(at, "is missing: the board tells a count")
         elif not told and given != 0:
             text = f"must be 0: the feedback has no {{{joint}{COUNT}}}"
-            yield Finding((path, ("joint", joint, "line")), text)
+            yield Finding(at, text)
 
 
 def _gap(robot: Robot) -> Iterator[Finding]:
