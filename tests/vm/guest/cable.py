@@ -104,6 +104,7 @@ def robot_file(folder, port, *, name="demo", **line):
         ("drive_watchdog_s = 0.5", "drive_watchdog_s = 4.0"),
         ('port = "/dev/ttyUSB0"', f"port = {json.dumps(str(port))}\n{keys}"),
         ("cycle_hz = 50", "cycle_hz = 10"),
+        ('[publish.console]\nkind = "stdout"\nrate_hz = 1\n', ""),
     ):
         assert old in text, old
         text = text.replace(old, new)
