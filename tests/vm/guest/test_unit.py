@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
-from cable import UART, adapter, drive_on, plug, robot_file, simulated_drive
-from daemon_stage import Stage, wait_until
-from shell import journal, output, properties
+from cable import UART, adapter, plug, robot_file, simulated_drive
+from shell import DEADLINE_S, journal, output, properties, wait_until
+from stage import Stage, granted
 
 from motord.client import Client, ClientError
 
@@ -21,8 +21,8 @@ NAME = "cart"
 UNIT = f"motord@{NAME}.service"
 ETC = Path("/etc/motord")
 DROP_IN = Path(f"/run/systemd/system/{UNIT}.d/patient.conf")
+TOLD = "rs485: left, right: stopped and without power"
 SOCKET = Path(f"/run/motord/{NAME}.sock")
-DRIVE_WATCHDOG_S = 4.0  # cable.robot_file's
 
 
 class Unit(Stage):
@@ -34,45 +34,51 @@ class Unit(Stage):
     def again(self, old_pid):
         """Waits for the next process of the unit, and is connected to it."""
         self.robot.close()
-
-        def connected():
-            with contextlib.suppress(ClientError):
-                client = Client(SOCKET)
-                if listener_pid(client) != old_pid:
-                    return client
-                client.close()
-            return None
-
-        self.robot = wait_until(connected, f"it is started again\n{self.said()}")
+        self.robot = wait_until(lambda: connected(old_pid), "it is started again", self.said)
         return self
 
 
-def listener_pid(client):
-    """Who listens at its socket: unix(7), SO_PEERCRED. Costs less than asking systemd."""
-    with socket.socket(socket.AF_UNIX) as probe:
-        probe.connect(str(client.path))
-        return struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0]
+def connected(old_pid=0):
+    """None as long as nobody but the old process listens: unix(7), SO_PEERCRED. Costs less than
+    asking systemd."""
+    with contextlib.suppress(ClientError, OSError), socket.socket(socket.AF_UNIX) as probe:
+        probe.connect(str(SOCKET))
+        found = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+        if struct.unpack("3i", found)[0] != old_pid:
+            return Client(SOCKET, timeout_s=DEADLINE_S)
+    return None
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """The robot's file, and its drives; the unit's watchdog as patient as an emulated machine
+    asks for."""
+    plug()
+    DROP_IN.parent.mkdir(parents=True, exist_ok=True)
+    DROP_IN.write_text("[Service]\nWatchdogSec=20\nTimeoutStopSec=60\n")
+    output("systemctl", "daemon-reload")
+    robot = robot_file(ETC, UART, name=NAME)
+    with simulated_drive(tmp_path_factory.mktemp("drives"), adapter()) as sim:
+        yield sim
+        output("systemctl", "stop", UNIT)
+    for path in (DROP_IN, robot, ETC / "zlac8015d.toml"):
+        path.unlink()
+    output("systemctl", "daemon-reload")
 
 
 @pytest.fixture
-def unit(tmp_path):
-    """Started; its watchdog as patient as an emulated machine asks for."""
-    plug()
-    DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-    DROP_IN.write_text("[Service]\nWatchdogSec=10\n")
-    output("systemctl", "daemon-reload")
-    robot = robot_file(ETC, UART, name=NAME)
-    try:
-        with simulated_drive(tmp_path, adapter()) as sim:
-            output("systemctl", "start", UNIT)
-            with Client(SOCKET) as client:
-                yield Unit(None, sim, SOCKET, None, client)
-            output("systemctl", "stop", UNIT)
-    finally:
-        output("systemctl", "stop", UNIT)
-        DROP_IN.unlink()
-        for path in (robot, ETC / "zlac8015d.toml"):
-            path.unlink()
+def unit(drives):
+    """Running, idle, nothing wrong with its drives."""
+    drives.clear_faults_script()
+    output("systemctl", "start", UNIT)
+    with wait_until(connected, "it listens") as client:
+        unit = Unit(drives, client)
+        unit.wait_for("idle", "fault")
+        if unit.state() == "fault":
+            granted(unit.robot.reset)
+        yield unit
+        unit.robot.close()
+    output("systemctl", "stop", UNIT)
 
 
 def main_pid():
@@ -89,7 +95,7 @@ def test_it_runs_on_time_as_a_user_without_rights(unit):
     assert loop["policy"] == "SCHED_FIFO"
     assert int(found["VmLck"].split()[0]) > 0
     assert "refused" not in unit.said()
-    drive_on(unit)
+    unit.drive_on()
 
 
 def test_it_reaches_the_devices_of_motors_and_no_other(unit):
@@ -103,30 +109,31 @@ def test_it_reaches_the_devices_of_motors_and_no_other(unit):
 
 
 def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
-    drive_on(unit)
+    unit.drive_on()
     pid = main_pid()
     os.kill(pid, signal.SIGSTOP)
     wait_until(lambda: unit.sim.truth().at_rest, "the drive's own watchdog stops the wheels")
     unit.again(pid).wait_for("idle")
-    assert not any(joint.enabled for joint in unit.sim.truth().joints.values())
+    assert unit.rests_without_power()
     assert properties(UNIT, "NRestarts")["NRestarts"] != "0"
-    drive_on(unit)
+    unit.drive_on()
 
 
 def test_drives_of_a_killed_daemon_are_told_to_stop_and_it_comes_back_disarmed(unit):
-    drive_on(unit)
+    unit.drive_on()
+    told_before = unit.said().count(TOLD)
     pid, killed_s = main_pid(), time.monotonic()
     os.kill(pid, signal.SIGKILL)
     wait_until(lambda: unit.sim.truth().at_rest, "the wheels rest")
     rest_s = time.monotonic() - killed_s
     unit.again(pid).wait_for("idle")
-    assert "stopped and without power" in unit.said()
-    assert not any(joint.enabled for joint in unit.sim.truth().joints.values())
+    assert unit.said().count(TOLD) == told_before + 1
+    assert unit.rests_without_power()
     print(f"kill -9 at full speed on this machine: at rest after {rest_s:.1f} s")
 
 
 def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
-    drive_on(unit)
+    unit.drive_on()
     unit.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
     unit.wait_for("fault")
     entries = wait_until(
@@ -136,15 +143,13 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     assert entries[0]["MOTORD_LINE"] == "rs485"
     assert "left" in entries[0]["MOTORD_JOINT"]
     latched = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
-    assert "over-current" in json.dumps(latched[0]["MOTORD_FAULT"])
+    assert "over-current" in json.dumps(latched[-1]["MOTORD_FAULT"])
 
 
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):
-    drive_on(unit)
+    unit.drive_on()
     output("systemctl", "stop", UNIT)
-    truth = unit.sim.truth()
-    assert truth.at_rest
-    assert not any(joint.enabled for joint in truth.joints.values())
+    assert unit.rests_without_power()
     assert properties(UNIT, "Result")["Result"] == "success"
 
 
