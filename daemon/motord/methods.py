@@ -120,8 +120,9 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
 def _lease(
     operation: Operation, doors: Doors, caller: Caller, params: LeaseParams
 ) -> dict[str, Any]:
-    """The right to command by datagrams, for as long as this connection lasts."""
-    section = doors.section
+    """The right to command by datagrams, for as long as this connection lasts. Who is named as an
+    input of the second process is given what that section says."""
+    section = doors.inputs.get(params.owner, doors.section)
     if section is None:
         raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
     priority = section.priority if params.priority is None else params.priority
@@ -130,6 +131,10 @@ def _lease(
             f"priority {priority} is above the robot file's {section.priority}", INVALID_PARAMS
         )
     lease_s = section.lease_s if params.lease_s is None else params.lease_s
+    if params.owner in doors.inputs and lease_s > section.lease_s:
+        raise RpcError(
+            f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
+        )
     grant = operation.lease(caller.connection, params.owner, priority, lease_s)
     return {
         "token": grant.token.hex(),

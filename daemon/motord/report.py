@@ -139,6 +139,7 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
     now = now_ns()
     return [
         {
+            "number": lease.number,
             "owner": lease.owner,
             "connection": lease.connection,
             "priority": lease.priority,
