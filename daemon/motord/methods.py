@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from motord import drive_parameters, parameters, procedures, report
 from motord.bus.publish.samples import Samples
+from motord.bus_supervisor import BusSupervisor
 from motord.commands import VERSION
 from motord.config import SocketInput
 from motord.doors import Doors
@@ -52,11 +53,15 @@ class ValuesParams(Params):
 
 
 def methods(
-    operation: Operation, health: Health, feeds: Mapping[str, Samples], doors: Doors
+    operation: Operation,
+    health: Health,
+    feeds: Mapping[str, Samples],
+    doors: Doors,
+    bus: BusSupervisor | None,
 ) -> dict[str, Method]:
     """By name. The first four only look."""
     return {
-        "status": _looking(lambda: report.status(operation, health, feeds)),
+        "status": _looking(lambda: report.status(operation, health, feeds, bus)),
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)

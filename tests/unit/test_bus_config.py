@@ -31,8 +31,10 @@ def test_a_networked_input_without_a_token_is_refused(tmp_path):
 def test_commands_from_another_machine_without_tls_are_refused(tmp_path):
     text = BROKER + 'host = "broker.example"\ntoken_file = "token"\n'
     assert errors(tmp_path, text) == [
-        "input.fleet.tls: commands from broker.example would show their token to the network:"
-        " tls = true"
+        (
+            "input.fleet.tls: commands from broker.example would show their token to the network:"
+            " tls = true"
+        )
     ]
 
 
@@ -48,8 +50,10 @@ def test_commands_with_a_token_by_tls_or_from_this_machine_are_taken(tmp_path, m
         ('password_file = "p"', "publish.fleet.password_file: a password without username"),
         (
             'password_file = "p"\nusername = "u"\nhost = "broker.example"',
-            "publish.fleet.password_file: broker.example would be told the password without"
-            " tls = true",
+            (
+                "publish.fleet.password_file: broker.example would be told the password without"
+                " tls = true"
+            ),
         ),
         (
             'tls = true\ncert_file = "c"',
