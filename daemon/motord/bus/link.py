@@ -84,6 +84,8 @@ class Source:
         self.sent = 0
         self.lost = 0
         """Commands for which there was no lease, or that the socket did not take."""
+        self.refused = 0
+        """Commands and calls that were not passed on, as the input counts them."""
 
     @property
     def ready(self) -> bool:

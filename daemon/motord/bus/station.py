@@ -69,7 +69,12 @@ class Station:
             for name, feed in self.feeds.items()
         }
         commanding = {
-            name: {"sent": source.sent, "lost": source.lost, "lease": source.ready}
+            name: {
+                "sent": source.sent,
+                "lost": source.lost,
+                "refused": source.refused,
+                "lease": source.ready,
+            }
             for name, source in self.sources.items()
         }
         return {"publishers": told, "inputs": commanding}

@@ -76,6 +76,9 @@ class TokenInput(BusInput):
     token_file: str = Field(min_length=1)
     """File with the token that every command has to show; at least 16 characters, readable by the
     daemon's user alone. A path that is not absolute is beside the robot file."""
+    stamped: bool = True
+    """Every command has to say when it was given, so that one that waited somewhere is known by its
+    age. The clocks of both have to agree; false: what arrives counts as new."""
 
 
 class MqttBroker(Section):
