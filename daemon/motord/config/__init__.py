@@ -4,6 +4,7 @@
 from motord.config.bus_sections import (
     BusInput,
     BusPublish,
+    McapPublish,
     MqttBroker,
     MqttInput,
     MqttPublish,
@@ -58,6 +59,7 @@ __all__ = [
     "TokenInput",
     "Topic",
     "MqttBroker",
+    "McapPublish",
     "MqttPublish",
     "MqttInput",
     "PrometheusPublish",

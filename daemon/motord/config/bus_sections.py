@@ -128,6 +128,26 @@ class PrometheusPublish(Publish):
     port: int = number("TCP port", 1, 65535, "1", 9464)
 
 
+class McapPublish(BusPublish):
+    """Recordings in MCAP files, for Foxglove and every program that reads them."""
+
+    kind: Literal["mcap"]
+    folder: str = Field(min_length=1)
+    """Where the files go; it is made where it is not there. A path that is not absolute is beside
+    the robot file."""
+    mode: Literal["all", "fault"] = "all"
+    """Record all, or keep the newest in memory and write it when a fault is latched."""
+    file_s: float = number("a new file after so long (mode all)", 1, 86400, "s", 600.0)
+    before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
+    after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
+    total_max_mb: int = number(
+        "the oldest files are deleted when all together are larger", 1, 10_000_000, "MB", 1000
+    )
+    free_min_mb: int = number(
+        "nothing is written when less of the disk is free", 0, 10_000_000, "MB", 200
+    )
+
+
 class OtherPublish(BusPublish):
     """A kind that another package brings: its entry point in the group motord.publishers."""
 

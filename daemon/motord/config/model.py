@@ -17,6 +17,7 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    McapPublish,
     MqttInput,
     MqttPublish,
     OtherInput,
@@ -275,7 +276,9 @@ class RtInput(Section):
 
 
 Input = SocketInput | RtInput | MqttInput | OtherInput
-AnyPublish = StdoutPublish | UdpPublish | MqttPublish | PrometheusPublish | OtherPublish
+AnyPublish = (
+    StdoutPublish | UdpPublish | MqttPublish | McapPublish | PrometheusPublish | OtherPublish
+)
 
 
 class Robot(Section):
