@@ -14,10 +14,16 @@ PUBLISHERS = MappingProxyType(
     {
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
+        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
         "prometheus": "motord.bus.publish.prometheus:PrometheusServer",
     }
 )
-INPUTS = MappingProxyType({"mqtt": "motord.bus.inputs.mqtt:MqttCommands"})
+INPUTS = MappingProxyType(
+    {
+        "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
+        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
+    }
+)
 PUBLISHER_POINTS = "motord.publishers"
 INPUT_POINTS = "motord.inputs"
 """Groups in which other packages may offer kinds of their own."""

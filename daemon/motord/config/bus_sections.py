@@ -148,6 +148,30 @@ class McapPublish(BusPublish):
     )
 
 
+class RosbridgeServer(BusPublish):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Address to listen at; this machine only, unless something else is said."""
+    port: int = number("TCP port", 1, 65535, "1", 9090)
+    cert_file: str | None = None
+    """Our certificate, for TLS (wss)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+
+
+class RosbridgePublish(RosbridgeServer):
+    """A rosbridge that only tells."""
+
+    kind: Literal["rosbridge"]
+
+
+class RosbridgeInput(TokenInput, RosbridgeServer):
+    """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
+
+    kind: Literal["rosbridge"]
+
+
 class OtherPublish(BusPublish):
     """A kind that another package brings: its entry point in the group motord.publishers."""
 

@@ -23,6 +23,8 @@ from motord.config.bus_sections import (
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    RosbridgeInput,
+    RosbridgePublish,
     StdoutPublish,
     UdpPublish,
 )
@@ -275,9 +277,15 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
 AnyPublish = (
-    StdoutPublish | UdpPublish | MqttPublish | McapPublish | PrometheusPublish | OtherPublish
+    StdoutPublish
+    | UdpPublish
+    | MqttPublish
+    | RosbridgePublish
+    | McapPublish
+    | PrometheusPublish
+    | OtherPublish
 )
 
 
