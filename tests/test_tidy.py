@@ -154,7 +154,11 @@ def test_no_machine_of_a_builder_shows():
 
 def test_headers_of_csrc_point_downwards():
     """loop and page know the core; the core knows the pure files; the pure files know nothing."""
-    allowed = {"pthread.h": {"loop", "line_rtu", "output_pwm"}, "sched.h": {"loop"}, "sys/mman.h": {"loop"}}
+    allowed = {
+        "pthread.h": {"loop", "line_rtu", "output_pwm"},
+        "sched.h": {"loop"},
+        "sys/mman.h": {"loop"},
+    }
     rows = []
     for path in CSRC:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
