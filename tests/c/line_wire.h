@@ -19,6 +19,9 @@ typedef struct {
     line_output out;
     int64_t now_ns;
         uint32_t dead;
+    uint32_t turning;                       /* bit n: its wheel says that it turns */
+    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
+    int64_t power_off_ns[LINE_DRIVES_MAX];
     bool echoes;
     uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
     uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not */
@@ -90,7 +93,13 @@ static inline void answer_on_the_wire(const uint8_t *request)
         return;
     }
     w.power_offs[number] += power_off;
-    uint8_t read_reply[7] = {request[0], READ, 2, 0, 9};
+    if (power_off && w.power_off_ns[number] == 0) {
+        w.power_off_ns[number] = w.now_ns;
+    }
+    if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
+        w.quick_stop_ns[number] = w.now_ns;
+    }
+    uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
     rtu_seal(read_reply, 7, SEAL_CRC16);
     uint32_t length = request[1] == READ ? 7 : 8;
     memcpy(w.bytes + w.count, request[1] == READ ? read_reply : request, length);

@@ -50,6 +50,38 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
     }
 }
 
+static void a_wheel_that_turns_is_stopped_before_it_loses_its_power(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    w.turning = 1;
+    while (w.machine.drive[0].count.cycles < 3) {
+        go_on();
+    }
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    while (w.now_ns < asked_ns + 100 * MS) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[0] > asked_ns && w.quick_stop_ns[0] < asked_ns + 20 * MS);
+    CHECK(w.quick_stop_ns[1] == 0);
+    CHECK(w.power_off_ns[0] == 0 && w.power_off_ns[1] == 0);
+    w.turning = 0;
+    (void)shut_down();
+    CHECK(w.power_off_ns[0] > asked_ns + 100 * MS && w.power_off_ns[0] < asked_ns + 150 * MS);
+    CHECK(w.power_offs[1] == 2);
+}
+
+static void a_wheel_that_does_not_stop_loses_its_power_in_time(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.turning = 1;
+    int64_t asked_ns = w.now_ns;
+    (void)shut_down();
+    CHECK(w.power_off_ns[0] >= asked_ns + 350 * MS && w.power_off_ns[0] < asked_ns + 400 * MS);
+}
+
 static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
 {
     begin_with(1, 2);
@@ -80,6 +112,8 @@ int main(void)
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
     a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();
+    a_wheel_that_turns_is_stopped_before_it_loses_its_power();
+    a_wheel_that_does_not_stop_loses_its_power_in_time();
     the_echo_of_a_stop_does_not_bring_a_dead_drive_back();
     return checks_report("line stops");
 }

@@ -19,6 +19,7 @@ ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
 CHARACTER_S = 10 / 115200
 WATCHDOG_S = 0.5
+KINDS = {"modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "mcu-frame": "mcu", "can": "can"}
 GEAR = 2.0
 
 
@@ -56,14 +57,14 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
     return LineSpec(
         index=0,
         name="bus",
-        kind=profile.protocol,
+        kind=KINDS[profile.protocol],
         port=str(port),
         baudrate=profile.baudrate,
         parity=profile.parity,
         stop_bits=profile.stop_bits,
         cycle_hz=cycle_hz,
         gap_s=None,
-        engine="rt" if profile.protocol == "ddsm" else "asyncio",  # which speaks Modbus only
+        engine="rt" if profile.protocol == "ddsm" else "asyncio",
         priority=0,
         joints=joints_of(profile, gear_ratio),
         watchdog_s=watchdog_s,

@@ -120,6 +120,8 @@ async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig,
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     await set_off(rig, sim, way=-1.0)
     for joint in rig.line.spec.joints:
+        if profile.channels[joint.channel].velocity is None:
+            continue
         await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
     await turn(rig, sim, way=1.0)
     assert sim.truth().joints["left"].velocity_rad_s > 0

@@ -24,6 +24,8 @@ from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
+_SPEAKS = {"ddsm": "ddsm", "can": "can", "mcu": "mcu-frame"}
+"""The protocol of a line's kind; all others carry Modbus."""
 
 
 def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -47,14 +49,9 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
-        if _speaks(kind) != _speaks(protocol):
+        if _SPEAKS.get(kind, "modbus-rtu") != protocol:
             text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
             yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
-
-
-def _speaks(word: str) -> str:
-    """Lines over TCP carry Modbus too."""
-    return word if word in ("ddsm", "can") else "modbus"
 
 
 def _address(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

@@ -151,5 +151,24 @@ class CanLine(Section):
         return 1
 
 
-AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine
+class PortLine(Line):
+    """One device alone on a serial port of this machine, without a transceiver to turn."""
+
+    port: str = Field(min_length=1)
+    """Device file (/dev/serial/by-id/... names the same board after every start), or usb:SERIAL
+    for the board with that serial number."""
+
+    @property
+    def address(self) -> str:
+        """Where it is plugged in."""
+        return self.port
+
+
+class McuLine(PortLine):
+    """A board of one's own (ESP32, Arduino, Pico) that speaks motord's frames."""
+
+    kind: Literal["mcu"]
+
+
+AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine | McuLine
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

@@ -62,4 +62,4 @@ def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
 
 def _setpoint(joint: Joint, profile: DriveProfile) -> Register:
     channel = profile.channels[joint.channel]
-    return profile.registers[channel.velocity_setpoint or channel.duty_setpoint or ""]
+    return profile.registers[channel.setpoint]

@@ -34,7 +34,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "can")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -231,13 +231,21 @@ def _channels(parent: Table) -> dict[int, Channel]:
         table = parent.table(name)
         references = {key: table.text(key) if key in table else None for key in _CHANNEL_KEYS}
         direction = _direction(table.table("direction")) if "direction" in table else None
-        found[int(name)] = Channel(**references, direction=direction)
+        together = _together(table.table("setpoint_with", required=False))
+        found[int(name)] = Channel(**references, setpoint_with=together, direction=direction)
         table.finish()
     if sorted(found) != list(range(1, len(found) + 1)) or not found:
         parent.problems.add(
             parent.name, "channels are numbered 1, 2, ... and there is at least one"
         )
     return found
+
+
+def _together(table: Table) -> tuple[tuple[str, int], ...]:
+    """In the file's order."""
+    together = tuple((name, table.integer(name, -(1 << 15), (1 << 16) - 1)) for name in table)
+    table.finish()
+    return together
 
 
 def _direction(table: Table) -> Direction:

@@ -164,12 +164,26 @@ class Channel:
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
     """Exactly one of the two set-points is there."""
+    setpoint_with: tuple[tuple[str, int], ...] = ()
+    """(register, raw value) of what is written with each set-point, in one request: the drive obeys
+    the set-point when it gets them."""
     position: str | None = None
     velocity: str | None = None
     current: str | None = None
     temperature: str | None = None
     fault: str | None = None
     direction: Direction | None = None
+
+    @property
+    def setpoint(self) -> str:
+        """The set-point's register."""
+        return self.velocity_setpoint or self.duty_setpoint or ""
+
+    @property
+    def commands(self) -> frozenset[str]:
+        """All registers that say what the motor shall do."""
+        way = (self.direction.register,) if self.direction else ()
+        return frozenset({self.setpoint, *way, *dict(self.setpoint_with)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,9 +23,7 @@ def kept_back(profile: DriveProfile) -> frozenset[str]:
     """Registers that motord itself writes: set-points, directions, steps and the watchdog."""
     names = {profile.watchdog.register} if profile.watchdog else set()
     for channel in profile.channels.values():
-        names |= {name for name in (channel.velocity_setpoint, channel.duty_setpoint) if name}
-        if channel.direction is not None:
-            names.add(channel.direction.register)
+        names |= channel.commands
     for steps in (
         profile.configure,
         profile.arm,

@@ -7,7 +7,7 @@ import asyncio
 import os
 from collections.abc import Callable
 
-LOOK_EVERY_S = 0.2
+LOOK_EVERY_S = 0.5
 """So often the report is read when nothing calls for it: what matters calls."""
 
 

@@ -3,38 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from motord_hal.can.codec import build, parse
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
 from motord_hal.drives.profile import DriveProfile
+from motord_hal.sim.content import NamedContent
 
 
-class CanContent:
-    """What a drive's profile lists. A live signal is computed when it is told."""
+class CanContent(NamedContent):
+    """What a drive's profile lists, and how its frames carry it."""
 
     def __init__(self, profile: DriveProfile, table: CanTable) -> None:
+        super().__init__(profile)
         self.table = table
         self._signals: dict[str, Signal] = {
             name: signal for name, signal in profile.registers.items() if isinstance(signal, Signal)
         }
         self._in = {name: signals_of(profile.registers, name) for name in table.frames}
-        self._raw: dict[str, int] = {}
-        self._live: dict[str, Callable[[], int]] = {}
-        self.power_up()
-
-    def power_up(self) -> None:
-        """All at their defaults."""
-        self._raw = {name: signal.default for name, signal in self._signals.items()}
-
-    def make_live(self, name: str, value: Callable[[], int]) -> None:
-        self._live[name] = value
-
-    def stored(self, name: str) -> int:
-        return self._raw[name]
-
-    def put(self, name: str, raw: int) -> None:
-        self._raw[name] = raw
 
     def written(self, frame: Frame, data: bytes) -> list[tuple[str, int]] | None:
         """Store what a frame says, in the order of its places; what is out of its range, or no

@@ -21,9 +21,11 @@ from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
+from motord_hal.sim.board_line import SimulatedBoard
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
+from motord_hal.sim.frame_talk import FrameTalk
 from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
@@ -35,7 +37,7 @@ from motord_hal.sim.wire import Clock
 if TYPE_CHECKING:
     from motord_hal.sim.can_line import SimulatedCanLine
 
-AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedCanLine"
+AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
 REPLUG_RETRY_S = 0.1
@@ -174,7 +176,11 @@ class Rig:
             drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
         if line.kind == "can":
             return self._make_can_line(line, drives)
-        return SimulatedLine(line, drives, self.script, self._make_port(line, link_dir))
+        port = self._make_port(line, link_dir)
+        if line.kind == "mcu":
+            talk = FrameTalk(line.joints[0].profile)
+            return SimulatedBoard(line, drives, self.script, port, talk)
+        return SimulatedLine(line, drives, self.script, port)
 
     def _make_can_line(
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive]
@@ -288,7 +294,7 @@ class Rig:
             self.pull()
             self._replug_s = dict.fromkeys(self.lines, now_s + fault.values["for_s"])
         for line in self.lines.values():
-            if fault.kind == "bus-off" and not isinstance(line, SimulatedLine):
+            if fault.kind == "bus-off" and not isinstance(line, SimulatedLine | SimulatedBoard):
                 line.go_off(now_s + fault.values["for_s"])
             elif fault.kind == "tcp-stall":
                 line.port.stall(now_s + fault.values["for_s"])
