@@ -27,6 +27,7 @@ def profiles_that(have_it):
 
 
 SERIAL = profiles_that(lambda profile: profile.can is None)
+FAULTY = profiles_that(lambda profile: profile.faults)
 
 
 @pytest.fixture(params=list_profiles())
@@ -134,7 +135,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await until(lambda: all(feedback(rig, joint).stamp_ns for joint in joints), "first counts")
     before = {joint.name: feedback(rig, joint).count for joint in joints}
     await set_off(rig, sim)
-    rig.loop.velocity_rad_s = {}
+    rig.loop.velocity_rad_s, rig.loop.duty = {}, {}
     await rest(sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 3, "the counts at rest are in")
@@ -167,6 +168,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     assert rig.states() == {DriveState.READY}
 
 
+@pytest.mark.parametrize("profile", FAULTY, indirect=True)
 async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")

@@ -213,11 +213,11 @@ class CanDrive:
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
-        if self._may_turn:
+        if self._may_turn and now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
+            self._write_all(self.plan.profile.disarm)
+        elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
-            if now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
-                self._write_all(self.plan.profile.disarm)
         for frame in self.plan.asked_fast:
             self._ask(frame)
 
