@@ -206,6 +206,8 @@ class SimulatedDrive:
             for motor in self._motors.values():
                 motor.faults.clear()
         if self._always_on:
+            if "disarm" in done:
+                self._zero_setpoints()
             return
         if "arm" in done:
             self._switch(on=not any(motor.stopped_by_fault for motor in self._motors.values()))
@@ -346,7 +348,8 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
         return CanContent(profile, profile.can)
     if profile.protocol == "ddsm":
         return FrameContent(profile)
-    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
+    words = profile.protocol in ("modbus-rtu", "roboclaw")
+    return RegisterFile(profile) if words else NamedContent(profile)
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
