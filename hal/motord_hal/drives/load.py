@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.check import check_profile
 from motord_hal.drives.profile import (
     SI_UNITS,
@@ -33,7 +34,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "mcu-frame", "ascii", "roboclaw")
+PROTOCOLS = ("modbus-rtu", "ddsm", "mcu-frame", "ascii", "roboclaw", "pwm")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -136,6 +137,7 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         faults=tuple(_fault(table) for table in root.tables("fault")),
         bus_voltage=root.text("bus_voltage") if "bus_voltage" in root else None,
     )
+    profile = replace(profile, bridge=read_bridge(root) if "bridge" in root else None)
     for table in (serial, motor, steps, root):
         table.finish()
     return profile
