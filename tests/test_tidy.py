@@ -154,7 +154,11 @@ def test_no_machine_of_a_builder_shows():
 
 def test_headers_of_csrc_point_downwards():
     """loop and page know the core; the core knows the pure files; the pure files know nothing."""
-    allowed = {"pthread.h": {"loop", "line_rtu"}, "sched.h": {"loop"}, "sys/mman.h": {"loop"}}
+    allowed = {
+        "pthread.h": {"loop", "line_rtu", "output_pwm"},
+        "sched.h": {"loop"},
+        "sys/mman.h": {"loop"},
+    }
     rows = []
     for path in CSRC:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
@@ -162,18 +166,19 @@ def test_headers_of_csrc_point_downwards():
             owners = allowed.get(header.group(1)) if header else None
             if owners is not None and not any(path.stem.startswith(owner) for owner in owners):
                 rows.append(f"{where(path, number)}: {header.group(1)}")
-    report(rows, "threads, schedulers and mappings belong to loop*.c and line_rtu.c")
+    report(rows, "threads, schedulers and mappings belong to loop*.c, line_rtu.c and output_pwm.c")
 
 
-def test_the_c_extension_has_three_doors():
+def test_the_c_extension_has_four_doors():
     doors = {
         ROOT / "daemon/motord/rt.py",
         ROOT / "hal/motord_hal/rt.py",
         ROOT / "hal/motord_hal/rt_line.py",
+        ROOT / "hal/motord_hal/rt_pwm.py",
     }
     report(
         matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
-        "_motord_rt is imported by motord/rt.py, motord_hal/rt.py and motord_hal/rt_line.py alone",
+        "_motord_rt is imported by motord/rt.py, motord_hal/rt.py, rt_line.py and rt_pwm.py alone",
     )
 
 

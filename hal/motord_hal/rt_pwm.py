@@ -32,6 +32,9 @@ class Demoted(enum.IntFlag):
     LEFT_ALONE = lib.PWM_DEMOTED_LEFT_ALONE
 
 
+_NEVER = Demoted(0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pin:
     """One output."""
@@ -60,6 +63,8 @@ class BridgeJoint:
 class BridgeConfig:
     outputs_fd: int
     inputs_fd: int
+    low_inputs: int
+    """Inputs that are active when they are low."""
     event_fd: int
     priority: int
     cpu: tuple[int, ...]
@@ -73,17 +78,17 @@ class BridgeConfig:
 
 @dataclass(frozen=True, slots=True)
 class BridgeReport:
-    running: bool
-    armed: bool
-    stopping: bool
-    demoted: Demoted
-    number: int
-    error: int
-    error_output: int
-    active_inputs: int
-    cycles: int
-    late_cycles: int
-    writes: int
+    running: bool = False
+    armed: bool = False
+    stopping: bool = False
+    demoted: Demoted = _NEVER
+    number: int = 0
+    error: int = 0
+    error_output: int = -1
+    active_inputs: int = 0
+    cycles: int = 0
+    late_cycles: int = 0
+    writes: int = 0
 
 
 class BridgeThread:
@@ -117,7 +122,7 @@ class BridgeThread:
     def report(self) -> BridgeReport:
         raw = self._report
         if lib.pwm_line_read_report(self._line, raw) < 0:
-            return BridgeReport(False, False, False, Demoted(0), 0, 0, -1, 0, 0, 0, 0)
+            return BridgeReport()
         return BridgeReport(
             running=raw.running != 0,
             armed=raw.armed != 0,
@@ -137,6 +142,7 @@ def _config(config: BridgeConfig, exchange: Exchange) -> Any:
     raw = ffi.new("bridge_config *")
     raw.exchange = exchange.handle
     raw.outputs_fd, raw.inputs_fd = config.outputs_fd, config.inputs_fd
+    raw.low_inputs = config.low_inputs
     raw.event_fd, raw.priority = config.event_fd, config.priority
     raw.cpu_mask = sum(1 << cpu for cpu in config.cpu)
     raw.period_ns = round(config.period_s * 1e9)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
 from motord.config.model import Joint, Robot
+from motord.config.pin_rules import PIN_RULES
 from motord.config.toml_lines import Path
 from motord.config.wheels import (
     Profiles,
@@ -22,7 +23,13 @@ from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
-_PROTOCOLS = {"ddsm": "ddsm", "mcu": "mcu-frame", "ascii": "ascii", "roboclaw": "roboclaw"}
+_PROTOCOLS = {
+    "ddsm": "ddsm",
+    "mcu": "mcu-frame",
+    "ascii": "ascii",
+    "roboclaw": "roboclaw",
+    "pwm": "pwm",
+}
 """Of a line's kind; all others carry Modbus."""
 
 
@@ -262,6 +269,7 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _edges,
     _reach,
     _serial,
+    *PIN_RULES,
     _times,
     _budget,
     _watchdogs,

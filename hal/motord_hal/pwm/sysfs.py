@@ -76,7 +76,8 @@ async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) ->
     """Export it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises PortError."""
     folder = chip / f"pwm{number}"
     try:
-        await _export(chip, number, folder)
+        _export(chip, number, folder)
+        await _until_writable(folder)
         _set_up(folder, period_ns, rest_ns)
         fd = os.open(folder / "duty_cycle", os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
@@ -85,9 +86,12 @@ async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) ->
     return Channel(folder, fd)
 
 
-async def _export(chip: Path, number: int, folder: Path) -> None:
+def _export(chip: Path, number: int, folder: Path) -> None:
     if not folder.exists():
         (chip / "export").write_text(str(number))
+
+
+async def _until_writable(folder: Path) -> None:
     give_up_s = now_s() + WRITABLE_WITHIN_S
     files = [folder / name for name in ("period", "duty_cycle", "enable", "polarity")]
     while not all(os.access(path, os.W_OK) for path in files):
