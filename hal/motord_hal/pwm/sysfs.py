@@ -44,7 +44,9 @@ class Channel:
 
 def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
     """The chip whose device has `wanted` in its path (the numbers of chips change from boot to
-    boot), or pwmchipN by its number. Raises PortError."""
+    boot), or pwmchipN by its number, or a folder by its whole path. Raises PortError."""
+    if wanted.startswith("/"):
+        return Path(wanted)
     chips = {path.name: path.resolve() for path in sorted(root.glob("pwmchip*"))}
     if wanted in chips:
         return chips[wanted]
