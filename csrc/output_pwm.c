@@ -54,6 +54,7 @@ static int write_number(int fd, uint64_t value)
 {
     char text[24];
     size_t at = sizeof text;
+    text[--at] = '\n';
     do {
         text[--at] = (char)('0' + value % 10);
         value /= 10;
@@ -166,7 +167,7 @@ static int read_inputs(pwm_thread *t)
         t->out.error_output = AT_GPIO;
         return -errno;
     }
-    t->out.active_inputs = values.bits;
+    t->out.active_inputs = (values.bits ^ t->config.low_inputs) & values.mask;
     return 0;
 }
 

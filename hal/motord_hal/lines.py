@@ -25,6 +25,7 @@ KINDS = MappingProxyType(
         ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
         ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }
 )
