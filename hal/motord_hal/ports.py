@@ -123,10 +123,12 @@ class LineSpec:
     name: str
     kind: str
     """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
-    gateway; "mcu" and "ascii" for a board alone on a port."""
+    gateway; "can"; "mcu" and "ascii" for a board alone on a port."""
     port: str
-    """A device file, "usb:SERIAL" for the adapter with that serial number, or HOST:PORT."""
+    """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or of a CAN
+    bus INTERFACE:CHANNEL."""
     baudrate: int
+    """Bits a second, of a CAN bus too."""
     parity: str
     """"none" | "even" | "odd"."""
     stop_bits: int
@@ -136,6 +138,8 @@ class LineSpec:
     """Silent interval between frames; None: by `gap`."""
     engine: str
     """"asyncio" | "rt" | "auto": rt where the line has a serial port, else asyncio."""
+    data_baudrate: int | None = None
+    """Of the data of CAN FD frames; None: a bus of classic frames."""
     gap: Gap | None = None
     """Rule for the silent interval; None: what the most demanding drive of the line needs."""
     direction: DirectionSpec = DirectionSpec()

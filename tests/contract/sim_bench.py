@@ -2,6 +2,7 @@
 """A simulated robot whose clock the test turns by hand, and a raw master on its pty."""
 
 import contextlib
+import functools
 import os
 import select
 import threading
@@ -9,6 +10,7 @@ import threading
 from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
+from motord_hal.sim.can_port import free_address
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
@@ -23,6 +25,7 @@ KINDS = {
     "mcu-frame": "mcu",
     "ascii": "ascii",
     "roboclaw": "roboclaw",
+    "can": "can",
 }
 GEAR = 2.0
 
@@ -49,6 +52,12 @@ def joints_of(profile, gear_ratio=1.0):
         )
         for index, name in enumerate(("left", "right"))
     )
+
+
+@functools.cache
+def can_address(folder):
+    """A bus of its own for each folder."""
+    return free_address()
 
 
 TEXT = TextSpec(
@@ -81,6 +90,8 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
 def rig_of(profile, folder, *, gear_ratio=1.0, **options):
     wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
     line = line_of(profile, gear_ratio=gear_ratio)
+    if profile.can is not None:
+        options["can"] = can_address(folder)
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
     return Rig(spec, link_dir=folder)
 
@@ -103,7 +114,8 @@ def simulated(profile, folder, **options):
 
 def spec_of(profile, folder):
     """The line that drives what `simulated` simulates."""
-    return line_of(profile, folder / "bus", cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
+    port = can_address(folder) if profile.can is not None else folder / "bus"
+    return line_of(profile, port, cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:

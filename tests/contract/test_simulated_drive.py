@@ -28,6 +28,9 @@ def profiles_that(have_it):
     return [name for name, one in found.items() if one.protocol != "pwm" and have_it(one)]
 
 
+SERIAL = profiles_that(lambda profile: profile.can is None)
+
+
 @pytest.fixture(params=profiles_that(lambda _: True))
 def profile(request):
     found = find_profile(request.param)
@@ -186,6 +189,7 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     await set_off(rig, sim)
 
 
+@pytest.mark.parametrize("profile", SERIAL, indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     sim.pull("bus")
@@ -217,6 +221,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     assert sim.truth().joints["left"].velocity_rad_s == 0.0
 
 
+@pytest.mark.parametrize("profile", SERIAL, indirect=True)
 async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
@@ -226,7 +231,7 @@ async def test_every_silent_interval_is_kept(rig, sim):
 
 
 def has_check_sums(profile):
-    return profile.protocol != "ascii"
+    return profile.protocol not in ("ascii", "can")
 
 
 @pytest.mark.parametrize("profile", profiles_that(has_check_sums), indirect=True)

@@ -51,9 +51,7 @@ def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
     loaded = load_or_exit(path)
     check_simulated(loaded)
     try:
-        result = run_demo(
-            path, loaded.robot.name, list(loaded.line), seconds, progress, stay_up if stay else None
-        )
+        result = run_demo(path, loaded.robot.name, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:
         progress("")
         raise Failure(str(error)) from error

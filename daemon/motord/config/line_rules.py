@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
 from motord.config.line_sections import (
+    AnyLine,
     AsciiLine,
+    CanLine,
     DdsmLine,
     GatewayLine,
     McuLine,
@@ -25,9 +27,15 @@ from motord_hal.ascii.twist import ANGULAR, LINEAR
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
         if first.address == second.address:
-            key = "tcp_port" if isinstance(second, GatewayLine) else "port"
+            key = _port_key(second)
             paths = (("line", other, key), ("line", one, key))
             yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _port_key(line: AnyLine) -> str:
+    if isinstance(line, CanLine):
+        return "channel"
+    return "tcp_port" if isinstance(line, GatewayLine) else "port"
 
 
 def _engine(robot: Robot) -> Iterator[Finding]:
@@ -36,7 +44,7 @@ def _engine(robot: Robot) -> Iterator[Finding]:
         if isinstance(line, GatewayLine) and line.engine == "rt":
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
-        elif isinstance(line, PortLine) and line.engine == "rt":
+        elif isinstance(line, CanLine | PortLine) and line.engine == "rt":
             yield Finding(at, f'kind "{line.kind}" runs on "asyncio" only')
         elif isinstance(line, DdsmLine) and line.engine == "asyncio":
             yield Finding(at, 'kind "ddsm" runs on "rt" only')

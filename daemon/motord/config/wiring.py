@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motord.config.line_sections import AnyLine, AsciiLine, PwmLine, SerialLine
+from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
 from motord_hal.drives.profile import Gap
@@ -46,6 +46,7 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         cycle_hz=line.cycle_hz,
         gap_s=None,
         engine=line.engine,
+        data_baudrate=line.data_bitrate if isinstance(line, CanLine) else None,
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )

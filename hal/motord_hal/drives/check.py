@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord_hal.drives.can_check import check_can
 from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
-_SPEED_UNITS = ("rpm", "rad/s")
+_SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written
 _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
-    "position": (("count",), "r"),
+    "position": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
     "temperature": (("c",), "r"),
@@ -34,10 +35,10 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     """Add a row for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
         problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
-    for register in profile.registers.values():
-        _check_register(profile, register, problems)
-    _check_overlaps(profile, problems)
-    _check_serial(profile, problems)
+    if profile.can is not None:
+        check_can(profile, profile.can, problems)
+    else:
+        _check_wire(profile, problems)
     for number, channel in profile.channels.items():
         _check_channel(profile, f"channel.{number}", channel, problems)
     _check_counter(profile, problems)
@@ -53,6 +54,14 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
         problems.add("bridge", 'is there if and only if protocol is "pwm"')
     if profile.bus_voltage is not None:
         _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
+
+
+def _check_wire(profile: DriveProfile, problems: Problems) -> None:
+    """What only a drive on a serial line has."""
+    for register in profile.registers.values():
+        _check_register(profile, register, problems)
+    _check_overlaps(profile, problems)
+    _check_serial(profile, problems)
 
 
 def _check_serial(profile: DriveProfile, problems: Problems) -> None:
@@ -183,6 +192,7 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
             setpoint = register
     if setpoint is not None:
         _check_setpoint(profile, key, setpoint, channel.direction, problems)
+        _check_together(profile, f"{key}.setpoint_with", setpoint, channel, problems)
     if channel.direction is not None:
         _check_direction(profile, f"{key}.direction", channel.direction, problems)
 
@@ -194,7 +204,7 @@ def _check_setpoint(
     direction: Direction | None,
     problems: Problems,
 ) -> None:
-    narrow = profile.write_function == 6 and profile.protocol not in _FRAMES
+    narrow = profile.write_function == 6 and profile.protocol == "modbus-rtu"
     if register.type.words == 2 and narrow:
         problems.add(key, "a 32-bit set-point cannot be written with function 6")
     if direction is not None and register.type.signed:
@@ -202,6 +212,24 @@ def _check_setpoint(
     low, high = register.minimum, register.maximum
     if (low is not None and low > 0) or (high is not None and high < 0):
         problems.add(key, f'the set-point "{register.name}" cannot say zero')
+
+
+def _check_together(
+    profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
+) -> None:
+    """One request carries them all: the drive never obeys half of it."""
+    if not channel.setpoint_with:
+        return
+    words = set(range(setpoint.address, setpoint.address + setpoint.type.words))
+    for name, _ in channel.setpoint_with:
+        register = _reference(profile, f"{key}.{name}", name, "w", (), problems)
+        if register is None:
+            return
+        words |= set(range(register.address, register.address + register.type.words))
+    if max(words) - min(words) + 1 != len(words):
+        problems.add(key, "these registers and the set-point's must lie side by side")
+    if profile.write_function != 16 or len(words) > profile.max_registers:
+        problems.add(key, f"needs write_function = 16 and max_registers = {len(words)} or more")
 
 
 def _check_direction(
