@@ -68,9 +68,9 @@ def spec_of(chip, drive="bts7960", **changes):
 
 async def armed(rig):
     """Armed; a busy machine may hold the set-points up for longer than they live."""
-    await rig.ready()
     async with asyncio.timeout(GENEROUS_S):
         while rig.states() != {DriveState.ARMED}:
+            await rig.ready()
             with contextlib.suppress(HalError):
                 await rig.line.arm()
 

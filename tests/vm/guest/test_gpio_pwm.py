@@ -50,11 +50,22 @@ def fail_with(number):
 
 async def armed(line):
     """Armed; a busy machine may hold the set-points up for longer than they live."""
-    await line.ready()
     async with asyncio.timeout(GENEROUS_S):
         while line.states() != {DriveState.ARMED}:
+            await line.ready()
             with contextlib.suppress(HalError):
                 await line.line.arm()
+
+
+async def reaches(line, condition, what):
+    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    try:
+        async with asyncio.timeout(GENEROUS_S):
+            while not condition():
+                await armed(line)
+                await asyncio.sleep(0.01)
+    except TimeoutError:
+        raise AssertionError(f"never came true: {what}") from None
 
 
 def places(drive, fault=False):
@@ -102,14 +113,13 @@ async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_k
         cycles = line.line.stats().cycles
         await until(lambda: line.line.stats().cycles > cycles + 5)
         assert are(rig, drive, "coast")()
-        await line.line.arm()
-        await until(are(rig, drive, "forward", 0.5), "forward")
+        await reaches(line, are(rig, drive, "forward", 0.5), "forward")
         line.loop.duty = {0: -0.25}
-        await until(are(rig, drive, "reverse", 0.25), "backward")
+        await reaches(line, are(rig, drive, "reverse", 0.25), "backward")
         line.loop.duty = {}
-        await until(are(rig, drive, "brake"), "braked")
+        await reaches(line, are(rig, drive, "brake"), "braked")
         line.loop.duty = {0: 1.0}
-        await until(are(rig, drive, "forward", 1.0), "full")
+        await reaches(line, are(rig, drive, "forward", 1.0), "full")
         await line.line.disarm()
         await until(are(rig, drive, "coast"), "no power")
     for where in places(drive).values():
@@ -120,7 +130,7 @@ async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
     async with running(spec_of(rig, "bts7960")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
-        await until(are(rig, "bts7960", "forward", 0.5))
+        await reaches(line, are(rig, "bts7960", "forward", 0.5), "forward")
         line.loop.running = False
         await until(are(rig, "bts7960", "coast"))
         assert line.states() == {DriveState.READY}
@@ -135,7 +145,7 @@ async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
     async with running(spec_of(rig, "tb6612fng")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: -0.7}
-        await until(are(rig, "tb6612fng", "reverse", 0.7))
+        await reaches(line, are(rig, "tb6612fng", "reverse", 0.7), "backward")
     assert are(rig, "tb6612fng", "coast")()
     assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
 
@@ -161,8 +171,8 @@ async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
         assert rig.level("PIN10") == 0.0
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
         for level in (1.0, 0.0, 1.0, 0.0):
-            await until(lambda level=level: rig.level("PIN10") == level, "it changes")
-        await until(are(rig, "three-wire", "forward", 0.5), "and the PWM goes on beside it")
+            await reaches(line, lambda level=level: rig.level("PIN10") == level, "it changes")
+        await reaches(line, are(rig, "three-wire", "forward", 0.5), "and the PWM goes on")
         line.loop.running = False
         await until(lambda: line.states() == {DriveState.READY})
         cycles = line.line.stats().cycles
@@ -221,7 +231,7 @@ async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(r
     async with running(spec_of(rig, "pwm-pwm")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
-        await until(are(rig, "pwm-pwm", "forward", 0.5))
+        await reaches(line, are(rig, "pwm-pwm", "forward", 0.5), "forward")
         fail_with(5)
         line.loop.duty = {0: 0.6}
         await until(lambda: EventKind.LINE_LOST in line.kinds())
@@ -242,7 +252,7 @@ async def main():
     async with here.running(here.spec_of(rig, "bts7960")) as line:
         await here.armed(line)
         line.loop.enabled, line.loop.duty = True, {{0: 0.5}}
-        await here.until(here.are(rig, "bts7960", "forward", 0.5))
+        await here.reaches(line, here.are(rig, "bts7960", "forward", 0.5), "forward")
         print("turning", flush=True)
         await asyncio.sleep(600)
 asyncio.run(main())
