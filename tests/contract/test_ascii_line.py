@@ -11,7 +11,7 @@ from loop_side import running, until
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import ProfileError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -138,6 +138,12 @@ async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
         peer.close()
         await until(lambda: rig.line.state is LineState.CLOSED)
         assert EventKind.LINE_LOST in rig.kinds()
+
+
+async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer):
+    assert await halt_line(spec_of(peer.link, "{left:d},{right:d}\n")) == []
+    assert len(peer.lines) > 10
+    assert set(peer.lines) == {b"0,0"}
 
 
 def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):

@@ -11,7 +11,7 @@ from loop_side import GENEROUS_S, running, until
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -165,6 +165,26 @@ async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
         os.rename(tmp_path / "new", tmp_path / "chip")
         await until(lambda: rig.line.state is LineState.READY)
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
+
+
+async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
+    spec = spec_of(chip)
+    async with running(spec) as rig:
+        await rig.ready()
+    for number in (0, 3):
+        (chip.folder / f"pwm{number}/duty_cycle").write_text("30000\n")
+        (chip.folder / f"pwm{number}/enable").write_text("1\n")
+    assert await halt_line(spec) == []
+    assert chip.duties() == REST
+    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+
+
+async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):
+    (chip.folder / "pwm0/period").unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    (problem,) = await halt_line(spec_of(chip))
+    assert "joint left, pin rpwm" in problem
+    assert chip.duties() == REST
 
 
 def test_a_bridge_without_its_pins_is_refused(chip):

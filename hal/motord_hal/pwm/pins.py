@@ -118,10 +118,7 @@ async def open_pins(spec: LineSpec) -> OpenPins:
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     with contextlib.ExitStack() as undo:
         undo.callback(opened.close)
-        try:
-            places = [place for n, joint in enumerate(spec.joints) for place in places_of(n, joint)]
-        except ValueError as error:
-            raise ProfileError(f"{spec.name}: {error}") from error
+        places = _places(spec)
         inputs = [place for place in places if place.pin == FAULT]
         lines = [place for place in places if place.pin != FAULT and place.channel is None]
         _open_inputs(spec, opened, inputs)
@@ -129,6 +126,13 @@ async def open_pins(spec: LineSpec) -> OpenPins:
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
         undo.pop_all()
     return opened
+
+
+def _places(spec: LineSpec) -> list[Place]:
+    try:
+        return [place for n, joint in enumerate(spec.joints) for place in places_of(n, joint)]
+    except ValueError as error:
+        raise ProfileError(f"{spec.name}: {error}") from error
 
 
 def _levels(spec: LineSpec, place: Place) -> dict[str, tuple[float, float]]:
@@ -178,6 +182,28 @@ async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) 
             Pin(joint=place.joint, fd=channel.duty_fd, bit=0, inverted=place.inverted,
                 period_ns=period_ns(spec, place), levels=_levels(spec, place))
         )  # fmt: skip
+
+
+async def rest_pins(spec: LineSpec) -> list[str]:
+    """Every pin to no power, whatever another one says; then they are let go. Returns what could
+    not be done, in words. Raises ProfileError."""
+    problems: list[str] = []
+    chip: Path | None = None
+    for place in [place for place in _places(spec) if place.channel is not None]:
+        try:
+            chip = chip or find_chip(spec.pins.pwm_chip)
+            (await _open_channel(spec, chip, place)).close()
+        except PortError as error:
+            problems.append(str(error))
+    lines = [p for p in _places(spec) if p.channel is None and p.pin != FAULT]
+    opened = OpenPins(fault_masks=[0] * len(spec.joints))
+    try:
+        _open_outputs(spec, opened, lines)
+    except PortError as error:
+        problems.append(str(error))
+    finally:
+        opened.close()
+    return problems
 
 
 def period_ns(spec: LineSpec, place: Place) -> int:
