@@ -18,6 +18,9 @@ typedef struct {
     int32_t fd;                 /* of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;               /* GPIO: of the request's lines */
     uint32_t inverted;          /* the pin is active low */
+    uint32_t pumps;             /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
+                                   count. A charge pump or watchdog behind it drops out when any thread hangs */
+    uint32_t reserved;
     uint64_t period_ns;         /* of the channel */
     double base[4];             /* by mode */
     double slope[4];
@@ -76,6 +79,8 @@ typedef struct {
     uint32_t was_enabled;
     uint32_t demoted;
     uint32_t number;
+    uint32_t phase;             /* of pins that pump */
+    uint32_t reserved;
     int64_t stop_until_ns;      /* 0: not stopping */
     int64_t last_ns;
 } bridge_state;

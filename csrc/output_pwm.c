@@ -109,7 +109,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        if (output->joint == joint && output->fd < 0 && ((bits ^ t->bits) >> output->bit & 1) != 0) {
+        bool says_way = output->joint == joint && output->fd < 0 && output->pumps == 0;
+        if (says_way && ((bits ^ t->bits) >> output->bit & 1) != 0) {
             return true;
         }
     }

@@ -48,6 +48,8 @@ class Pin:
     period_ns: int
     levels: dict[str, tuple[float, float]]
     """Mode → (base, slope)."""
+    pumps: bool = False
+    """It changes with every cycle while the motor may move; the levels do not count."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +161,7 @@ def _config(config: BridgeConfig, exchange: Exchange) -> Any:
         place.fault_mask = joint.fault_mask
     for place, pin in zip(raw.output, config.pins, strict=False):
         place.joint, place.fd, place.bit = pin.joint, pin.fd, pin.bit
-        place.inverted, place.period_ns = pin.inverted, pin.period_ns
+        place.inverted, place.period_ns, place.pumps = pin.inverted, pin.period_ns, pin.pumps
         for number, mode in enumerate(MODES):
             place.base[number], place.slope[number] = pin.levels[mode]
     return raw

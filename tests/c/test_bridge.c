@@ -85,6 +85,29 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.stop_until_ns != 0);
 }
 
+static void a_pump_changes_with_every_cycle_that_may_move_and_with_no_other(void)
+{
+    bridge_config config = config_of(3);
+    config.output[1].pumps = 1;
+    bridge_state state = {0};
+    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    double level[PWM_OUTPUTS_MAX], before = 0.0;
+    for (int i = 0; i < 10; i++) {
+        setpoints newest = duty_of(0.0, 1, START_NS + i * MS);
+        bridge_step(&state, &config, &arm, &newest, START_NS + i * MS, level);
+        CHECK(i == 0 || level[1] == 1.0 - before);
+        before = level[1];
+    }
+    for (int i = 10; i < 14; i++) {
+        setpoints newest = duty_of(0.0, 0, START_NS + i * MS);
+        bridge_step(&state, &config, &arm, &newest, START_NS + i * MS, level);
+        CHECK(level[1] == 0.0);
+    }
+    config.output[1].fd = 3;
+    config.output[1].period_ns = PERIOD_NS;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+}
+
 static void a_level_is_a_part_of_the_period(void)
 {
     bridge_pin pin = {.period_ns = PERIOD_NS};
@@ -177,6 +200,7 @@ int main(void)
 {
     only_armed_enabled_and_fresh_set_points_move();
     what_is_old_or_late_brakes_and_then_lets_go();
+    a_pump_changes_with_every_cycle_that_may_move_and_with_no_other();
     a_level_is_a_part_of_the_period();
     a_config_that_cannot_be_is_refused();
     the_thread_writes_the_files_and_ends_at_rest();

@@ -2,14 +2,16 @@
 """The thread of motor bridges on descriptors of plain files: when it writes what. What the kernel
 makes of it is in tests/vm/guest/test_gpio_pwm.py."""
 
+import asyncio
+import contextlib
 import os
 
 import pytest
-from loop_side import running, until
+from loop_side import GENEROUS_S, running, until
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -64,6 +66,15 @@ def spec_of(chip, drive="bts7960", **changes):
     return LineSpec(**{**values, **changes})
 
 
+async def armed(rig):
+    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    async with asyncio.timeout(GENEROUS_S):
+        while rig.states() != {DriveState.ARMED}:
+            await rig.ready()
+            with contextlib.suppress(HalError):
+                await rig.line.arm()
+
+
 REST = [0, 0, 0, PERIOD_NS]
 
 
@@ -89,7 +100,7 @@ async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(c
 
 async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chip):
     async with running(spec_of(chip)) as rig:
-        await rig.arm()
+        await armed(rig)
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
         await until(lambda: chip.duties()[0] == 25_000)
         rig.loop.running = False
@@ -106,7 +117,7 @@ async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chi
 
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
     async with running(spec_of(chip)) as rig:
-        await rig.arm()
+        await armed(rig)
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
         await until(lambda: chip.duties()[0] == 25_000)
         rig.loop.enabled = False
@@ -125,7 +136,7 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
 
 async def test_cancelling_the_line_leaves_no_pulses(chip):
     async with running(spec_of(chip)) as rig:
-        await rig.arm()
+        await armed(rig)
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 0.5}
         await until(lambda: chip.duties()[0] == 25_000)
     assert chip.duties() == REST
@@ -154,6 +165,26 @@ async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
         os.rename(tmp_path / "new", tmp_path / "chip")
         await until(lambda: rig.line.state is LineState.READY)
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
+
+
+async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
+    spec = spec_of(chip)
+    async with running(spec) as rig:
+        await rig.ready()
+    for number in (0, 3):
+        (chip.folder / f"pwm{number}/duty_cycle").write_text("30000\n")
+        (chip.folder / f"pwm{number}/enable").write_text("1\n")
+    assert await halt_line(spec) == []
+    assert chip.duties() == REST
+    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+
+
+async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):
+    (chip.folder / "pwm0/period").unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    (problem,) = await halt_line(spec_of(chip))
+    assert "joint left, pin rpwm" in problem
+    assert chip.duties() == REST
 
 
 def test_a_bridge_without_its_pins_is_refused(chip):

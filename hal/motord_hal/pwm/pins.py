@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from motord_hal.drives.profile import Bridge
+from motord_hal.drives.profile import BRIDGE_MODES, Bridge
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
 from motord_hal.ports import JointSpec, LineSpec
@@ -19,6 +19,10 @@ from motord_hal.rt_pwm import Pin
 
 FAULT = "fault"
 """The pin of a bridge that tells a fault: an input."""
+PUMP = "pump"
+"""An output that changes with every cycle while the motor may move: a charge pump or a watchdog
+behind it takes the power when any thread hangs or the process dies."""
+_LOW = dict.fromkeys(BRIDGE_MODES, (0.0, 0.0))
 _CHANNEL = re.compile(r"pwm(\d+)")
 
 
@@ -58,9 +62,9 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
     """All pins of a bridge. Raises ValueError for one that is missing, unknown or cannot do what
     the bridge needs. One that only gives power may be left out, if it is wired so for ever."""
     bridge = bridge_of(joint)
-    unknown = set(joint.pins) - {*bridge.levels, FAULT}
+    unknown = set(joint.pins) - {*bridge.levels, FAULT, PUMP}
     if unknown:
-        known = ", ".join((*bridge.levels, FAULT))
+        known = ", ".join((*bridge.levels, FAULT, PUMP))
         raise ValueError(f"{joint.profile.name} has no pin {min(unknown)} (there are {known})")
     for pin in bridge.levels:
         if pin not in joint.pins and not _may_be_left_out(bridge, pin):
@@ -73,8 +77,9 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
                 f"pin {place.pin} needs a PWM channel, {place.gpio} is a GPIO line: motors are not "
                 "driven by PWM made in software"
             )
-        if place.pin == FAULT and place.channel is not None:
-            raise ValueError("pin fault is an input: it needs a GPIO line")
+        if place.pin in (FAULT, PUMP) and place.channel is not None:
+            what = "an input" if place.pin == FAULT else "no PWM"
+            raise ValueError(f"pin {place.pin} is {what}: it needs a GPIO line")
     return places
 
 
@@ -113,10 +118,7 @@ async def open_pins(spec: LineSpec) -> OpenPins:
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     with contextlib.ExitStack() as undo:
         undo.callback(opened.close)
-        try:
-            places = [place for n, joint in enumerate(spec.joints) for place in places_of(n, joint)]
-        except ValueError as error:
-            raise ProfileError(f"{spec.name}: {error}") from error
+        places = _places(spec)
         inputs = [place for place in places if place.pin == FAULT]
         lines = [place for place in places if place.pin != FAULT and place.channel is None]
         _open_inputs(spec, opened, inputs)
@@ -126,8 +128,15 @@ async def open_pins(spec: LineSpec) -> OpenPins:
     return opened
 
 
+def _places(spec: LineSpec) -> list[Place]:
+    try:
+        return [place for n, joint in enumerate(spec.joints) for place in places_of(n, joint)]
+    except ValueError as error:
+        raise ProfileError(f"{spec.name}: {error}") from error
+
+
 def _levels(spec: LineSpec, place: Place) -> dict[str, tuple[float, float]]:
-    return bridge_of(spec.joints[place.joint]).levels[place.pin]
+    return bridge_of(spec.joints[place.joint]).levels.get(place.pin, _LOW)
 
 
 def _open_inputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
@@ -157,7 +166,7 @@ def _open_outputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None
         opened.names.append(place.purpose)
         opened.pins.append(
             Pin(joint=place.joint, fd=-1, bit=bit, inverted=place.inverted, period_ns=0,
-                levels=levels)
+                levels=levels, pumps=place.pin == PUMP)
         )  # fmt: skip
 
 
@@ -173,6 +182,28 @@ async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) 
             Pin(joint=place.joint, fd=channel.duty_fd, bit=0, inverted=place.inverted,
                 period_ns=period_ns(spec, place), levels=_levels(spec, place))
         )  # fmt: skip
+
+
+async def rest_pins(spec: LineSpec) -> list[str]:
+    """Every pin to no power, whatever another one says; then they are let go. Returns what could
+    not be done, in words. Raises ProfileError."""
+    problems: list[str] = []
+    chip: Path | None = None
+    for place in [place for place in _places(spec) if place.channel is not None]:
+        try:
+            chip = chip or find_chip(spec.pins.pwm_chip)
+            (await _open_channel(spec, chip, place)).close()
+        except PortError as error:
+            problems.append(str(error))
+    lines = [p for p in _places(spec) if p.channel is None and p.pin != FAULT]
+    opened = OpenPins(fault_masks=[0] * len(spec.joints))
+    try:
+        _open_outputs(spec, opened, lines)
+    except PortError as error:
+        problems.append(str(error))
+    finally:
+        opened.close()
+    return problems
 
 
 def period_ns(spec: LineSpec, place: Place) -> int:

@@ -14,10 +14,10 @@ import pytest
 from pin_rig import LABEL, LINES, PWM, pins, wait_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
-from loop_side import running, until
+from loop_side import GENEROUS_S, running, until
 
 from motord_hal.drives.load import find_profile, list_profiles
-from motord_hal.errors import DriveFault, PortError
+from motord_hal.errors import DriveFault, HalError, PortError
 from motord_hal.gpio.lines import Wanted, request_outputs
 from motord_hal.ports import (
     DriveState,
@@ -46,6 +46,26 @@ def rig():
 def fail_with(number):
     """Let the PWM chip refuse everything with this errno; 0: nothing."""
     FAILING.write_text(str(number))
+
+
+async def armed(line):
+    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    async with asyncio.timeout(GENEROUS_S):
+        while line.states() != {DriveState.ARMED}:
+            await line.ready()
+            with contextlib.suppress(HalError):
+                await line.line.arm()
+
+
+async def reaches(line, condition, what):
+    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    try:
+        async with asyncio.timeout(GENEROUS_S):
+            while not condition():
+                await armed(line)
+                await asyncio.sleep(0.01)
+    except TimeoutError:
+        raise AssertionError(f"never came true: {what}") from None
 
 
 def places(drive, fault=False):
@@ -93,14 +113,13 @@ async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_k
         cycles = line.line.stats().cycles
         await until(lambda: line.line.stats().cycles > cycles + 5)
         assert are(rig, drive, "coast")()
-        await line.line.arm()
-        await until(are(rig, drive, "forward", 0.5), "forward")
+        await reaches(line, are(rig, drive, "forward", 0.5), "forward")
         line.loop.duty = {0: -0.25}
-        await until(are(rig, drive, "reverse", 0.25), "backward")
+        await reaches(line, are(rig, drive, "reverse", 0.25), "backward")
         line.loop.duty = {}
-        await until(are(rig, drive, "brake"), "braked")
+        await reaches(line, are(rig, drive, "brake"), "braked")
         line.loop.duty = {0: 1.0}
-        await until(are(rig, drive, "forward", 1.0), "full")
+        await reaches(line, are(rig, drive, "forward", 1.0), "full")
         await line.line.disarm()
         await until(are(rig, drive, "coast"), "no power")
     for where in places(drive).values():
@@ -109,9 +128,9 @@ async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_k
 
 async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
     async with running(spec_of(rig, "bts7960")) as line:
-        await line.arm()
+        await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
-        await until(are(rig, "bts7960", "forward", 0.5))
+        await reaches(line, are(rig, "bts7960", "forward", 0.5), "forward")
         line.loop.running = False
         await until(are(rig, "bts7960", "coast"))
         assert line.states() == {DriveState.READY}
@@ -124,9 +143,9 @@ async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
 
 async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
     async with running(spec_of(rig, "tb6612fng")) as line:
-        await line.arm()
+        await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: -0.7}
-        await until(are(rig, "tb6612fng", "reverse", 0.7))
+        await reaches(line, are(rig, "tb6612fng", "reverse", 0.7), "backward")
     assert are(rig, "tb6612fng", "coast")()
     assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
 
@@ -143,6 +162,22 @@ async def test_a_fault_pin_is_seen_said_and_keeps_it_from_being_armed(rig):
         rig.drive("PIN11", 1)
         await until(lambda: EventKind.DRIVE_FAULT_GONE in line.kinds())
         await line.line.arm()
+
+
+async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
+    where = {**places("three-wire"), "pump": "PIN10"}
+    async with running(spec_of(rig, "three-wire", where=where)) as line:
+        await armed(line)
+        assert rig.level("PIN10") == 0.0
+        line.loop.enabled, line.loop.duty = True, {0: 0.5}
+        for level in (1.0, 0.0, 1.0, 0.0):
+            await reaches(line, lambda level=level: rig.level("PIN10") == level, "it changes")
+        await reaches(line, are(rig, "three-wire", "forward", 0.5), "and the PWM goes on")
+        line.loop.running = False
+        await until(lambda: line.states() == {DriveState.READY})
+        cycles = line.line.stats().cycles
+        await until(lambda: line.line.stats().cycles > cycles + 5)
+        assert rig.level("PIN10") == 0.0
 
 
 async def test_a_line_that_is_somebody_else_s_is_said_with_joint_pin_and_owner(rig):
@@ -194,9 +229,9 @@ async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
 @pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
 async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(rig):
     async with running(spec_of(rig, "pwm-pwm")) as line:
-        await line.arm()
+        await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
-        await until(are(rig, "pwm-pwm", "forward", 0.5))
+        await reaches(line, are(rig, "pwm-pwm", "forward", 0.5), "forward")
         fail_with(5)
         line.loop.duty = {0: 0.6}
         await until(lambda: EventKind.LINE_LOST in line.kinds())
@@ -215,9 +250,9 @@ from pathlib import Path
 rig = Pins(Path({lines!r}), Path({chip!r}))
 async def main():
     async with here.running(here.spec_of(rig, "bts7960")) as line:
-        await line.arm()
+        await here.armed(line)
         line.loop.enabled, line.loop.duty = True, {{0: 0.5}}
-        await here.until(here.are(rig, "bts7960", "forward", 0.5))
+        await here.reaches(line, here.are(rig, "bts7960", "forward", 0.5), "forward")
         print("turning", flush=True)
         await asyncio.sleep(600)
 asyncio.run(main())
