@@ -197,6 +197,8 @@ class Step:
     equals: int | None = None
     within_s: float = 0.0
     """For a wait: how long it may take."""
+    plus_node: bool = False
+    """For a write: the drive's own node number is added to the value."""
     verify: bool = True
     """For a write: whether the register keeps what was written, so that it can be read back."""
 
