@@ -11,7 +11,6 @@ from pathlib import Path
 
 from shell import wait_until
 
-from motord.tools.simulator import start_simulator
 from motord_hal.serial.settings import set_raw
 from motord_hal.serial.sysfs import usb_ports
 
@@ -113,10 +112,7 @@ def robot_file(folder, port, *, name="demo", **line):
 
 
 @contextlib.contextmanager
-def simulated_drive(folder, far_end):
-    """The demo robot's drive behind `far_end`; yields the simulator's control."""
-    with (
-        start_simulator(ROBOT, link_dir=folder) as simulator,
-        Bridge(simulator.ports["rs485"], far_end),
-    ):
+def behind(simulator, far_end):
+    """The demo robot's drive at the far end of the cable; yields the simulator's control."""
+    with Bridge(simulator.ports["rs485"], far_end):
         yield simulator.control

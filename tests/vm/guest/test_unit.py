@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cable import UART, adapter, plug, robot_file, simulated_drive
+from cable import UART, adapter, behind, plug, robot_file
 from shell import DEADLINE_S, journal, output, properties, wait_until
 from stage import Stage, granted
 
@@ -50,7 +50,7 @@ def connected(old_pid=0):
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory):
+def drives(simulator):
     """The robot's file, and its drives; the unit's watchdog as patient as an emulated machine
     asks for."""
     plug()
@@ -58,7 +58,7 @@ def drives(tmp_path_factory):
     DROP_IN.write_text("[Service]\nWatchdogSec=20\nTimeoutStopSec=60\n")
     output("systemctl", "daemon-reload")
     robot = robot_file(ETC, UART, name=NAME)
-    with simulated_drive(tmp_path_factory.mktemp("drives"), adapter()) as sim:
+    with behind(simulator, adapter()) as sim:
         yield sim
         output("systemctl", "stop", UNIT)
     for path in (DROP_IN, robot, ETC / "zlac8015d.toml"):
