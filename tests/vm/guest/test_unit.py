@@ -108,6 +108,19 @@ def test_it_reaches_the_devices_of_motors_and_no_other(unit):
     assert "0 bytes copied" in done
 
 
+def test_members_of_its_group_command_it_and_nobody_else(unit):
+    output("useradd", "--groups", "motord", "driver")
+    output("useradd", "visitor")
+    try:
+        output("runuser", "-u", "driver", "--", "motord", "arm")
+        assert unit.state() == "armed"
+        output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
+        assert unit.state() == "armed"
+    finally:
+        output("userdel", "driver")
+        output("userdel", "visitor")
+
+
 def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
     unit.drive_on()
     pid = main_pid()
