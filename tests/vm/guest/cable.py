@@ -9,10 +9,11 @@ import select
 import threading
 from pathlib import Path
 
-from shell import wait_until
+from shell import DEADLINE_S, wait_until
 
 from motord_hal.serial.settings import set_raw
 from motord_hal.serial.sysfs import usb_ports
+from motord_hal.sim.control import SimControl
 
 ROBOT = Path("/project/config/robots/demo.toml")
 UART = "/dev/ttyS1"
@@ -114,5 +115,6 @@ def robot_file(folder, port, *, name="demo", **line):
 @contextlib.contextmanager
 def behind(simulator, far_end):
     """The demo robot's drive at the far end of the cable; yields the simulator's control."""
-    with Bridge(simulator.ports["rs485"], far_end):
-        yield simulator.control
+    control = SimControl(simulator.control_path, timeout_s=DEADLINE_S)
+    with Bridge(simulator.ports["rs485"], far_end), contextlib.closing(control):
+        yield control

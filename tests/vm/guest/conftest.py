@@ -15,6 +15,12 @@ sys.path[:0] = PACKAGES
 os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that tests start
 
 
+def pytest_runtest_logreport(report):
+    """A failure is told at once: the rest may take minutes."""
+    if report.failed:
+        print(f"\n{report.longreprtext}", file=sys.__stdout__, flush=True)
+
+
 @pytest.fixture(scope="session")
 def simulator(tmp_path_factory):
     """The demo robot's drives, a process of their own; to start it takes an emulated machine

@@ -55,7 +55,7 @@ def drives(simulator):
     asks for."""
     plug()
     DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-    DROP_IN.write_text("[Service]\nWatchdogSec=20\nTimeoutStopSec=60\n")
+    DROP_IN.write_text("[Service]\nWatchdogSec=30\nTimeoutStartSec=90\nTimeoutStopSec=60\n")
     output("systemctl", "daemon-reload")
     robot = robot_file(ETC, UART, name=NAME)
     with behind(simulator, adapter()) as sim:
