@@ -54,13 +54,16 @@ class Stage:
 def granted(ask, what="it is granted", said=str):
     """Asks until it is neither refused nor answered with False."""
 
+    refusals = [""]
+
     def attempt():
         try:
             return ask() is not False
-        except Refused:
+        except Refused as refusal:
+            refusals.append(str(refusal))
             return False
 
-    wait_until(attempt, what, said)
+    wait_until(attempt, what, lambda: f"{refusals[-1]}\n{said()}")
 
 
 @contextlib.contextmanager

@@ -157,6 +157,8 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     assert "left" in entries[0]["MOTORD_JOINT"]
     latched = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
     assert "over-current" in json.dumps(latched[-1]["MOTORD_FAULT"])
+    unit.sim.clear_faults_script()
+    granted(unit.robot.reset, "a reset", unit.said)
 
 
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):
