@@ -85,7 +85,7 @@ bench: $(VENV)/built $(VENV)/bench
 soak: $(VENV)/built $(VENV)/test
 	@$(PYTHON) tests/soak/soak.py $(ARGS)
 
-# From gcc alone, with ASan and UBSan. FUZZ=line: the whole machine of a line.
+# From gcc alone, with ASan and UBSan.
 fuzz:
 	@$(MAKE) -C tests/c fuzz >&2
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 from motord import procedures
 from motord.assembly import core_config, line_specs, loop_settings, profiles_of
-from motord.bus.publish import open_publisher
+from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
+from motord.bus_supervisor import BusSupervisor
 from motord.config import Robot
 from motord.doors import open_doors
 from motord.health import Health, Heart
@@ -49,10 +50,10 @@ async def run(
     """
     profiles, notifier, health = profiles_of(robot), Notifier(), Health()
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
-    feeds = {key: Samples(name, section.rate_hz) for key, section in robot.publish.items()}
-    publishers = {
-        key: open_publisher(key, section.kind, section) for key, section in robot.publish.items()
-    }
+    ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
+    feeds = {key: Samples(name, section.rate_hz) for key, section in ours.items()}
+    publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
+    bus = BusSupervisor(robot, path) if robot.has_bus else None
     with (
         _signals() as (end, hurry),
         listening(path) as listener,
@@ -69,7 +70,9 @@ async def run(
             work.append(tasks.create_task(_beat(operation)))
             work.append(tasks.create_task(_watch_health(operation, health, notifier)))
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
-            offered = methods(operation, health, feeds, doors)
+            if bus is not None:
+                work.append(tasks.create_task(bus.run()))
+            offered = methods(operation, health, feeds, doors, bus)
             server = tasks.create_task(serve(listener, offered, operation.disconnect))
             _say_hello(operation, path)
             notifier.ready()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The datagram sockets on which commands come in from outside, for the loop to take them itself.
 
-There are none unless the robot file has an `[input.*]` of kind "rt".
+There are none unless the robot file has an `[input.*]` of kind "rt", or one of the second process.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from motord.config import Robot, RtInput
+from motord.config import BusInput, Robot, RtInput
 
 SOCKET_MODE = 0o660
 LOOPBACK = "127.0.0.1"
@@ -24,6 +24,9 @@ class Doors:
     """Where commands may be sent to. `fds` stay open as long as the daemon runs."""
 
     section: RtInput | None = None
+    """What anybody may ask for who may command."""
+    inputs: Mapping[str, BusInput] = field(default_factory=dict)
+    """What the second process may ask for, by the names of its inputs."""
     path: Path | None = None
     udp_port: int | None = None
     fds: tuple[int, ...] = ()
@@ -34,12 +37,17 @@ def section_of(robot: Robot) -> RtInput | None:
     return next((found for found in robot.input.values() if isinstance(found, RtInput)), None)
 
 
+def inputs_of(robot: Robot) -> dict[str, BusInput]:
+    """The inputs of the second process, by name."""
+    return {name: found for name, found in robot.input.items() if isinstance(found, BusInput)}
+
+
 @contextlib.contextmanager
 def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
     """The sockets of this robot: NAME.cmd.sock beside its local socket, whose owner is ours alone,
     and UDP on loopback where it is asked for. Raises OSError with the place."""
-    section = section_of(robot)
-    if section is None:
+    section, inputs = section_of(robot), inputs_of(robot)
+    if section is None and not inputs:
         yield Doors()
         return
     path = beside.with_name(f"{robot.robot.name}.cmd.sock")
@@ -50,13 +58,14 @@ def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
         sockets.callback(path.unlink, missing_ok=True)
         path.chmod(SOCKET_MODE)
         fds = [local.fileno()]
-        if section.udp_port is not None:
+        udp_port = section.udp_port if section else None
+        if udp_port is not None:
             udp = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            _bind(udp, (LOOPBACK, section.udp_port), f"UDP {LOOPBACK}:{section.udp_port}")
+            _bind(udp, (LOOPBACK, udp_port), f"UDP {LOOPBACK}:{udp_port}")
             fds.append(udp.fileno())
         for fd in fds:
             os.set_blocking(fd, False)
-        yield Doors(section=section, path=path, udp_port=section.udp_port, fds=tuple(fds))
+        yield Doors(section=section, inputs=inputs, path=path, udp_port=udp_port, fds=tuple(fds))
 
 
 def _bind(opened: socket.socket, address: object, said: str) -> None:

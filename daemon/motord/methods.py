@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from motord import drive_parameters, parameters, procedures, report
 from motord.bus.publish.samples import Samples
+from motord.bus_supervisor import BusSupervisor
 from motord.commands import VERSION
 from motord.config import SocketInput
 from motord.doors import Doors
@@ -52,11 +53,15 @@ class ValuesParams(Params):
 
 
 def methods(
-    operation: Operation, health: Health, feeds: Mapping[str, Samples], doors: Doors
+    operation: Operation,
+    health: Health,
+    feeds: Mapping[str, Samples],
+    doors: Doors,
+    bus: BusSupervisor | None,
 ) -> dict[str, Method]:
     """By name. The first four only look."""
     return {
-        "status": _looking(lambda: report.status(operation, health, feeds)),
+        "status": _looking(lambda: report.status(operation, health, feeds, bus)),
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)
@@ -120,8 +125,9 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
 def _lease(
     operation: Operation, doors: Doors, caller: Caller, params: LeaseParams
 ) -> dict[str, Any]:
-    """The right to command by datagrams, for as long as this connection lasts."""
-    section = doors.section
+    """The right to command by datagrams, for as long as this connection lasts. Who is named as an
+    input of the second process is given what that section says."""
+    section = doors.inputs.get(params.owner, doors.section)
     if section is None:
         raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
     priority = section.priority if params.priority is None else params.priority
@@ -130,6 +136,10 @@ def _lease(
             f"priority {priority} is above the robot file's {section.priority}", INVALID_PARAMS
         )
     lease_s = section.lease_s if params.lease_s is None else params.lease_s
+    if params.owner in doors.inputs and lease_s > section.lease_s:
+        raise RpcError(
+            f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
+        )
     grant = operation.lease(caller.connection, params.owner, priority, lease_s)
     return {
         "token": grant.token.hex(),

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from motord.bus.publish.samples import Samples
+from motord.bus_supervisor import BusSupervisor
 from motord.commands import CommandReport
 from motord.health import Health
 from motord.operation import Operation
@@ -25,7 +26,12 @@ _COMMAND = (
 )  # fmt: skip
 
 
-def status(operation: Operation, health: Health, feeds: Mapping[str, Samples]) -> dict[str, Any]:
+def status(
+    operation: Operation,
+    health: Health,
+    feeds: Mapping[str, Samples],
+    bus: BusSupervisor | None = None,
+) -> dict[str, Any]:
     """Everything that is known now, ready for JSON."""
     snapshot = operation.snapshot.to_json()
     return {
@@ -53,6 +59,7 @@ def status(operation: Operation, health: Health, feeds: Mapping[str, Samples]) -
         "publishers": {
             name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
         },
+        "bus": bus.report() if bus else None,
         "stalls": health.stalls(),
         "version": snapshot["version"],
     }
@@ -139,6 +146,7 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
     now = now_ns()
     return [
         {
+            "number": lease.number,
             "owner": lease.owner,
             "connection": lease.connection,
             "priority": lease.priority,

@@ -20,6 +20,10 @@ KINDS = MappingProxyType(
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
         ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("can", "asyncio"): "motord_hal.can.line:CanLine",
+        ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
+        ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
+        ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }

@@ -26,6 +26,9 @@ def profiles_that(have_it):
     return [name for name in list_profiles() if have_it(find_profile(name))]
 
 
+SERIAL = profiles_that(lambda profile: profile.can is None)
+
+
 @pytest.fixture(params=list_profiles())
 def profile(request):
     found = find_profile(request.param)
@@ -117,6 +120,8 @@ async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig,
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     await set_off(rig, sim, way=-1.0)
     for joint in rig.line.spec.joints:
+        if profile.channels[joint.channel].velocity is None:
+            continue
         await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
     await turn(rig, sim, way=1.0)
     assert sim.truth().joints["left"].velocity_rad_s > 0
@@ -129,7 +134,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await until(lambda: all(feedback(rig, joint).stamp_ns for joint in joints), "first counts")
     before = {joint.name: feedback(rig, joint).count for joint in joints}
     await set_off(rig, sim)
-    rig.loop.velocity_rad_s = {}
+    rig.loop.velocity_rad_s, rig.loop.duty = {}, {}
     await rest(sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 3, "the counts at rest are in")
@@ -162,6 +167,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     assert rig.states() == {DriveState.READY}
 
 
+@pytest.mark.parametrize("profile", profiles_that(lambda p: p.faults), indirect=True)
 async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
@@ -181,6 +187,7 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     await set_off(rig, sim)
 
 
+@pytest.mark.parametrize("profile", SERIAL, indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     sim.pull("bus")
@@ -212,6 +219,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     assert sim.truth().joints["left"].velocity_rad_s == 0.0
 
 
+@pytest.mark.parametrize("profile", SERIAL, indirect=True)
 async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
@@ -220,6 +228,11 @@ async def test_every_silent_interval_is_kept(rig, sim):
     assert sim.stats()["lines"]["bus"]["bad_crc"] == 0
 
 
+def has_check_sums(profile):
+    return profile.protocol not in ("ascii", "can")
+
+
+@pytest.mark.parametrize("profile", profiles_that(has_check_sums), indirect=True)
 async def test_a_bad_wire_never_bends_what_the_drive_says(profile, tmp_path):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:

@@ -1,6 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file: `load_robot` reads one, and says every problem at once with its line."""
 
+from motord.config.bus_sections import (
+    BusInput,
+    BusPublish,
+    McapPublish,
+    MqttBroker,
+    MqttInput,
+    MqttPublish,
+    OtherInput,
+    OtherPublish,
+    PrometheusPublish,
+    Publish,
+    RosbridgeInput,
+    RosbridgePublish,
+    RosbridgeServer,
+    StdoutPublish,
+    TokenInput,
+    Topic,
+    UdpPublish,
+)
 from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
 from motord.config.load import load_robot
 from motord.config.model import (
@@ -10,14 +29,11 @@ from motord.config.model import (
     Limits,
     Loop,
     Odometry,
-    Publish,
     Robot,
     RtInput,
     Safety,
     SkidBase,
     SocketInput,
-    StdoutPublish,
-    UdpPublish,
 )
 from motord.config.problems import ConfigError, Problem
 
@@ -41,6 +57,20 @@ __all__ = [
     "Publish",
     "StdoutPublish",
     "UdpPublish",
+    "BusPublish",
+    "BusInput",
+    "TokenInput",
+    "Topic",
+    "RosbridgeServer",
+    "RosbridgePublish",
+    "RosbridgeInput",
+    "MqttBroker",
+    "McapPublish",
+    "MqttPublish",
+    "MqttInput",
+    "PrometheusPublish",
+    "OtherPublish",
+    "OtherInput",
     "ConfigError",
     "Problem",
 ]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from motord.config.bus_rules import BUS_RULES
 from motord.config.drive_rules import DRIVE_RULES
 from motord.config.finding import Finding
 from motord.config.line_rules import LINE_RULES
@@ -20,7 +21,7 @@ _REFERENCES = (("line",), ("drive",), ("channel",))
 def findings(robot: Robot) -> list[Finding]:
     """Everything that does not fit together. Rules that need drives are asked about the joints that
     have a line, a drive and a channel."""
-    found = [hit for rule in (*ROBOT_RULES, *LINE_RULES) for hit in rule(robot)]
+    found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
     lost = {path[1] for path, *_ in (hit.paths for hit in found) if path[2:] in _REFERENCES}

@@ -38,7 +38,7 @@ def load_robot(path: str | File, overrides: Sequence[str] = ()) -> Robot:
     found = findings(robot)
     if any(not hit.warning for hit in found):
         raise ConfigError(places.sorted(found, warnings=False))
-    return robot.read_from(file, places.sorted(found, warnings=True))
+    return robot.read_from(file, places.sorted(found, warnings=True), overrides)
 
 
 class _Places:

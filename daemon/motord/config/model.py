@@ -15,6 +15,19 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from motord.config.bus_sections import (
+    BusInput,
+    McapPublish,
+    MqttInput,
+    MqttPublish,
+    OtherInput,
+    OtherPublish,
+    PrometheusPublish,
+    RosbridgeInput,
+    RosbridgePublish,
+    StdoutPublish,
+    UdpPublish,
+)
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
@@ -192,7 +205,7 @@ class Joint(Section):
     """Name of the line that it is connected to."""
     drive: str
     """Name of its drive profile (motord drives), or a profile's path with a slash in it."""
-    unit: int = number("Modbus address of its drive", 1, 247, "1")
+    unit: int = number("Modbus address, or node on the CAN bus, of its drive", 0, 255, "1")
     channel: int = number("which motor of the drive", 1, 8, "1", 1)
     side: Literal["left", "right"]
     gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
@@ -264,25 +277,16 @@ class RtInput(Section):
     )
 
 
-class Publish(Section):
-    """Who is told how the robot does."""
-
-    rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
-
-
-class StdoutPublish(Publish):
-    """A line of JSON for each sample on standard output."""
-
-    kind: Literal["stdout"]
-
-
-class UdpPublish(Publish):
-    """A datagram of JSON for each sample."""
-
-    kind: Literal["udp"]
-    host: str = Field(default="127.0.0.1", min_length=1)
-    """Where to; this machine unless something else is said."""
-    port: int = number("UDP port", 1, 65535, "1", 9870)
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+AnyPublish = (
+    StdoutPublish
+    | UdpPublish
+    | MqttPublish
+    | RosbridgePublish
+    | McapPublish
+    | PrometheusPublish
+    | OtherPublish
+)
 
 
 class Robot(Section):
@@ -298,14 +302,15 @@ class Robot(Section):
     """The wires."""
     joint: dict[Name, Joint]
     """The driven wheels; their order is that of the core's joints."""
-    input: dict[Name, Annotated[SocketInput | RtInput, Field(discriminator="kind")]] = Field(
-        default_factory=lambda: dict[str, SocketInput | RtInput](socket=SocketInput(kind="socket"))
+    input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(
+        default_factory=lambda: dict[str, Input](socket=SocketInput(kind="socket"))
     )
-    publish: dict[Name, Annotated[StdoutPublish | UdpPublish, Field(discriminator="kind")]] = Field(
+    publish: dict[Name, Annotated[AnyPublish, Field(discriminator="kind")]] = Field(
         default_factory=dict
     )
 
     _path: Path = PrivateAttr(Path())
+    _overrides: tuple[str, ...] = PrivateAttr(())
     _warnings: tuple[Problem, ...] = PrivateAttr(())
 
     @property
@@ -318,9 +323,23 @@ class Robot(Section):
         """What works but deserves a look."""
         return self._warnings
 
-    def read_from(self, path: Path, warnings: Iterable[Problem] = ()) -> Robot:
-        """Note the file and what deserves a look in it; returns self."""
-        self._path, self._warnings = path, tuple(warnings)
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The --set options with which it was read: another process needs them too."""
+        return self._overrides
+
+    @property
+    def has_bus(self) -> bool:
+        """Somebody is told, or may command, by the second process."""
+        inputs = any(isinstance(section, BusInput) for section in self.input.values())
+        own = (StdoutPublish, UdpPublish)
+        return inputs or any(not isinstance(section, own) for section in self.publish.values())
+
+    def read_from(
+        self, path: Path, warnings: Iterable[Problem] = (), overrides: Iterable[str] = ()
+    ) -> Robot:
+        """Note the file, what deserves a look in it, and its --set options; returns self."""
+        self._path, self._warnings, self._overrides = path, tuple(warnings), tuple(overrides)
         return self
 
     def wheel_radius_m(self, joint: str) -> float:

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord-bus`, and `python -m motord.bus`: the second process. It has no devices and asks for no
+privileges; it may crash, hang or be slow."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import signal
+import sys
+from pathlib import Path
+
+import click
+
+from motord import log
+from motord.bus.confine import confine
+from motord.bus.station import Station
+from motord.client import ClientError, find_socket
+from motord.config import ConfigError, Robot, load_robot
+
+BEAT_EVERY_S = 1.0
+_FAILED, _USAGE = 1, 2
+
+_log = logging.getLogger(__name__)
+
+
+@click.command
+@click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="As motord run has it."
+)
+@click.option(
+    "--socket",
+    "path",
+    metavar="PATH",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The daemon's local socket; found by the robot's name otherwise.",
+)
+@click.option(
+    "--supervised",
+    is_flag=True,
+    help="The daemon started it: ends with standard input, and says on standard output that it"
+    " lives.",
+)
+def main(
+    robot_file: Path, overrides: tuple[str, ...], path: Path | None, *, supervised: bool
+) -> None:
+    """Bring a running robot to the buses of its file: [publish.*] and [input.*].
+
+    The daemon starts it by itself; a service manager may do so in its place.
+
+    \b
+    Example: motord-bus robot.toml
+    """
+    log.set_up()
+    confine()
+    try:
+        robot = load_robot(robot_file, overrides)
+    except ConfigError as error:
+        click.echo(str(error), err=True)
+        sys.exit(_USAGE)
+    try:
+        path = path or find_socket(robot.robot.name)
+    except ClientError as error:
+        _log.error("%s", error)
+        sys.exit(_FAILED)
+    asyncio.run(_run(robot, path, supervised=supervised))
+
+
+async def _run(robot: Robot, path: Path, *, supervised: bool) -> None:
+    station, end = Station(robot, path), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if supervised:
+        loop.add_reader(sys.stdin.fileno(), _until_closed, sys.stdin.fileno(), end)
+    async with asyncio.TaskGroup() as tasks:
+        work = [tasks.create_task(station.run())]
+        if supervised:
+            work.append(tasks.create_task(_beat(station)))
+        await end.wait()
+        for task in work:
+            task.cancel()
+
+
+def _until_closed(fd: int, end: asyncio.Event) -> None:
+    if not os.read(fd, 4096):
+        asyncio.get_running_loop().remove_reader(fd)
+        end.set()
+
+
+async def _beat(station: Station) -> None:
+    """A line of figures a second: who reads none for long takes this process for hung."""
+    fd = sys.stdout.fileno()
+    os.set_blocking(fd, False)  # a pipe of our own
+    while True:
+        line = json.dumps(station.figures(), separators=(",", ":")).encode() + b"\n"
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            os.write(fd, line)
+        await asyncio.sleep(BEAT_EVERY_S)
+
+
+if __name__ == "__main__":
+    main()

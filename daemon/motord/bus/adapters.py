@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a bus's kind to the class that moves its bytes, in the second process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from types import MappingProxyType
+from typing import Any, Protocol
+
+# Tables of strings: a robot loads only the buses that it has.
+PUBLISHERS = MappingProxyType(
+    {
+        "mcap": "motord.bus.publish.mcap:McapRecorder",
+        "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
+        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
+        "prometheus": "motord.bus.publish.prometheus:PrometheusServer",
+    }
+)
+INPUTS = MappingProxyType(
+    {
+        "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
+        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
+    }
+)
+PUBLISHER_POINTS = "motord.publishers"
+INPUT_POINTS = "motord.inputs"
+"""Groups in which other packages may offer kinds of their own."""
+
+
+class Adapter(Protocol):
+    """Made of the section's name, the section and the Station. What it does not take in time of its
+    feed is lost."""
+
+    async def run(self) -> None:
+        """Until cancelled; the world's faults are logged once and survived."""
+        ...
+
+
+def find(where: str, kind: str, table: Mapping[str, str], group: str) -> Any:
+    """What makes an adapter of that kind. Raises LookupError for a kind that nobody offers, and
+    ImportError where a package that it needs is missing."""
+    if kind in table:
+        module, _, attribute = table[kind].partition(":")
+        return getattr(import_module(module), attribute)
+    offered = {point.name: point for point in entry_points(group=group)}
+    if kind not in offered:
+        known = ", ".join([*table, *offered])
+        raise LookupError(f'{where}: nobody offers kind "{kind}"; there are: {known}')
+    return offered[kind].load()

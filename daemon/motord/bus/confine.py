@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the second process gives up at its start, so that nothing in it can cost the robot anything:
+capabilities, real-time priority, memory without end, and its turn before others."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import resource
+import struct
+from pathlib import Path
+
+DATA_BYTES_MAX = 512 << 20
+"""Private memory, stacks of threads too: a leak ends here, and the daemon starts it again."""
+NICENESS = 5
+_OOM_SCORE_ADJ = 500
+"""proc_pid_oom_score_adj(5): before the daemon, when the machine is out of memory."""
+_PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
+"""include/uapi/linux/prctl.h"""
+_CAPABILITY_VERSION_3 = 0x20080522
+"""include/uapi/linux/capability.h"""
+
+
+def confine() -> None:
+    """Once, before anything else. What the kernel does not grant is done without: all of it is less
+    than we have."""
+    _drop_capabilities()
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = DATA_BYTES_MAX if hard == resource.RLIM_INFINITY else min(DATA_BYTES_MAX, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(_OOM_SCORE_ADJ), encoding="ascii")
+
+
+def _drop_capabilities() -> None:
+    """All sets are empty afterwards, and no program that is started gets any: capabilities(7)."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+    libc.prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
+    header = struct.pack("=Ii", _CAPABILITY_VERSION_3, 0)
+    libc.capset(header, bytes(struct.calcsize("=6I")))

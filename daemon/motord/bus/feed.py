@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an adapter of the second process is fed: each topic at its own rate, and newest wins."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from motord.bus.messages import Body
+from motord.bus.topics import TOPICS, Topic, View, wall_offset_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A message and its topic."""
+
+    topic: Topic
+    message: Any
+
+
+class Feed:
+    """A box for one view of each topic. Who fills it never waits; who is slow loses samples."""
+
+    def __init__(self, body: Body, rates_hz: Mapping[str, float]) -> None:
+        """Raises KeyError for a topic that there is not."""
+        self._body = body
+        self._period_ns = {name: round(1e9 / rate_hz) for name, rate_hz in rates_hz.items()}
+        self._due_ns = {TOPICS[name].name: 0 for name in rates_hz}
+        self._newest: dict[str, View] = {}
+        self._filled = asyncio.Event()
+        self.taken = 0
+        self.dropped = 0
+        """Replaced by newer ones before they were taken."""
+
+    @property
+    def period_s(self) -> float:
+        """Of the fastest topic."""
+        return min(self._period_ns.values()) / 1e9
+
+    def offer(self, view: View) -> None:
+        """Kept for each topic whose time has come, by the sample's stamp; a late one is not caught
+        up."""
+        stamp_ns = view.snapshot.stamp_ns
+        for name, due_ns in self._due_ns.items():
+            if stamp_ns < due_ns:
+                continue
+            next_ns = due_ns + self._period_ns[name]
+            self._due_ns[name] = max(next_ns, stamp_ns)
+            self.dropped += name in self._newest
+            self._newest[name] = view
+            self._filled.set()
+
+    async def __aiter__(self) -> AsyncIterator[Sample]:
+        """Each message when it is taken; what cannot be said is left out."""
+        while True:
+            await self._filled.wait()
+            self._filled.clear()
+            newest, self._newest = self._newest, {}
+            offset_ns = wall_offset_ns()
+            for name, view in newest.items():
+                message = TOPICS[name].build(view, self._body, offset_ns)
+                if message is not None:
+                    self.taken += 1
+                    yield Sample(TOPICS[name], message)

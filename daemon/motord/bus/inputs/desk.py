@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where commands of networked inputs are looked at: who shows the token, what is asked for, and how
+old it is. What passes goes to the daemon, which judges it as every other command."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from motord.bus.link import Source
+from motord.bus.secret import Token
+from motord.client import ClientError
+from motord.config import TokenInput
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
+"""What may be called."""
+URGENT = ("estop", "stop")
+CALLS_MAX = 4
+FUTURE_S = 0.5
+"""A command from further ahead has another idea of the time than we: its age cannot be known."""
+SAY_AGAIN_S = 10.0
+
+_log = logging.getLogger(__name__)
+
+
+class NotTaken(Exception):
+    """A command is not passed on; the text says why."""
+
+
+class Desk:
+    """One networked input's."""
+
+    def __init__(self, name: str, section: TokenInput, station: Station) -> None:
+        """Raises OSError and ValueError for a token that cannot be used."""
+        self._name = name
+        self._station = station
+        self._token = Token(station.beside_robot_file(section.token_file))
+        self._stamped = section.stamped
+        self._calls = 0
+        self._said_s = -SAY_AGAIN_S
+        self.source: Source = station.source(name)
+
+    def admit(self, shown: object) -> None:
+        """Raises NotTaken for who does not show the token."""
+        if not self._token.fits(shown):
+            raise self._no("the token is missing or wrong")
+
+    def drive(self, message: object) -> None:
+        """Pass a Twist or a TwistStamped on. Raises NotTaken."""
+        linear_m_s, angular_rad_s, age_s = self._twist(message)
+        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+        if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
+            raise self._no("there is no lease: the daemon does not take commands now")
+
+    def _twist(self, message: object) -> tuple[float, float, float]:
+        """m/s, rad/s, and the command's age in s."""
+        try:
+            if not isinstance(message, Mapping):
+                raise TypeError("a command is an object")
+            twist = message.get("twist", message)
+            stamp = message["header"]["stamp"] if "header" in message else None
+            linear_m_s = _number(twist["linear"]["x"])
+            angular_rad_s = _number(twist["angular"]["z"])
+            said_s = None if stamp is None else stamp["sec"] + stamp["nanosec"] * 1e-9
+        except (KeyError, TypeError) as error:
+            raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
+        if said_s is None:
+            if self._stamped:
+                raise self._no("it has no stamp (header.stamp, or stamped = false)")
+            return linear_m_s, angular_rad_s, 0.0
+        age_s = time.time() - said_s
+        if not -FUTURE_S <= age_s < float("inf"):
+            raise self._no("its stamp is in the future: do the clocks agree?")
+        return linear_m_s, angular_rad_s, max(age_s, 0.0)
+
+    async def act(self, method: object) -> Any:
+        """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
+        if method not in METHODS:
+            raise self._no(f"{method!r} is not one of {', '.join(METHODS)}")
+        if self._calls >= CALLS_MAX and method not in URGENT:
+            raise self._no(f"{CALLS_MAX} calls are under way")
+        self._calls += 1
+        try:
+            return await self._station.call(str(method))
+        except ClientError as error:
+            raise NotTaken(str(error)) from error
+        finally:
+            self._calls -= 1
+
+    def _no(self, why: str) -> NotTaken:
+        """Counted, and said from time to time."""
+        self.source.refused += 1
+        now_s = time.monotonic()
+        if now_s - self._said_s >= SAY_AGAIN_S:
+            self._said_s = now_s
+            _log.warning("input.%s: refused (%d so far): %s", self._name, self.source.refused, why)
+        return NotTaken(why)
+
+
+def _number(value: object) -> float:
+    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is no number")
+    return float(value)

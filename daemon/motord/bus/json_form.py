@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages as JSON has them: the shape that rosbridge and Foxglove know. NaN and infinity:
+null."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+
+def plain(value: Any) -> Any:
+    """A message as dictionaries, lists and numbers that JSON has."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if dataclasses.is_dataclass(value):
+        return {key.name: plain(getattr(value, key.name)) for key in dataclasses.fields(value)}
+    return value
+
+
+def encode(message: Any) -> bytes:
+    """One JSON object, without a line end."""
+    return json.dumps(plain(message), allow_nan=False, separators=(",", ":")).encode()
+
+
+def decode(raw: str | bytes) -> Any:
+    """What the JSON says. Raises ValueError, also for one that is nested too deeply."""
+    try:
+        return json.loads(raw)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the second process to the daemon: calls on its local socket, and commands under a lease.
+
+Every call has a connection of its own and a deadline. A lease lives as long as its connection; when
+the daemon ends it, another is asked for. Nobody answers a command: docs/commands.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import socket
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from motord.client import NOT_ALLOWED, REFUSED, ClientError, Refused
+from motord.commands import RELEASE, TWIST, datagram
+
+CALL_WITHIN_S = 10.0
+LEASE_WITHIN_S = 5.0
+LEASE_AGAIN_S = 0.5
+_LOOK_EVERY_S = 10.0
+_ANSWER_BYTES_MAX = 1 << 20
+
+_log = logging.getLogger(__name__)
+
+
+@contextlib.asynccontextmanager
+async def _connected(
+    path: Path,
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    try:
+        reader, writer = await asyncio.open_unix_connection(str(path), limit=_ANSWER_BYTES_MAX)
+    except OSError as error:
+        raise ClientError(f"{path}: {error.strerror or error}") from error
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
+
+
+async def _ask(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, method: str, params: dict[str, Any]
+) -> Any:
+    request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
+    try:
+        writer.write(json.dumps(request, allow_nan=False).encode() + b"\n")
+        await writer.drain()
+        answer = json.loads(await reader.readuntil(b"\n"))
+    except (OSError, ValueError, EOFError, asyncio.LimitOverrunError) as error:
+        raise ClientError(f"{method}: the daemon did not answer: {error}") from error
+    problem = answer.get("error")
+    if problem is None:
+        return answer.get("result")
+    if problem["code"] in (REFUSED, NOT_ALLOWED):
+        raise Refused(problem["message"], problem["code"])
+    raise ClientError(problem["message"])
+
+
+async def call(path: Path, method: str, **params: Any) -> Any:
+    """Any method of the local socket, by name. Raises Refused, or ClientError for all else."""
+    try:
+        async with asyncio.timeout(CALL_WITHIN_S), _connected(path) as (reader, writer):
+            return await _ask(reader, writer, method, params)
+    except TimeoutError:
+        raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
+
+
+class Source:
+    """One input's right to command. `run` keeps the lease; `drive` and `release` never wait."""
+
+    def __init__(self, path: Path, owner: str) -> None:
+        """`owner`: an input of the robot file, whose priority and lifetime count."""
+        self._path = path
+        self.owner = owner
+        self._token: bytes | None = None
+        self._sequence = 0
+        self._failing = False
+        self._sender = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self.sent = 0
+        self.lost = 0
+        """Commands for which there was no lease, or that the socket did not take."""
+        self.refused = 0
+        """Commands and calls that were not passed on, as the input counts them."""
+
+    @property
+    def ready(self) -> bool:
+        """There is a lease."""
+        return self._token is not None
+
+    async def run(self) -> None:
+        """Keep a lease until cancelled."""
+        try:
+            while True:
+                try:
+                    await self._hold()
+                except (ClientError, OSError, TimeoutError) as error:
+                    self._say(str(error) or "no answer")
+                await asyncio.sleep(LEASE_AGAIN_S)
+        finally:
+            self._sender.close()
+
+    async def _hold(self) -> None:
+        async with _connected(self._path) as (reader, writer):
+            async with asyncio.timeout(LEASE_WITHIN_S):
+                grant = await _ask(reader, writer, "lease", {"owner": self.owner})
+            self._sender.connect(grant["socket"])
+            self._sequence = 0
+            self._token = bytes.fromhex(grant["token"])
+            if self._failing:
+                self._failing = False
+                _log.info("input.%s: has its lease again", self.owner)
+            try:
+                await _ended(reader)
+            finally:
+                self._token = None
+
+    def drive(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> bool:
+        """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
+        Returns whether it was sent."""
+        stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
+        return self._send(TWIST, linear_m_s, angular_rad_s, stamp_ns)
+
+    def release(self) -> bool:
+        """Give the command back before it lapses; the next one takes it again."""
+        return self._send(RELEASE, 0.0, 0.0, time.monotonic_ns())
+
+    def _send(self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int) -> bool:
+        if self._token is None:
+            self.lost += 1
+            return False
+        self._sequence += 1
+        command = datagram(
+            self._token, self._sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
+        )
+        try:
+            self._sender.send(command)
+        except OSError:  # full: the next one will do; gone: the connection's end says it
+            self.lost += 1
+            return False
+        self.sent += 1
+        return True
+
+    def _say(self, text: str) -> None:
+        if not self._failing:
+            self._failing = True
+            _log.warning("input.%s: no lease: %s", self.owner, text)
+
+
+async def _ended(reader: asyncio.StreamReader) -> None:
+    """Until the daemon closes the connection."""
+    while True:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LOOK_EVERY_S):
+                if not await reader.read(4096):
+                    return

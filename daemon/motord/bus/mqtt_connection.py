@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A connection to an MQTT 3.1.1 broker that comes back by itself (aiomqtt)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import ssl
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+import aiomqtt
+
+from motord.bus import json_form
+from motord.bus.secret import read_secret
+from motord.config import MqttBroker
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+KEEPALIVE_S = 5
+"""A broker that is silent for so long is left: what it still holds of ours is then never taken."""
+ANSWER_WITHIN_S = 5.0
+AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 5.0
+QUEUED_MAX = 256
+_PORT, _TLS_PORT = 1883, 8883
+
+_log = logging.getLogger(__name__)
+
+
+class MqttConnection:
+    """One client of one broker. `use` runs with each connection that there is."""
+
+    def __init__(self, where: str, section: MqttBroker, station: Station) -> None:
+        """`where` is the section's name in the robot file. Raises OSError and ValueError for files
+        that cannot be used, ImportError where the encoding's package is missing."""
+        self._where = where
+        robot = station.robot.robot.name
+        self.prefix = section.topic_prefix or f"motord/{robot}"
+        self._section = section
+        self._identifier = f"motord-{robot}-{where}"
+        self._password = None
+        if section.password_file is not None:
+            self._password = read_secret(station.beside_robot_file(section.password_file))
+        self._tls = _tls_context(section, station) if section.tls else None
+        self.encode = encoder(section.encoding)
+        self.decode = decoder(section.encoding)
+
+    async def keep(
+        self, use: Callable[[aiomqtt.Client], Awaitable[None]], will: aiomqtt.Will | None = None
+    ) -> None:
+        """Until cancelled: connect, use, and again. What is wrong is said once."""
+        again_s, failing = AGAIN_MIN_S, False
+        while True:
+            try:
+                async with self._connected(will) as client:
+                    if failing:
+                        _log.info("%s: connected again", self._where)
+                    again_s, failing = AGAIN_MIN_S, False
+                    await use(client)
+            except* (aiomqtt.MqttError, OSError) as errors:
+                if not failing:
+                    failing = True
+                    _log.warning("%s: %s: %s", self._where, self._section.host, first(errors))
+            raise_if_cancelled()
+            await asyncio.sleep(again_s)
+            again_s = min(2.0 * again_s, AGAIN_MAX_S)
+
+    @asynccontextmanager
+    async def _connected(self, will: aiomqtt.Will | None) -> AsyncIterator[aiomqtt.Client]:
+        section = self._section
+        async with aiomqtt.Client(
+            section.host,
+            section.port or (_TLS_PORT if section.tls else _PORT),
+            username=section.username,
+            password=self._password,
+            identifier=self._identifier,
+            clean_session=True,  # the broker keeps no command for us
+            will=will,
+            keepalive=KEEPALIVE_S,
+            timeout=ANSWER_WITHIN_S,
+            tls_context=self._tls,
+            max_queued_incoming_messages=QUEUED_MAX,
+            max_queued_outgoing_messages=QUEUED_MAX,
+        ) as client:
+            yield client
+
+
+def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
+    """One of a group, to be said."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error
+
+
+def raise_if_cancelled() -> None:
+    """A client library may answer a cancellation with an error of its own."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
+
+
+def _tls_context(section: MqttBroker, station: Station) -> ssl.SSLContext:
+    def beside(name: str | None) -> str | None:
+        return None if name is None else str(station.beside_robot_file(name))
+
+    context = ssl.create_default_context(cafile=beside(section.ca_file))
+    if certificate := beside(section.cert_file):
+        context.load_cert_chain(certificate, beside(section.key_file))
+    return context
+
+
+def encoder(encoding: str) -> Callable[[Any], bytes]:
+    """From a message to bytes. Raises ImportError."""
+    if encoding == "json":
+        return json_form.encode
+    import cbor2
+
+    return lambda message: cbor2.dumps(json_form.plain(message))
+
+
+def decoder(encoding: str) -> Callable[[bytes], Any]:
+    """From bytes to dictionaries and numbers, or ValueError. Raises ImportError."""
+    if encoding == "json":
+        return json_form.decode
+    import cbor2
+
+    def decode(raw: bytes) -> Any:
+        try:
+            return cbor2.loads(raw)
+        except (cbor2.CBORDecodeError, RecursionError) as error:
+            raise ValueError(str(error)) from None
+
+    return decode

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records to MCAP files (mcap.dev): all that comes, or what was before and after a fault.
+
+A thread does the writing: a disk that stalls costs samples, counted, and nothing else. A disk that
+is full is said once, and tried again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+from motord.bus import json_form
+from motord.bus.feed import Sample
+from motord.bus.message_types import Time
+from motord.bus.publish.mcap_files import Entry, Folder, Recording
+from motord.config import McapPublish
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+WRITE_EVERY_S = 0.5
+AGAIN_S = 5.0
+WAITING_MAX = 20_000
+"""Messages that wait for the disk, or that are kept for a fault, at most."""
+
+_log = logging.getLogger(__name__)
+
+
+class McapRecorder:
+    def __init__(self, name: str, section: McapPublish, station: Station) -> None:
+        self._name = name
+        self._section = section
+        self._station = station
+        self._feed = station.feed(name, section.rates_hz())
+        self._folder = Folder(
+            station.beside_robot_file(section.folder),
+            station.body.robot,
+            total_max_mb=section.total_max_mb,
+            free_min_mb=section.free_min_mb,
+        )
+        self._waiting: deque[Entry] = deque(maxlen=WAITING_MAX)
+        self._recording: Recording | None = None
+        self._since_s = 0.0
+        self._failing = False
+        self._writing = threading.Lock()
+        """Held by who writes: a thread may outlive the task that waited for it."""
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._collect())
+                tasks.create_task(self._all() if self._section.mode == "all" else self._faults())
+        finally:
+            self._finish()
+
+    async def _collect(self) -> None:
+        async for sample in self._feed:
+            if len(self._waiting) == WAITING_MAX and self._section.mode == "all":
+                self._feed.dropped += 1
+            self._waiting.append(_entry(sample))
+
+    # --------------------------------------------------------------------------------------- all
+    async def _all(self) -> None:
+        while True:
+            await asyncio.sleep(AGAIN_S if self._failing else WRITE_EVERY_S)
+            batch = self._taken()
+            try:
+                await asyncio.to_thread(self._write, batch)
+            except OSError as error:
+                self._fail(error, len(batch))
+            else:
+                self._said_well()
+
+    def _write(self, batch: list[Entry]) -> None:
+        """In the thread. Raises OSError."""
+        with self._writing:
+            age_s = time.monotonic() - self._since_s
+            if self._recording is not None and age_s > self._section.file_s:
+                recording, self._recording = self._recording, None
+                recording.close()
+            if self._recording is None:
+                self._recording = self._folder.open("all")
+                self._since_s = time.monotonic()
+            else:
+                self._folder.make_room(keep=self._recording.path)
+            self._recording.add(batch)
+
+    # ------------------------------------------------------------------------------------ faults
+    async def _faults(self) -> None:
+        """A file each time that a fault is latched."""
+        latched = False
+        while True:
+            await asyncio.sleep(WRITE_EVERY_S)
+            self._forget()
+            view = self._station.view
+            if view is None:
+                continue
+            if view.snapshot.faults and not latched:
+                await asyncio.sleep(self._section.after_s)
+                self._forget()
+                await self._save("-".join(view.snapshot.faults))
+            latched = bool(view.snapshot.faults)
+
+    def _forget(self) -> None:
+        """What is older than a fault's file would hold."""
+        oldest_ns = time.time_ns() - round(
+            (self._section.before_s + self._section.after_s + WRITE_EVERY_S) * 1e9
+        )
+        while self._waiting and self._waiting[0].log_ns < oldest_ns:
+            self._waiting.popleft()
+
+    async def _save(self, what: str) -> None:
+        batch = self._taken()
+        try:
+            path = await asyncio.to_thread(self._write_whole, batch, what)
+        except OSError as error:
+            self._fail(error, len(batch))
+        else:
+            self._said_well()
+            _log.info("publish.%s: what led to the fault is in %s", self._name, path)
+
+    def _write_whole(self, batch: list[Entry], what: str) -> str:
+        """In the thread. Raises OSError."""
+        with self._writing:
+            self._recording = self._folder.open(what)
+            self._recording.add(batch)
+            recording, self._recording = self._recording, None
+            recording.close()
+            return str(recording.path)
+
+    # -------------------------------------------------------------------------------------- both
+    def _taken(self) -> list[Entry]:
+        batch = list(self._waiting)
+        self._waiting.clear()
+        return batch
+
+    def _finish(self) -> None:
+        """At the end: what waits, and the index."""
+        with self._writing:
+            recording, self._recording = self._recording, None
+            if recording is None:
+                return
+            try:
+                recording.add(self._taken())
+                recording.close()
+            except OSError as error:
+                _log.warning("publish.%s: %s", self._name, error)
+
+    def _fail(self, error: OSError, lost: int) -> None:
+        self._feed.dropped += lost
+        if self._recording is not None:
+            self._recording.abandon()
+            self._recording = None
+        if not self._failing:
+            self._failing = True
+            _log.warning("publish.%s: nothing is recorded: %s", self._name, error)
+
+    def _said_well(self) -> None:
+        if self._failing:
+            self._failing = False
+            _log.info("publish.%s: records again", self._name)
+
+
+def _entry(sample: Sample) -> Entry:
+    return Entry(sample.topic.name, _log_ns(sample), json_form.encode(sample.message))
+
+
+def _log_ns(sample: Sample) -> int:
+    """The sample's own moment."""
+    message = sample.message
+    header = message.transforms[0].header if hasattr(message, "transforms") else message.header
+    stamp: Time = header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics on an MQTT broker. PREFIX/status says, retained, whether we are there (the broker itself
+says "offline" when we are not), PREFIX/description what there is; the rest is PREFIX/TOPIC."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Any
+
+import aiomqtt
+
+from motord.bus.mqtt_connection import MqttConnection
+from motord.bus.topics import TOPICS
+from motord.config import MqttPublish
+from motord.snapshot import SNAPSHOT_VERSION
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+ONLINE, OFFLINE = b"online", b"offline"
+
+
+class MqttPublisher:
+    def __init__(self, name: str, section: MqttPublish, station: Station) -> None:
+        """Raises as MqttConnection."""
+        self._connection = MqttConnection(f"publish.{name}", section, station)
+        self._qos = section.qos
+        self._feed = station.feed(name, section.rates_hz())
+        self._description = _description(section, station)
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        await self._connection.keep(
+            self._use, will=aiomqtt.Will(self._topic("status"), OFFLINE, qos=1, retain=True)
+        )
+
+    def _topic(self, name: str) -> str:
+        return f"{self._connection.prefix}/{name}"
+
+    async def _use(self, client: aiomqtt.Client) -> None:
+        encode = self._connection.encode
+        await client.publish(self._topic("description"), encode(self._description), 1, retain=True)
+        await client.publish(self._topic("status"), ONLINE, 1, retain=True)
+        try:
+            async for sample in self._feed:
+                await client.publish(
+                    self._topic(sample.topic.name), encode(sample.message), self._qos
+                )
+        finally:
+            with contextlib.suppress(aiomqtt.MqttError):
+                await client.publish(self._topic("status"), OFFLINE, 0, retain=True)
+
+
+def _description(section: MqttPublish, station: Station) -> dict[str, Any]:
+    body, base = station.body, station.robot.base
+    return {
+        "robot": body.robot,
+        "version": SNAPSHOT_VERSION,
+        "joints": list(body.joints),
+        "frames": {"odom": body.odom_frame, "base": body.base_frame},
+        "base": base.model_dump(mode="json"),
+        "topics": {
+            name: {"type": TOPICS[name].type_name, "rate_hz": rate_hz}
+            for name, rate_hz in section.rates_hz().items()
+        },
+    }

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tokens and passwords: in files that others cannot read, compared in the same time always."""
+
+from __future__ import annotations
+
+import hmac
+import stat
+from pathlib import Path
+
+TOKEN_MIN = 16
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+def read_secret(path: Path, at_least: int = 1) -> str:
+    """The one line of a file. Raises OSError, and ValueError where others may read it or it
+    is too short."""
+    mode = path.stat().st_mode
+    if mode & _OTHERS:
+        raise ValueError(f"{path} can be read by others: chmod 600 {path}")
+    secret = path.read_text(encoding="utf-8").strip()
+    if len(secret) < at_least:
+        raise ValueError(f"{path} holds {len(secret)} characters: at least {at_least}")
+    return secret
+
+
+class Token:
+    """What every command of a networked input has to show."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError and ValueError as `read_secret`."""
+        self._secret = read_secret(path, TOKEN_MIN).encode()
+
+    def fits(self, shown: object) -> bool:
+        """Whether it is that; anything else than a text is not."""
+        return isinstance(shown, str) and hmac.compare_digest(shown.encode(), self._secret)

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps the second process alive, and at arm's length: started by exec, heard by a pipe, ended by
+force when it is silent. What it does or fails to do costs the daemon a line of the log."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import signal
+import sys
+import time
+from asyncio.subprocess import PIPE, Process
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from motord.config import Robot
+
+SILENT_S = 10.0
+"""It says every second that it lives."""
+END_WITHIN_S = 2.0
+AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
+WELL_AFTER_S = 60.0
+"""Who has lived for so long may come back at once."""
+
+_log = logging.getLogger(__name__)
+
+
+class BusSupervisor:
+    """The second process of one robot."""
+
+    def __init__(self, robot: Robot, path: Path) -> None:
+        """`path`: the local socket."""
+        options = [part for option in robot.overrides for part in ("--set", option)]
+        self._command = [
+            *(sys.executable, "-m", "motord.bus", str(robot.path), *options),
+            *("--socket", str(path), "--supervised"),
+        ]
+        self._figures: dict[str, Any] = {}
+        self._pid: int | None = None
+        self._restarts = 0
+        self._again_s = AGAIN_MIN_S
+
+    def report(self) -> dict[str, Any]:
+        """For `status`: process number (None: it is not there now), restarts, and its own word."""
+        return {"pid": self._pid, "restarts": self._restarts, **self._figures}
+
+    async def run(self) -> None:
+        """Until cancelled; then it is ended."""
+        while True:
+            began_s = time.monotonic()
+            try:
+                why = await self._live()
+            except OSError as error:
+                why = f"cannot be started: {error.strerror or error}"
+            if time.monotonic() - began_s > WELL_AFTER_S:
+                self._again_s = AGAIN_MIN_S
+            self._restarts += 1
+            _log.warning(
+                "motord-bus %s; it is started again in %g s, the robot goes on without",
+                why,
+                self._again_s,
+            )
+            await asyncio.sleep(self._again_s)
+            self._again_s = min(2.0 * self._again_s, AGAIN_MAX_S)
+
+    async def _live(self) -> str:
+        """One life of it; returns how it ended."""
+        async with self._started() as process:
+            assert process.stdout is not None  # it was asked for
+            _log.info("motord-bus runs as process %d", process.pid)
+            try:
+                while line := await _line(process.stdout):
+                    self._hear(line)
+            except (TimeoutError, ValueError):
+                return f"was silent for {SILENT_S:g} s"
+            finally:
+                self._pid, self._figures = None, {}
+            await _end(process)
+            return _how_it_ended(process.returncode)
+
+    @contextlib.asynccontextmanager
+    async def _started(self) -> AsyncIterator[Process]:
+        """A session of its own: the terminal's signals are for the daemon."""
+        process = await asyncio.create_subprocess_exec(
+            *self._command, stdin=PIPE, stdout=PIPE, start_new_session=True
+        )
+        self._pid = process.pid
+        try:
+            yield process
+        finally:
+            await _end(process)
+
+    def _hear(self, line: bytes) -> None:
+        try:
+            self._figures = json.loads(line)
+        except ValueError:
+            _log.warning("motord-bus says what is no JSON: %r", line[:80])
+
+
+async def _line(output: asyncio.StreamReader) -> bytes:
+    """The next line; nothing at its end. Raises TimeoutError, ValueError for one without end."""
+    async with asyncio.timeout(SILENT_S):
+        return await output.readline()
+
+
+async def _end(process: Process) -> None:
+    """It ends when its standard input does; by force if it does not. Nobody waits for long."""
+    if process.returncode is not None:
+        return
+    assert process.stdin is not None  # it was asked for
+    process.stdin.close()
+    try:
+        async with asyncio.timeout(END_WITHIN_S):
+            await process.wait()
+    except TimeoutError:
+        process.kill()
+        await process.wait()
+
+
+def _how_it_ended(status: int | None) -> str:
+    if status is None or status >= 0:
+        return f"ended with status {status}"
+    try:
+        return f"was ended by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"was ended by signal {-status}"

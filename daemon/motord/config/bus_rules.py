@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the keys of a bus: above all, who may command over a network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from motord.config.bus_sections import (
+    LOOPBACK,
+    BusPublish,
+    MqttBroker,
+    PrometheusPublish,
+    RosbridgeInput,
+    RosbridgeServer,
+)
+from motord.config.finding import Finding
+from motord.config.model import Robot
+from motord.config.toml_lines import Path
+
+
+def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if not isinstance(section, MqttBroker | RosbridgeInput) or section.host in LOOPBACK:
+            continue
+        key = "tls" if isinstance(section, MqttBroker) else "cert_file"
+        if not getattr(section, key):
+            cure = "tls = true" if key == "tls" else "cert_file and key_file"
+            paths = (("input", name, key), ("input", name, "host"))
+            text = f"commands by {section.host} would show their token to the network: {cure}"
+            yield Finding(paths, text)
+
+
+def _mqtt(robot: Robot) -> Iterator[tuple[Path, MqttBroker]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, MqttBroker):
+                yield (table, name), section
+
+
+def _mqtt_credentials(robot: Robot) -> Iterator[Finding]:
+    for path, section in _mqtt(robot):
+        if section.password_file is not None and section.username is None:
+            yield Finding(((*path, "password_file"),), "a password without username")
+        if section.password_file is not None and not section.tls and section.host not in LOOPBACK:
+            text = f"{section.host} would be told the password without tls = true"
+            yield Finding(((*path, "password_file"), (*path, "tls")), text)
+        yield from _pair(path, section)
+        for key in ("ca_file", "cert_file"):
+            if getattr(section, key) is not None and not section.tls:
+                yield Finding(((*path, key), (*path, "tls")), "is of no use without tls = true")
+
+
+def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.publish.items():
+        if isinstance(section, BusPublish):
+            for topic in section.topic_rate_hz:
+                if topic not in section.topics:
+                    path = ("publish", name, "topic_rate_hz", topic)
+                    yield Finding((path,), "this topic is not published (topics)")
+
+
+def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, PrometheusPublish | RosbridgeServer):
+                yield (table, name), section
+
+
+def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
+    taken: dict[int, Path] = {}
+    for path, section in _servers(robot):
+        before = taken.setdefault(section.port, path)
+        if before != path:
+            text = f"port {section.port} is that of {'.'.join(map(str, before))} already"
+            yield Finding(((*path, "port"), (*before, "port")), text)
+
+
+def _certificates(robot: Robot) -> Iterator[Finding]:
+    for path, section in _servers(robot):
+        if isinstance(section, RosbridgeServer):
+            yield from _pair(path, section)
+
+
+def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+    if (section.cert_file is None) != (section.key_file is None):
+        key = "key_file" if section.key_file is None else "cert_file"
+        yield Finding(((*path, key),), "cert_file and key_file go together")
+
+
+BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
+    _commands_are_encrypted,
+    _mqtt_credentials,
+    _rates_of_published_topics,
+    _one_port_a_server,
+    _certificates,
+)

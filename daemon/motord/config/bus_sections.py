@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buses of the robot file: who is told, and who may command. One section a kind."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from motord.config.section import Section, number
+
+Topic = Literal[
+    "odom", "tf", "joint_states", "battery_state", "diagnostics", "motor_status", "loop_statistics"
+]
+SLOW_HZ = 1.0
+SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
+"""What changes slowly: at most SLOW_HZ where no rate of its own is given."""
+ALL_TOPICS: tuple[Topic, ...] = (
+    *("odom", "tf", "joint_states", "battery_state"),
+    *("diagnostics", "motor_status", "loop_statistics"),
+)
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+class Publish(Section):
+    """Who is told how the robot does."""
+
+    rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
+
+
+class StdoutPublish(Publish):
+    """A line of JSON for each sample on standard output."""
+
+    kind: Literal["stdout"]
+
+
+class UdpPublish(Publish):
+    """A datagram of JSON for each sample."""
+
+    kind: Literal["udp"]
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Where to; this machine unless something else is said."""
+    port: int = number("UDP port", 1, 65535, "1", 9870)
+
+
+class BusPublish(Publish):
+    """Who is told by the second process, topic by topic."""
+
+    topics: tuple[Topic, ...] = Field(default=ALL_TOPICS, strict=False)
+    """What is published: all, unless topics are named."""
+    topic_rate_hz: dict[Topic, Annotated[float, Field(ge=0.01, le=1000)]] = Field(
+        default_factory=dict
+    )
+    """Rates of single topics, in Hz. Where none is given: rate_hz, and for battery_state,
+    diagnostics and loop_statistics at most 1 Hz."""
+
+    def rates_hz(self) -> dict[str, float]:
+        """The rate of each topic that is published."""
+        slow_hz = min(self.rate_hz, SLOW_HZ)
+        return {
+            topic: self.topic_rate_hz.get(topic, slow_hz if topic in SLOW else self.rate_hz)
+            for topic in self.topics
+        }
+
+
+class BusInput(Section):
+    """Who may command by the second process."""
+
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+
+
+class TokenInput(BusInput):
+    """Commands from a network: only with the token."""
+
+    token_file: str = Field(min_length=1)
+    """File with the token that every command has to show; at least 16 characters, readable by the
+    daemon's user alone. A path that is not absolute is beside the robot file."""
+    stamped: bool = True
+    """Every command has to say when it was given, so that one that waited somewhere is known by its
+    age. The clocks of both have to agree; false: what arrives counts as new."""
+
+
+class MqttBroker(Section):
+    """Where the broker is, and who we are there."""
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """The broker's name or address."""
+    port: int | None = number("TCP port; 8883 with TLS, else 1883", 1, 65535, "1", None)
+    tls: bool = False
+    """Encrypted, and the broker's certificate is checked."""
+    ca_file: str | None = None
+    """Certificates of the authority that the broker's is checked against; the system's otherwise.
+    """
+    cert_file: str | None = None
+    """Our own certificate, for a broker that asks for one."""
+    key_file: str | None = None
+    """Key of cert_file."""
+    username: str | None = None
+    """Our name there."""
+    password_file: str | None = None
+    """File with our password, readable by the daemon's user alone."""
+    topic_prefix: str | None = Field(default=None, pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$")
+    """What every topic begins with; motord/ROBOT where it is not given."""
+    encoding: Literal["json", "cbor"] = "json"
+    """Of the messages."""
+
+
+class MqttPublish(BusPublish, MqttBroker):
+    """Topics on an MQTT broker."""
+
+    kind: Literal["mqtt"]
+    qos: int = number("quality of service of the messages", 0, 1, "1", 0)
+
+
+class MqttInput(TokenInput, MqttBroker):
+    """Commands from an MQTT broker."""
+
+    kind: Literal["mqtt"]
+
+
+class PrometheusPublish(Publish):
+    """Figures for Prometheus: GET /metrics. They are those of the moment of asking."""
+
+    kind: Literal["prometheus"]
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Address to listen at; this machine only, unless something else is said."""
+    port: int = number("TCP port", 1, 65535, "1", 9464)
+
+
+class McapPublish(BusPublish):
+    """Recordings in MCAP files, for Foxglove and every program that reads them."""
+
+    kind: Literal["mcap"]
+    folder: str = Field(min_length=1)
+    """Where the files go; it is made where it is not there. A path that is not absolute is beside
+    the robot file."""
+    mode: Literal["all", "fault"] = "all"
+    """Record all, or keep the newest in memory and write it when a fault is latched."""
+    file_s: float = number("a new file after so long (mode all)", 1, 86400, "s", 600.0)
+    before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
+    after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
+    total_max_mb: int = number(
+        "the oldest files are deleted when all together are larger", 1, 10_000_000, "MB", 1000
+    )
+    free_min_mb: int = number(
+        "nothing is written when less of the disk is free", 0, 10_000_000, "MB", 200
+    )
+
+
+class RosbridgeServer(BusPublish):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Address to listen at; this machine only, unless something else is said."""
+    port: int = number("TCP port", 1, 65535, "1", 9090)
+    cert_file: str | None = None
+    """Our certificate, for TLS (wss)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+
+
+class RosbridgePublish(RosbridgeServer):
+    """A rosbridge that only tells."""
+
+    kind: Literal["rosbridge"]
+
+
+class RosbridgeInput(TokenInput, RosbridgeServer):
+    """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
+
+    kind: Literal["rosbridge"]
+
+
+class OtherPublish(BusPublish):
+    """A kind that another package brings: its entry point in the group motord.publishers."""
+
+    kind: Literal["other"]
+    adapter: str = Field(min_length=1)
+    """Name of the entry point."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What the adapter is told; it checks that itself."""
+
+
+class OtherInput(BusInput):
+    """A kind that another package brings: its entry point in the group motord.inputs."""
+
+    kind: Literal["other"]
+    adapter: str = Field(min_length=1)
+    """Name of the entry point."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What the adapter is told; it checks that itself."""

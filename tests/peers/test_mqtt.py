@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MQTT against Eclipse Mosquitto: what is told, who is obeyed, and what a broken broker costs."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import threading
+import time
+
+import cbor2
+import pytest
+from tests.peers.mosquitto import broker, needs_mosquitto, stamp
+from tests.sim.daemon_stage import running, wait_until
+
+from motord.bus.topics import TOPICS
+
+pytestmark = needs_mosquitto
+LEASE_S = 1.0
+TOKEN = "a token of sixteen and more"
+
+
+def token_file(folder):
+    path = folder / "token"
+    path.write_text(TOKEN + "\n", encoding="utf-8")
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture(scope="module")
+def peer(tmp_path_factory):
+    with broker(tmp_path_factory.mktemp("broker"), "allow_anonymous true") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory, peer):
+    folder = tmp_path_factory.mktemp("mqtt")
+    settings = (
+        "publish.fleet.kind=mqtt", f"publish.fleet.port={peer.port}", "publish.fleet.rate_hz=20",
+        "publish.fleet.topic_prefix=site/r2", "publish.fleet.qos=1",
+        "publish.short.kind=mqtt", f"publish.short.port={peer.port}", "publish.short.encoding=cbor",
+        'publish.short.topics=["odom"]', "publish.short.topic_prefix=site/short",
+        "input.fleet.kind=mqtt", f"input.fleet.port={peer.port}", "input.fleet.priority=70",
+        "input.fleet.topic_prefix=site/r2", f"input.fleet.token_file={token_file(folder)}",
+        f"input.fleet.lease_s={LEASE_S}", f"safety.command_timeout_s={LEASE_S}",
+    )  # fmt: skip
+    with running(folder, *settings) as stage:
+        stage.wait_for("idle")
+        ready(stage)
+        yield stage
+
+
+def inputs(stage):
+    return (stage.robot.status()["bus"] or {}).get("inputs", {})
+
+
+def ready(stage, but=None):
+    """Another second process than that one commands."""
+    wait_until(
+        lambda: (
+            stage.robot.status()["bus"]["pid"] not in (None, but)
+            and inputs(stage).get("fleet", {}).get("lease")
+        ),
+        "a lease",
+    )
+
+
+def accepted(stage):
+    return stage.robot.status()["commands"]["accepted"]
+
+
+def called(stage, peer, method, **more):
+    """Ask by the broker, and wait for the answer to it."""
+    number = os.urandom(4).hex()
+    with subprocess.Popen(
+        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/answer", "-t", "site/r2/odom", "-v"],
+        stdout=subprocess.PIPE,
+    ) as reader:
+        try:
+            reader.stdout.readline()  # it is subscribed: something has come
+            peer.pub("site/r2/call", {"token": TOKEN, "method": method, "id": number} | more)
+            for line in reader.stdout:
+                topic, _, raw = line.partition(b" ")
+                if topic.endswith(b"answer") and (answer := json.loads(raw))["id"] == number:
+                    return answer
+        finally:
+            reader.kill()
+    return None
+
+
+def twist(linear_m_s, age_s=0.0, **more):
+    command = {"linear": {"x": linear_m_s, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.0}}
+    return {"token": TOKEN, "header": stamp(age_s), "twist": command} | more
+
+
+class Driving:
+    """Commands the robot by the broker, as long as it lasts."""
+
+    def __init__(self, peer, linear_m_s):
+        self._peer, self._linear_m_s = peer, linear_m_s
+        self._end = threading.Event()
+        self.last_s = 0.0
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self):
+        with subprocess.Popen(
+            ["mosquitto_pub", "-p", str(self._peer.port), "-t", "site/r2/cmd_vel", "-l"],
+            stdin=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        ) as writer:  # fmt: skip
+            try:
+                while not self._end.wait(0.1):
+                    writer.stdin.write(json.dumps(twist(self._linear_m_s)).encode() + b"\n")
+                    writer.stdin.flush()
+                    self.last_s = time.monotonic()
+            except BrokenPipeError:
+                pass
+            finally:
+                writer.kill()
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._end.set()
+        self._thread.join()
+
+
+def armed(stage, peer):
+    stage.wait_for("idle", "armed", "moving", "fault", "estop")
+    if stage.state() in ("fault", "estop"):
+        called(stage, peer, "reset")
+    if stage.state() == "idle":
+        assert called(stage, peer, "arm").get("result") == {"state": "armed"}
+    stage.wait_for("armed")
+
+
+def test_odometry_on_the_broker_is_that_of_the_daemon(stage, peer):
+    message = json.loads(peer.get("site/r2/odom"))
+    assert (message["header"]["frame_id"], message["child_frame_id"]) == ("odom", "base_link")
+    assert len(message["pose"]["covariance"]) == 36
+    x_m = stage.robot.status()["odometry"]["x_m"]
+    assert message["pose"]["pose"]["position"]["x"] == pytest.approx(x_m, abs=2.0)
+
+
+@pytest.mark.parametrize("topic", sorted(TOPICS))
+def test_every_topic_comes(stage, peer, topic):
+    assert "header" in json.loads(peer.get(f"site/r2/{topic}")) or topic == "tf"
+
+
+def test_what_there_is_is_described_to_who_comes_late(stage, peer):
+    message = json.loads(peer.get("site/r2/description", "--retained-only"))
+    assert message["joints"] == ["left", "right"]
+    assert message["topics"]["odom"] == {"type": "nav_msgs/msg/Odometry", "rate_hz": 20.0}
+
+
+def test_cbor_says_the_same(stage, peer):
+    raw = peer.get("site/short/odom", "-N")
+    assert cbor2.loads(raw)["child_frame_id"] == "base_link"
+
+
+def test_the_broker_says_that_a_process_that_died_is_offline_and_it_comes_back(stage, peer):
+    assert peer.get("site/r2/status") == b"online"
+    with subprocess.Popen(
+        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/status"], stdout=subprocess.PIPE
+    ) as reader:
+        assert reader.stdout.readline() == b"online\n"
+        pid = stage.robot.status()["bus"]["pid"]
+        os.kill(pid, signal.SIGKILL)
+        assert reader.stdout.readline() == b"offline\n"
+        assert reader.stdout.readline() == b"online\n"
+        reader.kill()
+    ready(stage, but=pid)
+
+
+def test_who_shows_the_token_drives_and_is_named(stage, peer):
+    armed(stage, peer)
+    with Driving(peer, 0.2):
+        stage.wait_for("moving")
+        wait_until(
+            lambda: json.loads(peer.get("site/r2/motor_status"))["commander"] == "fleet",
+            "the commander's name",
+        )
+        (lease,) = stage.robot.status()["leases"]
+        assert (lease["owner"], lease["priority"]) == ("fleet", 70)
+    stage.wait_for("armed")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        twist(0.2, token="wrong"),
+        twist(0.2, token=None),
+        {key: value for key, value in twist(0.2).items() if key != "header"},
+        twist("fast"),
+        twist(0.2, twist=None),
+        twist(0.2, age_s=-1e6),
+        [1, 2],
+        "{",
+    ],
+)
+def test_a_command_that_is_not_as_it_must_be_is_refused_and_counted(stage, peer, command):
+    before, refused = accepted(stage), inputs(stage)["fleet"]["refused"]
+    peer.pub("site/r2/cmd_vel", command)
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > refused, "a refusal")
+    assert accepted(stage) == before
+
+
+def test_a_command_that_waited_somewhere_is_refused_by_the_loop(stage, peer):
+    armed(stage, peer)
+    before = stage.robot.status()["commands"]["refused"]["age"]
+    peer.pub("site/r2/cmd_vel", twist(0.2, age_s=30.0))
+    wait_until(
+        lambda: stage.robot.status()["commands"]["refused"]["age"] > before, "a refusal for its age"
+    )
+    assert stage.state() == "armed"
+
+
+def test_a_retained_command_is_not_obeyed(stage, peer):
+    armed(stage, peer)
+    peer.pub("site/r2/cmd_vel", twist(0.2), "-r")
+    pid = stage.robot.status()["bus"]["pid"]
+    os.kill(pid, signal.SIGKILL)
+    try:
+        wait_until(lambda: "retained message is not obeyed" in stage.said(), "the retained message")
+        assert stage.state() == "armed"
+    finally:
+        peer.pub("site/r2/cmd_vel", "", "-r")
+    ready(stage, but=pid)
+
+
+def test_a_call_without_the_token_does_nothing(stage, peer):
+    armed(stage, peer)
+    before = inputs(stage)["fleet"]["refused"]
+    peer.pub("site/r2/call", {"token": "wrong", "method": "disarm", "id": 1})
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > before, "a refusal")
+    assert stage.state() == "armed"
+
+
+def test_a_call_that_there_is_not_is_answered_with_those_there_are(stage, peer):
+    assert "estop" in called(stage, peer, "params.set")["error"]
+
+
+def test_an_emergency_stop_by_the_broker_is_latched(stage, peer):
+    armed(stage, peer)
+    assert called(stage, peer, "estop")["result"] == {"state": "estop"}
+    assert stage.state() == "estop"
+    assert called(stage, peer, "reset")["result"] == {"state": "idle"}
+
+
+def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):
+    armed(stage, peer)
+    pid = stage.robot.status()["bus"]["pid"]
+    with Driving(peer, 0.2) as driving:
+        stage.wait_for("moving")
+        peer.process.send_signal(signal.SIGSTOP)
+        stage.wait_for("armed")
+        wait_until(lambda: "publish.fleet: 127.0.0.1" in stage.said(), "a word in the log")
+    wait_until(lambda: time.monotonic() - driving.last_s > LEASE_S, "the lease's end")
+    before = accepted(stage)
+    peer.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: "publish.fleet: connected again" in stage.said(), "the connection")
+    assert json.loads(peer.get("site/r2/odom"))
+    status = stage.robot.status()
+    assert (status["state"], status["bus"]["pid"], accepted(stage)) == ("armed", pid, before)
+
+
+def test_a_broker_that_was_started_again_is_found_again(stage, peer):
+    peer.stop()
+    peer.start()
+    assert json.loads(peer.get("site/r2/odom"))
+    assert peer.get("site/r2/status") == b"online"
+
+
+def certified(folder):
+    """An authority, and the broker's certificate by it."""
+
+    def openssl(*words):
+        subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
+
+    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+    openssl("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test CA",
+            "-days", "2")  # fmt: skip
+    openssl("req", *key, "-keyout", "broker.key", "-out", "broker.csr", "-subj", "/CN=localhost")
+    (folder / "names").write_text("subjectAltName=DNS:localhost\n", encoding="ascii")
+    openssl("x509", "-req", "-in", "broker.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-days", "2",
+            "-CAcreateserial", "-out", "broker.pem", "-extfile", "names")  # fmt: skip
+    (folder / "password").write_text("secret\n", encoding="ascii")
+    (folder / "password").chmod(0o600)
+    subprocess.run(
+        ["mosquitto_passwd", "-b", "-c", str(folder / "users"), "r2", "secret"], check=True
+    )
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
+def test_by_tls_with_a_password_and_never_to_a_broker_of_another_authority(tmp_path):
+    certified(tmp_path)
+    (tmp_path / "users").chmod(0o644)
+    (tmp_path / "other").mkdir()
+    certified(tmp_path / "other")
+    lines = (f"certfile {tmp_path}/broker.pem", f"keyfile {tmp_path}/broker.key",
+             "allow_anonymous false", f"password_file {tmp_path}/users")  # fmt: skip
+    options = ("--cafile", f"{tmp_path}/ca.pem", "-h", "localhost", "-u", "r2", "-P", "secret")
+    with broker(tmp_path, *lines, options=options) as peer:
+        both = [
+            f"publish.{name}.{setting}"
+            for name in ("good", "bad")
+            for setting in ("kind=mqtt", "host=localhost", f"port={peer.port}", "tls=true",
+                            "username=r2", f"password_file={tmp_path}/password",
+                            f"topic_prefix={name}/r2")
+        ]  # fmt: skip
+        files = (f"publish.good.ca_file={tmp_path}/ca.pem",
+                 f"publish.bad.ca_file={tmp_path}/other/ca.pem")  # fmt: skip
+        with running(tmp_path, *both, *files, simulated=False) as stage:
+            assert json.loads(peer.get("good/r2/diagnostics"))["status"]
+            wait_until(lambda: "certificate verify failed" in stage.said(), stage.said())

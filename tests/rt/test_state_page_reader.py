@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reader in plain Python sees what the C core writes, and nothing where no whole page is."""
+
+import mmap
+import os
+import threading
+import uuid
+
+import pytest
+from _motord_rt import ffi, lib
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord import rt, state_page
+from motord.page_file import FOLDER, PREFIX
+from motord.state_page import NoPage, StatePage
+
+
+@pytest.fixture
+def page():
+    """A page's name, its path, and a view through which the C core writes."""
+    name = f"t{uuid.uuid4().hex[:12]}"
+    path = FOLDER / f"{PREFIX}{name}"
+    path.write_bytes(bytes(lib.PAGE_BYTES))
+    with path.open("r+b") as file:
+        yield name, path, file
+    path.unlink(missing_ok=True)
+
+
+def writing(file):
+    view = mmap.mmap(file.fileno(), lib.PAGE_BYTES)
+    raw = ffi.from_buffer("char[]", view, require_writable=True)
+    assert lib.page_init(raw) == 0
+    return raw
+
+
+@given(raw=st.binary(min_size=ffi.sizeof("robot_state"), max_size=ffi.sizeof("robot_state")))
+def test_whatever_the_bytes_are_both_readers_say_the_same(raw):
+    state = ffi.new("robot_state *")
+    ffi.memmove(state, raw, len(raw))
+    assert repr(state_page.decode(raw)) == repr(rt._snapshot(state))
+
+
+def test_every_bit_of_reasons_and_faults_has_the_word_of_the_core():
+    for flags, words in ((rt.Reason, state_page.REASONS), (rt.Fault, state_page.FAULTS)):
+        assert {flag.value: flag.words() for flag in flags} == {
+            1 << bit: [word] for bit, word in words.items()
+        }
+
+
+def test_the_newest_snapshot_is_read(page):
+    name, _, file = page
+    raw = writing(file)
+    state = ffi.new("robot_state *")
+    with StatePage.open(name) as reader:
+        assert (reader.published, reader.read()) == (0, None)
+        for tick in range(1, 12):
+            state.tick, state.joint_count = tick, 2
+            lib.page_write(raw, state)
+            found = reader.read()
+            assert (reader.published, found.tick, len(found.joints)) == (tick, tick, 2)
+
+
+def test_a_snapshot_is_whole_while_the_writer_races(page):
+    name, _, file = page
+    raw, ending = writing(file), threading.Event()
+
+    def write():
+        state, tick = ffi.new("robot_state *"), 0
+        while not ending.is_set():
+            tick += 1
+            state.tick, state.x_m, state.joint_count = tick, float(tick), 8
+            state.joint[7].duty = float(tick)
+            lib.page_write(raw, state)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        with StatePage.open(name) as reader:
+            seen = [found for _ in range(3000) if (found := reader.read())]
+    finally:
+        ending.set()
+        writer.join()
+    assert seen
+    assert all(found.tick == found.x_m == found.joints[7].duty for found in seen)
+
+
+def test_what_is_no_page_is_not_read(page):
+    name, path, _ = page
+    with pytest.raises(NoPage, match="layout"):
+        StatePage.open(name)
+    os.truncate(path, 100)
+    with pytest.raises(NoPage, match="being made"):
+        StatePage.open(name)
+    path.unlink()
+    with pytest.raises(NoPage, match="No such file"):
+        StatePage.open(name)
+
+
+def test_a_page_that_was_removed_is_gone(page):
+    name, path, file = page
+    writing(file)
+    with StatePage.open(name) as reader:
+        assert not reader.gone
+        path.unlink()
+        assert reader.gone
+        path.write_bytes(b"another")
+        assert reader.gone

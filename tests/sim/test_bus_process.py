@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The second process: what it tells, and that whatever becomes of it costs the robot nothing."""
+
+import os
+import signal
+import socket
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from tests.sim.daemon_stage import running, wait_until
+
+FOREVER = "safety.command_timeout_s=5.0"
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def port():
+    return free_port()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory, port):
+    settings = ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
+    with running(tmp_path_factory.mktemp("bus"), *settings) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+def scraped(port):
+    """Figures by name and labels; None while nobody listens."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
+            text = answer.read().decode()
+    except (urllib.error.URLError, ConnectionError):
+        return None
+    return {
+        (sample.name, *sorted(set(sample.labels.values()) - {sample.labels["robot"]})): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def full(port):
+    """Figures, once the daemon's own word is among them."""
+    return wait_until(
+        lambda: found if (found := scraped(port)) and ("motord_commands_total",) in found else None,
+        "figures with the daemon's word",
+    )
+
+
+def bus(stage):
+    return stage.robot.status()["bus"]
+
+
+def living(stage, but=None):
+    """The second process's number, when it is there and says so."""
+    return wait_until(
+        lambda: (now := bus(stage)) and now["pid"] not in (None, but) and "inputs" in now and now,
+        f"motord-bus\n{stage.said()}",
+    )["pid"]
+
+
+def ticks(stage):
+    return stage.robot.status()["loop"]["ticks"]
+
+
+def test_what_prometheus_reads_is_what_the_daemon_says(stage, port):
+    figures = full(port)
+    assert figures["motord_up",] == 1.0
+    assert figures["motord_state", "idle"] == 1.0
+    assert figures["motord_state", "moving"] == 0.0
+    assert ("motord_joint_velocity_radians_per_second", "left") in figures
+    assert figures["motord_line_exchanges_total", "rs485"] > 0
+    assert figures["motord_ticks_total",] > 0
+
+
+@pytest.mark.parametrize("path", ["/", "/secret"])
+def test_nothing_else_than_the_figures_is_served(stage, port, path):
+    full(port)
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10)
+
+
+def test_who_writes_to_the_figures_is_refused(stage, port):
+    full(port)
+    with pytest.raises(urllib.error.HTTPError, match="405"):
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", data=b"x", timeout=10)
+
+
+def test_it_has_no_privileges_and_less_than_all_memory(stage):
+    pid = living(stage)
+    process = Path(f"/proc/{pid}")
+    status = (process / "status").read_text(encoding="ascii")
+    words = dict(line.split(":\t", 1) for line in status.splitlines())
+    assert {int(words[key], 16) for key in ("CapInh", "CapPrm", "CapEff", "CapAmb")} == {0}
+    assert words["NoNewPrivs"] == "1"
+    limits = (process / "limits").read_text(encoding="ascii")
+    assert f"Max data size             {512 << 20}" in limits
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
+    before, restarts = living(stage), bus(stage)["restarts"]
+    counted = ticks(stage)
+    os.kill(before, number)
+    assert living(stage, but=before) != before
+    assert bus(stage)["restarts"] == restarts + 1
+    assert stage.state() == "idle"
+    assert ticks(stage) > counted
+    assert number.name in stage.said(), stage.said()
+    full(port)
+
+
+def test_a_process_that_hangs_is_replaced(stage, port):
+    before = living(stage)
+    os.kill(before, signal.SIGSTOP)
+    assert living(stage, but=before) != before
+    assert "was silent" in stage.said()
+    assert stage.state() == "idle"
+
+
+def test_it_ends_with_its_daemon(tmp_path):
+    settings = ("publish.prom.kind=prometheus", f"publish.prom.port={free_port()}")
+    with running(tmp_path, *settings) as stage:
+        pid = living(stage)
+        assert stage.end(signal.SIGKILL) == -signal.SIGKILL
+        wait_until(lambda: not Path(f"/proc/{pid}").exists(), "motord-bus gone")
+
+
+def test_a_robot_without_networked_buses_does_not_start_it(tmp_path):
+    with running(tmp_path) as stage:
+        assert bus(stage) is None

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot file's word on buses: what is refused, and what a topic's rate is."""
+
+from pathlib import Path
+
+import pytest
+
+from motord.config import ConfigError, MqttPublish, load_robot
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+BROKER = '[input.fleet]\nkind = "mqtt"\n'
+
+
+def robot_file(tmp_path, text):
+    path = tmp_path / "robot.toml"
+    path.write_text(DEMO.read_text(encoding="utf-8") + "\n" + text, encoding="utf-8")
+    return path
+
+
+def errors(tmp_path, text):
+    with pytest.raises(ConfigError) as caught:
+        load_robot(robot_file(tmp_path, text))
+    return [f"{row.key}: {row.text}" for row in caught.value.problems]
+
+
+def test_a_networked_input_without_a_token_is_refused(tmp_path):
+    (row,) = errors(tmp_path, BROKER)
+    assert row.startswith("input.fleet.token_file")
+
+
+def test_commands_from_another_machine_without_tls_are_refused(tmp_path):
+    text = BROKER + 'host = "broker.example"\ntoken_file = "token"\n'
+    assert errors(tmp_path, text) == [
+        (
+            "input.fleet.tls: commands by broker.example would show their token to the network:"
+            " tls = true"
+        )
+    ]
+
+
+@pytest.mark.parametrize("more", ['host = "broker.example"\ntls = true\n', 'host = "127.0.0.1"\n'])
+def test_commands_with_a_token_by_tls_or_from_this_machine_are_taken(tmp_path, more):
+    robot = load_robot(robot_file(tmp_path, BROKER + 'token_file = "token"\n' + more))
+    assert robot.has_bus
+
+
+@pytest.mark.parametrize(
+    ("more", "row"),
+    [
+        ('password_file = "p"', "publish.fleet.password_file: a password without username"),
+        (
+            'password_file = "p"\nusername = "u"\nhost = "broker.example"',
+            (
+                "publish.fleet.password_file: broker.example would be told the password without"
+                " tls = true"
+            ),
+        ),
+        (
+            'tls = true\ncert_file = "c"',
+            "publish.fleet.key_file: cert_file and key_file go together",
+        ),
+        ('ca_file = "c"', "publish.fleet.ca_file: is of no use without tls = true"),
+        (
+            'topics = ["tf"]\ntopic_rate_hz = { odom = 5 }',
+            "publish.fleet.topic_rate_hz.odom: this topic is not published (topics)",
+        ),
+    ],
+)
+def test_what_does_not_fit_together_is_said(tmp_path, more, row):
+    assert errors(tmp_path, f'[publish.fleet]\nkind = "mqtt"\n{more}\n') == [row]
+
+
+@pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
+def test_a_rosbridge_that_obeys_other_machines_needs_a_certificate(tmp_path, more, count):
+    text = '[input.web]\nkind = "rosbridge"\ntoken_file = "token"\nhost = "0.0.0.0"\n' + more
+    if count:
+        assert len(errors(tmp_path, text)) == count
+    else:
+        assert load_robot(robot_file(tmp_path, text)).has_bus
+
+
+def test_two_servers_at_one_port_are_refused(tmp_path):
+    text = '[publish.one]\nkind = "prometheus"\n[publish.two]\nkind = "prometheus"\n'
+    assert errors(tmp_path, text) == ["publish.two.port: port 9464 is that of publish.one already"]
+
+
+def test_slow_topics_are_slow_unless_they_have_a_rate_of_their_own():
+    section = MqttPublish(kind="mqtt", rate_hz=50.0, topic_rate_hz={"diagnostics": 5.0})
+    rates = section.rates_hz()
+    assert (rates["odom"], rates["battery_state"], rates["diagnostics"]) == (50.0, 1.0, 5.0)
+
+
+def test_no_topic_is_faster_than_asked_for():
+    assert set(MqttPublish(kind="mqtt", rate_hz=0.5).rates_hz().values()) == {0.5}
+
+
+def test_a_robot_without_networked_buses_has_no_second_process(tmp_path):
+    assert not load_robot(robot_file(tmp_path, '[publish.net]\nkind = "udp"\n')).has_bus
+    assert load_robot(robot_file(tmp_path, '[publish.net]\nkind = "mqtt"\n')).has_bus
+
+
+def test_a_robot_remembers_how_it_was_asked_for():
+    assert load_robot(DEMO, ["robot.name=r2"]).overrides == ("robot.name=r2",)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages say what the snapshot says: units, frames, stamps, and nothing that was not measured."""
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord.bus import messages
+from motord.bus.message_types import Level, Time
+from motord.bus.messages import Body, Commander
+from motord.machine import State
+from motord.snapshot import JointSnapshot, Snapshot
+
+BODY = Body(robot="r2", joints=("left", "right"))
+OFFSET_NS = 1_700_000_000_000_000_000
+TICK_NS = 90_000_000_000
+
+
+def joint(**changes):
+    plain = {field.name: 0.0 for field in dataclasses.fields(JointSnapshot)}
+    words = {"enabled": True, "drive_faults": 0, "jumps": 0, "stale": False, "voltage_v": math.nan}
+    return JointSnapshot(**plain | words | changes)
+
+
+def snapshot(**changes):
+    plain = {field.name: 0.0 for field in dataclasses.fields(Snapshot)}
+    flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
+    rest = {
+        "stamp_ns": TICK_NS, "odometry_stamp_ns": TICK_NS - 7_000_000, "tick": 9,
+        "reasons": (), "faults": (), "joints": (joint(), joint()), "version": 1, "owner": 0,
+        "odometry_epoch": 0, "machine_state": 4, "pose_covariance": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+        "twist_covariance": (7.0, 8.0, 9.0),
+    }  # fmt: skip
+    return Snapshot(**plain | flags | rest | changes)
+
+
+def test_odometry_is_the_pose_in_the_odometry_frame_and_the_twist_in_the_base_frame():
+    sample = snapshot(x_m=1.0, y_m=-2.0, heading_rad=math.pi / 2, linear_m_s=0.3, angular_rad_s=-1)
+    message = messages.odometry(sample, BODY, OFFSET_NS)
+    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    assert (place.x, place.y, place.z) == (1.0, -2.0, 0.0)
+    assert (turn.x, turn.y) == (0.0, 0.0)
+    assert (turn.z, turn.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
+    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (0.3, -1)
+
+
+def test_the_stamp_of_odometry_is_that_of_the_feedback_not_of_the_tick_nor_of_the_sending():
+    message = messages.odometry(snapshot(), BODY, OFFSET_NS)
+    assert message.header.stamp == Time(1_700_000_089, 993_000_000)
+    status = messages.motor_status(snapshot(), BODY, OFFSET_NS)
+    assert status.header.stamp == Time(1_700_000_090, 0)
+
+
+def test_covariance_has_its_six_planar_numbers_in_their_places_and_is_symmetric():
+    message = messages.odometry(snapshot(), BODY, OFFSET_NS)
+    pose, twist = message.pose.covariance, message.twist.covariance
+    assert [pose[at] for at in (0, 1, 5, 7, 11, 35)] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert [twist[at] for at in (0, 5, 35)] == [7.0, 8.0, 9.0]
+    for matrix in (pose, twist):
+        assert all(matrix[6 * r + c] == matrix[6 * c + r] for r in range(6) for c in range(6))
+        assert [matrix[at] for at in (14, 21, 28)] == [messages.UNMEASURED] * 3
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["x_m", "y_m", "heading_rad"])
+def test_a_pose_that_is_not_finite_is_no_odometry_and_no_transform(field, bad):
+    sample = snapshot(**{field: bad})
+    assert messages.odometry(sample, BODY, OFFSET_NS) is None
+    assert messages.transforms(sample, BODY, OFFSET_NS) is None
+
+
+def test_before_the_first_feedback_there_is_no_odometry():
+    assert messages.odometry(snapshot(odometry_stamp_ns=0), BODY, OFFSET_NS) is None
+    assert messages.transforms(snapshot(odometry_stamp_ns=0), BODY, OFFSET_NS) is None
+
+
+def test_a_twist_that_is_not_finite_is_no_odometry_but_a_transform():
+    sample = snapshot(linear_m_s=math.nan)
+    assert messages.odometry(sample, BODY, OFFSET_NS) is None
+    assert messages.transforms(sample, BODY, OFFSET_NS) is not None
+
+
+@given(heading_rad=st.floats(-math.pi, math.pi))
+def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading_rad):
+    sample = snapshot(heading_rad=heading_rad, x_m=3.0)
+    (transform,) = messages.transforms(sample, BODY, OFFSET_NS).transforms
+    pose = messages.odometry(sample, BODY, OFFSET_NS).pose.pose
+    turn = transform.transform.rotation
+    assert (transform.transform.translation, turn) == (pose.position, pose.orientation)
+    assert math.hypot(turn.x, turn.y, turn.z, turn.w) == pytest.approx(1.0)
+    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(heading_rad)
+
+
+def test_joints_that_were_never_heard_are_left_out_and_the_stamp_is_the_oldest_feedback():
+    sample = snapshot(
+        joints=(joint(feedback_age_s=math.inf), joint(position_rad=5.0, feedback_age_s=0.25))
+    )
+    message = messages.joint_state(sample, BODY, OFFSET_NS)
+    assert (message.name, message.position) == (("right",), (5.0,))
+    assert message.header.stamp == Time(1_700_000_089, 750_000_000)
+
+
+def test_a_joint_state_keeps_a_velocity_that_is_not_measured_as_nan_in_its_place():
+    sample = snapshot(joints=(joint(velocity_rad_s=math.nan), joint(velocity_rad_s=2.0)))
+    message = messages.joint_state(sample, BODY, OFFSET_NS)
+    assert math.isnan(message.velocity[0])
+    assert message.velocity[1] == 2.0
+    assert message.effort == ()
+
+
+def test_without_a_joint_that_has_a_position_there_is_no_joint_state():
+    lost = joint(position_rad=math.nan)
+    assert messages.joint_state(snapshot(joints=(lost, lost)), BODY, OFFSET_NS) is None
+
+
+def test_the_battery_is_the_lowest_voltage_of_a_fresh_drive_and_the_rest_unknown():
+    sample = snapshot(joints=(joint(voltage_v=24.5), joint(voltage_v=24.1)))
+    message = messages.battery_state(sample, OFFSET_NS)
+    assert message.voltage == 24.1
+    assert message.present
+    assert all(map(math.isnan, (message.current, message.percentage, message.temperature)))
+
+
+def test_a_stale_drive_tells_nothing_of_the_battery():
+    assert messages.battery_state(snapshot(), OFFSET_NS) is None
+    old = snapshot(joints=(joint(voltage_v=9.0, stale=True), joint()))
+    assert messages.battery_state(old, OFFSET_NS) is None
+
+
+def test_diagnostics_show_the_base_and_each_joint_by_severity():
+    sample = snapshot(
+        machine_state=6,
+        faults=("drive",),
+        joints=(joint(drive_faults=0x20), joint(stale=True, feedback_age_s=math.inf)),
+    )
+    base, left, right = messages.diagnostics(sample, BODY, OFFSET_NS).status
+    assert [status.level for status in (base, left, right)] == [
+        Level.ERROR, Level.ERROR, Level.STALE,
+    ]  # fmt: skip
+    assert base.message == "fault: drive"
+    assert "0x20" in left.message
+    assert {pair.key: pair.value for pair in right.values}["feedback_age_s"] == "inf"
+
+
+def test_degraded_odometry_is_a_warning():
+    base, *_ = messages.diagnostics(snapshot(odometry_degraded=True), BODY, OFFSET_NS).status
+    assert base.level is Level.WARN
+
+
+def test_motor_status_says_who_commands_and_one_value_a_joint():
+    boss = Commander(owner="autopilot", priority=50)
+    message = messages.motor_status(snapshot(owner=3), BODY, OFFSET_NS, boss)
+    assert (message.commander, message.commander_priority) == ("autopilot", 50)
+    nobody = messages.motor_status(snapshot(), BODY, OFFSET_NS)
+    assert (nobody.commander, nobody.commander_priority, nobody.state) == ("", 0, "moving")
+    assert len(message.name) == len(message.duty) == len(message.stale) == 2
+
+
+def test_states_have_the_names_and_numbers_of_the_state_machine():
+    assert tuple(state.value for state in State) == messages.STATES
+    assert messages.state_name(snapshot(machine_state=99)) == "state 99"
+
+
+def test_a_snapshot_of_another_number_of_joints_is_refused():
+    with pytest.raises(ValueError, match="shorter"):
+        messages.joint_state(snapshot(joints=(joint(),)), BODY, OFFSET_NS)
