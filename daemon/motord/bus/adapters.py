@@ -20,6 +20,7 @@ PUBLISHERS = MappingProxyType(
 )
 INPUTS = MappingProxyType(
     {
+        "joystick": "motord.bus.inputs.joystick:Joystick",
         "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
     }

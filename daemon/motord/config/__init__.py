@@ -4,6 +4,7 @@
 from motord.config.bus_sections import (
     BusInput,
     BusPublish,
+    JoystickInput,
     McapPublish,
     MqttBroker,
     MqttInput,
@@ -64,6 +65,7 @@ __all__ = [
     "RosbridgeServer",
     "RosbridgePublish",
     "RosbridgeInput",
+    "JoystickInput",
     "MqttBroker",
     "McapPublish",
     "MqttPublish",

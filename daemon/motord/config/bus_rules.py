@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    JoystickInput,
     MqttBroker,
     PrometheusPublish,
     RosbridgeInput,
@@ -16,6 +17,8 @@ from motord.config.bus_sections import (
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
+
+LEASE_COMMANDS = 2
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -87,10 +90,22 @@ def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding
         yield Finding(((*path, key),), "cert_file and key_file go together")
 
 
+def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if (
+            isinstance(section, JoystickInput)
+            and section.lease_s * section.rate_hz < LEASE_COMMANDS
+        ):
+            text = f"a lease holds fewer than {LEASE_COMMANDS} commands: a late one stops the robot"
+            paths = (("input", name, "lease_s"), ("input", name, "rate_hz"))
+            yield Finding(paths, text)
+
+
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
     _mqtt_credentials,
     _rates_of_published_topics,
     _one_port_a_server,
     _certificates,
+    _joystick_lives_long_enough,
 )

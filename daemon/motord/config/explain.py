@@ -20,7 +20,7 @@ from motord.config.toml_lines import Path
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
     ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
-    ("input", "*", "kind"): frozenset({"ros2", "zenoh", "joystick"}),
+    ("input", "*", "kind"): frozenset({"ros2", "zenoh"}),
     ("publish", "*", "kind"): frozenset({"ros2", "zenoh", "foxglove"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),

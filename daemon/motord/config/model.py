@@ -17,6 +17,7 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    JoystickInput,
     McapPublish,
     MqttInput,
     MqttPublish,
@@ -277,7 +278,7 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
