@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    FoxglovePublish,
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
@@ -19,6 +20,7 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
+AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -62,10 +64,10 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
-def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, PrometheusPublish | RosbridgeServer):
+            if isinstance(section, AnyServer):
                 yield (table, name), section
 
 
@@ -80,11 +82,11 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, RosbridgeServer):
+        if isinstance(section, FoxglovePublish | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")

@@ -21,7 +21,7 @@ _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
     ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
     ("input", "*", "kind"): frozenset({"ros2", "zenoh"}),
-    ("publish", "*", "kind"): frozenset({"ros2", "zenoh", "foxglove"}),
+    ("publish", "*", "kind"): frozenset({"ros2", "zenoh"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),

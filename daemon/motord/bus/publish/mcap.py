@@ -16,7 +16,6 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from motord.bus.feed import Sample
-from motord.bus.message_types import Time
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
 from motord.bus.ros2 import cdr
 from motord.config import McapPublish
@@ -170,12 +169,4 @@ class McapRecorder:
 
 def _entry(sample: Sample) -> Entry:
     data = bytes(cdr.encode(sample.topic.type_name, sample.message))
-    return Entry(sample.topic.name, _log_ns(sample), data)
-
-
-def _log_ns(sample: Sample) -> int:
-    """The sample's own moment."""
-    message = sample.message
-    header = message.transforms[0].header if hasattr(message, "transforms") else message.header
-    stamp: Time = header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    return Entry(sample.topic.name, sample.stamp_ns, data)
