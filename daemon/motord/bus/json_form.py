@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from functools import cache
 from typing import Any
 
 
@@ -25,7 +26,23 @@ def plain(value: Any) -> Any:
 
 def encode(message: Any) -> bytes:
     """One JSON object, without a line end."""
-    return json.dumps(plain(message), allow_nan=False, separators=(",", ":")).encode()
+    try:
+        return _ENCODER.encode(message).encode()
+    except ValueError:  # a number that JSON does not have
+        return _ENCODER.encode(plain(message)).encode()
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    """One level of a message; the encoder asks for the next. Raises TypeError for anything else."""
+    return {name: getattr(record, name) for name in _names(type(record))}
+
+
+@cache
+def _names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+_ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_fields)
 
 
 def decode(raw: str | bytes) -> Any:
