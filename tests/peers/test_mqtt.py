@@ -11,7 +11,7 @@ import time
 
 import cbor2
 import pytest
-from tests.peers.mosquitto import broker, needs_mosquitto, stamp
+from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
 from tests.sim.daemon_stage import running, wait_until
 
 from motord.bus.topics import TOPICS
@@ -292,33 +292,14 @@ def test_a_broker_that_was_started_again_is_found_again(stage, peer):
     assert peer.get("site/r2/status") == b"online"
 
 
-def certified(folder):
-    """An authority, and the broker's certificate by it."""
-
-    def openssl(*words):
-        subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
-
-    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
-    openssl("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test CA",
-            "-days", "2")  # fmt: skip
-    openssl("req", *key, "-keyout", "broker.key", "-out", "broker.csr", "-subj", "/CN=localhost")
-    (folder / "names").write_text("subjectAltName=DNS:localhost\n", encoding="ascii")
-    openssl("x509", "-req", "-in", "broker.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-days", "2",
-            "-CAcreateserial", "-out", "broker.pem", "-extfile", "names")  # fmt: skip
-    (folder / "password").write_text("secret\n", encoding="ascii")
-    (folder / "password").chmod(0o600)
-    subprocess.run(
-        ["mosquitto_passwd", "-b", "-c", str(folder / "users"), "r2", "secret"], check=True
-    )
-
-
 @pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
 def test_by_tls_with_a_password_and_never_to_a_broker_of_another_authority(tmp_path):
     certified(tmp_path)
+    with_password(tmp_path)
     (tmp_path / "users").chmod(0o644)
     (tmp_path / "other").mkdir()
     certified(tmp_path / "other")
-    lines = (f"certfile {tmp_path}/broker.pem", f"keyfile {tmp_path}/broker.key",
+    lines = (f"certfile {tmp_path}/host.pem", f"keyfile {tmp_path}/host.key",
              "allow_anonymous false", f"password_file {tmp_path}/users")  # fmt: skip
     options = ("--cafile", f"{tmp_path}/ca.pem", "-h", "localhost", "-u", "r2", "-P", "secret")
     with broker(tmp_path, *lines, options=options) as peer:

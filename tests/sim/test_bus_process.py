@@ -4,13 +4,15 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
 
 FORK_FAULTS = 600
 """What one fork of the daemon would cost the loop: docs/architecture.md."""
@@ -168,6 +170,24 @@ def test_it_ends_with_its_daemon(tmp_path):
         pid = living(stage)
         assert stage.end(signal.SIGKILL) == -signal.SIGKILL
         wait_until(lambda: not Path(f"/proc/{pid}").exists(), "motord-bus gone")
+
+
+def test_somebody_else_may_start_it(tmp_path):
+    port = free_port()
+    settings = ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
+    with running(tmp_path, *settings, options=("--no-bus",)) as stage:
+        name = stage.robot.status()["robot"]
+        assert bus(stage) is None
+        words = [part for row in (f"robot.name={name}", *settings) for part in ("--set", row)]
+        with subprocess.Popen(
+            [sys.executable, "-m", "motord.bus", str(ROBOT), *words, "--socket", str(stage.socket)]
+        ) as process:
+            try:
+                assert full(port)["motord_up",] == 1.0
+                process.terminate()
+                assert process.wait(DEADLINE_S) == 0
+            finally:
+                process.kill()
 
 
 def test_a_robot_without_networked_buses_does_not_start_it(tmp_path):
