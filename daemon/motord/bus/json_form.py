@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from functools import cache
 from typing import Any
 
 
@@ -33,13 +32,8 @@ def encode(message: Any) -> bytes:
 
 
 def _fields(record: Any) -> dict[str, Any]:
-    """One level of a message; the encoder asks for the next. Raises TypeError for anything else."""
-    return {name: getattr(record, name) for name in _names(type(record))}
-
-
-@cache
-def _names(kind: Any) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))
+    """One level of a message; the encoder asks for the next."""
+    return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
 _ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_fields)
