@@ -102,8 +102,9 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
     ("request_", "words"),
     [
         ({"op": "publish", "topic": "/cmd_vel", "msg": TWIST}, "only tells"),
-        ({"op": "subscribe", "topic": "/odour"}, "no topic /odour"),
+        ({"op": "subscribe", "topic": "/odour"}, "no topic 'odour'"),
         ({"op": "fragment"}, "not served"),
+        ({"op": [[[]]], "id": [[[]]]}, "not served"),
         ("{", "JSON object"),
         ("[" * 60000, "JSON object"),
         ([1], "JSON object"),
@@ -121,6 +122,12 @@ async def test_a_service_of_a_server_that_only_tells_does_nothing(stage, ports):
     answer = await exchanged(ports[1], request, until=lambda one: one["op"] == "service_response")
     assert (answer["result"], answer["id"]) == (False, "1")
     assert stage.state() != "armed"
+
+
+@pytest.mark.parametrize("throttle", [10**400, -1, "1", None, [[]]])
+async def test_a_throttle_that_is_none_is_none(stage, ports, throttle):
+    request = {"op": "subscribe", "topic": "/tf", "throttle_rate": throttle}
+    assert (await exchanged(ports[1], request, until=lambda one: True))["topic"] == "/tf"
 
 
 @pytest.mark.parametrize(
