@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 from motord.config.bus_sections import (
     LOOPBACK,
@@ -20,6 +21,13 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
+_PACKAGES = {
+    "mqtt": "aiomqtt",
+    "mcap": "mcap",
+    "foxglove": "foxglove",
+    "rosbridge": "websockets",
+    "joystick": "evdev",
+}
 AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
@@ -103,6 +111,15 @@ def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
             yield Finding(paths, text)
 
 
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            package = _PACKAGES.get(section.kind)
+            if package is not None and find_spec(package) is None:
+                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                yield Finding(((table, name, "kind"),), text, warning=True)
+
+
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
     _mqtt_credentials,
@@ -110,4 +127,5 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_server,
     _certificates,
     _joystick_lives_long_enough,
+    _packages_are_there,
 )
