@@ -112,6 +112,7 @@ def test_json_has_no_nan_and_comes_back(value):
 def test_a_message_is_the_same_json_by_the_quick_way_and_by_the_slow_one():
     for topic in TOPICS.values():
         message = topic.build(view(1, {"loop": LOOP, "leases": []}), BODY, 0)
+        assert type(message) is topic.message
         assert decode(encode(message)) == plain(message)
 
 

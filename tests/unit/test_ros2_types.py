@@ -17,7 +17,10 @@ SEEN = {
 }
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
 # The other implementation counts `char` as a type of its own, rosidl as uint8.
-COMPARED = sorted(name for name in TYPES if name in STORE.fielddefs and "rmw_dds" not in name)
+WITH_CHAR = ("rmw_dds_common", "service_msgs")
+COMPARED = sorted(
+    name for name in TYPES if name in STORE.fielddefs and not name.startswith(WITH_CHAR)
+)
 
 
 @pytest.mark.parametrize("name", SEEN)
@@ -39,6 +42,7 @@ def test_a_definition_is_read_by_another_parser_as_the_same_type(name):
         assert store.hash_rihs01(name) == type_hash(name)
 
 
-@pytest.mark.parametrize("topic", TOPICS.values(), ids=str)
+@pytest.mark.parametrize("topic", TOPICS)
 def test_a_published_message_has_the_fields_of_its_type_in_their_order(topic):
-    assert list(topic.message.__dataclass_fields__) == [f.name for f in TYPES[topic.type_name]]
+    fields = TOPICS[topic].message.__dataclass_fields__
+    assert list(fields) == [field.name for field in TYPES[TOPICS[topic].type_name]]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from motord.bus import messages
+from motord.bus import message_types, messages
 from motord.bus.messages import Body, Commander
 from motord.snapshot import Snapshot
 
@@ -39,6 +39,8 @@ class Topic:
     name: str
     type_name: str
     """ROS 2's; our own types are of the package motord_msgs."""
+    message: type
+    """The dataclass of what is built."""
     build: Callable[[View, Body, int], Any]
 
 
@@ -52,31 +54,37 @@ _ALL = (
     Topic(
         name="odom",
         type_name="nav_msgs/msg/Odometry",
+        message=message_types.Odometry,
         build=lambda view, body, offset_ns: messages.odometry(view.snapshot, body, offset_ns),
     ),
     Topic(
         name="tf",
         type_name="tf2_msgs/msg/TFMessage",
+        message=message_types.TFMessage,
         build=lambda view, body, offset_ns: messages.transforms(view.snapshot, body, offset_ns),
     ),
     Topic(
         name="joint_states",
         type_name="sensor_msgs/msg/JointState",
+        message=message_types.JointState,
         build=lambda view, body, offset_ns: messages.joint_state(view.snapshot, body, offset_ns),
     ),
     Topic(
         name="battery_state",
         type_name="sensor_msgs/msg/BatteryState",
+        message=message_types.BatteryState,
         build=lambda view, _, offset_ns: messages.battery_state(view.snapshot, offset_ns),
     ),
     Topic(
         name="diagnostics",
         type_name="diagnostic_msgs/msg/DiagnosticArray",
+        message=message_types.DiagnosticArray,
         build=lambda view, body, offset_ns: messages.diagnostics(view.snapshot, body, offset_ns),
     ),
     Topic(
         name="motor_status",
         type_name="motord_msgs/msg/MotorStatus",
+        message=message_types.MotorStatus,
         build=lambda view, body, offset_ns: messages.motor_status(
             view.snapshot, body, offset_ns, view.commander()
         ),
@@ -84,6 +92,7 @@ _ALL = (
     Topic(
         name="loop_statistics",
         type_name="motord_msgs/msg/LoopStatistics",
+        message=message_types.LoopStatistics,
         build=_loop_statistics,
     ),
 )
