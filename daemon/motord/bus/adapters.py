@@ -12,6 +12,7 @@ from typing import Any, Protocol
 # Tables of strings: a robot loads only the buses that it has.
 PUBLISHERS = MappingProxyType(
     {
+        "foxglove": "motord.bus.publish.foxglove:FoxgloveServer",
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
@@ -20,6 +21,7 @@ PUBLISHERS = MappingProxyType(
 )
 INPUTS = MappingProxyType(
     {
+        "joystick": "motord.bus.inputs.joystick:Joystick",
         "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
     }

@@ -4,6 +4,8 @@
 from motord.config.bus_sections import (
     BusInput,
     BusPublish,
+    FoxglovePublish,
+    JoystickInput,
     McapPublish,
     MqttBroker,
     MqttInput,
@@ -64,6 +66,8 @@ __all__ = [
     "RosbridgeServer",
     "RosbridgePublish",
     "RosbridgeInput",
+    "JoystickInput",
+    "FoxglovePublish",
     "MqttBroker",
     "McapPublish",
     "MqttPublish",

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    FoxglovePublish,
+    JoystickInput,
     MqttBroker,
     PrometheusPublish,
     RosbridgeInput,
@@ -16,6 +19,16 @@ from motord.config.bus_sections import (
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
+
+LEASE_COMMANDS = 2
+_PACKAGES = {
+    "mqtt": "aiomqtt",
+    "mcap": "mcap",
+    "foxglove": "foxglove",
+    "rosbridge": "websockets",
+    "joystick": "evdev",
+}
+AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -59,10 +72,10 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
-def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, PrometheusPublish | RosbridgeServer):
+            if isinstance(section, AnyServer):
                 yield (table, name), section
 
 
@@ -77,14 +90,34 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, RosbridgeServer):
+        if isinstance(section, FoxglovePublish | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
+
+
+def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if (
+            isinstance(section, JoystickInput)
+            and section.lease_s * section.rate_hz < LEASE_COMMANDS
+        ):
+            text = f"a lease holds fewer than {LEASE_COMMANDS} commands: a late one stops the robot"
+            paths = (("input", name, "lease_s"), ("input", name, "rate_hz"))
+            yield Finding(paths, text)
+
+
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            package = _PACKAGES.get(section.kind)
+            if package is not None and find_spec(package) is None:
+                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                yield Finding(((table, name, "kind"),), text, warning=True)
 
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
@@ -93,4 +126,6 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _rates_of_published_topics,
     _one_port_a_server,
     _certificates,
+    _joystick_lives_long_enough,
+    _packages_are_there,
 )

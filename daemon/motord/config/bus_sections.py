@@ -148,16 +148,28 @@ class McapPublish(BusPublish):
     )
 
 
-class RosbridgeServer(BusPublish):
-    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+class Server(BusPublish):
+    """A server of the second process."""
 
     host: str = Field(default="127.0.0.1", min_length=1)
     """Address to listen at; this machine only, unless something else is said."""
-    port: int = number("TCP port", 1, 65535, "1", 9090)
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
     key_file: str | None = None
     """Key of cert_file."""
+
+
+class FoxglovePublish(Server):
+    """A WebSocket to which Foxglove connects. It only tells: its protocol knows no token."""
+
+    kind: Literal["foxglove"]
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class RosbridgeServer(Server):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    port: int = number("TCP port", 1, 65535, "1", 9090)
 
 
 class RosbridgePublish(RosbridgeServer):
@@ -170,6 +182,24 @@ class RosbridgeInput(TokenInput, RosbridgeServer):
     """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
 
     kind: Literal["rosbridge"]
+
+
+class JoystickInput(BusInput):
+    """A joystick or gamepad at this machine. It commands as long as its dead-man button is held."""
+
+    kind: Literal["joystick"]
+    device: str = Field(min_length=1)
+    """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
+    dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button to be held, by the kernel's name."""
+    linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the speed: away from you is forward."""
+    angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the turn rate: to the left is a left turn."""
+    linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
+    angular_rad_s: float = number("turn rate at the end of the axis", 0.001, 100, "rad/s", 0.6)
+    dead_zone: float = number("part of the axis around its middle that is zero", 0, 0.9, "1", 0.1)
+    rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
 
 
 class OtherPublish(BusPublish):

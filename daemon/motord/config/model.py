@@ -17,6 +17,8 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    FoxglovePublish,
+    JoystickInput,
     McapPublish,
     MqttInput,
     MqttPublish,
@@ -281,12 +283,13 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
     | MqttPublish
     | RosbridgePublish
+    | FoxglovePublish
     | McapPublish
     | PrometheusPublish
     | OtherPublish
