@@ -32,7 +32,7 @@ def test_commands_from_another_machine_without_tls_are_refused(tmp_path):
     text = BROKER + 'host = "broker.example"\ntoken_file = "token"\n'
     assert errors(tmp_path, text) == [
         (
-            "input.fleet.tls: commands from broker.example would show their token to the network:"
+            "input.fleet.tls: commands by broker.example would show their token to the network:"
             " tls = true"
         )
     ]
@@ -68,6 +68,15 @@ def test_commands_with_a_token_by_tls_or_from_this_machine_are_taken(tmp_path, m
 )
 def test_what_does_not_fit_together_is_said(tmp_path, more, row):
     assert errors(tmp_path, f'[publish.fleet]\nkind = "mqtt"\n{more}\n') == [row]
+
+
+@pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
+def test_a_rosbridge_that_obeys_other_machines_needs_a_certificate(tmp_path, more, count):
+    text = '[input.web]\nkind = "rosbridge"\ntoken_file = "token"\nhost = "0.0.0.0"\n' + more
+    if count:
+        assert len(errors(tmp_path, text)) == count
+    else:
+        assert load_robot(robot_file(tmp_path, text)).has_bus
 
 
 def test_two_servers_at_one_port_are_refused(tmp_path):

@@ -5,17 +5,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from motord.config.bus_sections import LOOPBACK, BusPublish, MqttBroker, PrometheusPublish
+from motord.config.bus_sections import (
+    LOOPBACK,
+    BusPublish,
+    JoystickInput,
+    MqttBroker,
+    PrometheusPublish,
+    Ros2Input,
+    Ros2Node,
+    RosbridgeInput,
+    RosbridgeServer,
+)
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
 
+LEASE_COMMANDS = 2
+
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
     for name, section in robot.input.items():
-        if isinstance(section, MqttBroker) and not section.tls and section.host not in LOOPBACK:
-            paths = (("input", name, "tls"), ("input", name, "host"))
-            text = f"commands from {section.host} would show their token to the network: tls = true"
+        if not isinstance(section, MqttBroker | RosbridgeInput) or section.host in LOOPBACK:
+            continue
+        key = "tls" if isinstance(section, MqttBroker) else "cert_file"
+        if not getattr(section, key):
+            cure = "tls = true" if key == "tls" else "cert_file and key_file"
+            paths = (("input", name, key), ("input", name, "host"))
+            text = f"commands by {section.host} would show their token to the network: {cure}"
             yield Finding(paths, text)
 
 
@@ -33,9 +49,7 @@ def _mqtt_credentials(robot: Robot) -> Iterator[Finding]:
         if section.password_file is not None and not section.tls and section.host not in LOOPBACK:
             text = f"{section.host} would be told the password without tls = true"
             yield Finding(((*path, "password_file"), (*path, "tls")), text)
-        if (section.cert_file is None) != (section.key_file is None):
-            key = "key_file" if section.key_file is None else "cert_file"
-            yield Finding(((*path, key),), "cert_file and key_file go together")
+        yield from _pair(path, section)
         for key in ("ca_file", "cert_file"):
             if getattr(section, key) is not None and not section.tls:
                 yield Finding(((*path, key), (*path, "tls")), "is of no use without tls = true")
@@ -50,14 +64,74 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
+def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, PrometheusPublish | RosbridgeServer):
+                yield (table, name), section
+
+
 def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
     taken: dict[int, Path] = {}
-    for name, section in robot.publish.items():
-        if isinstance(section, PrometheusPublish):
-            before = taken.setdefault(section.port, ("publish", name))
-            if before != ("publish", name):
-                text = f"port {section.port} is that of {'.'.join(map(str, before))} already"
-                yield Finding((("publish", name, "port"), (*before, "port")), text)
+    for path, section in _servers(robot):
+        before = taken.setdefault(section.port, path)
+        if before != path:
+            text = f"port {section.port} is that of {'.'.join(map(str, before))} already"
+            yield Finding(((*path, "port"), (*before, "port")), text)
+
+
+def _certificates(robot: Robot) -> Iterator[Finding]:
+    for path, section in _servers(robot):
+        if isinstance(section, RosbridgeServer):
+            yield from _pair(path, section)
+
+
+def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+    if (section.cert_file is None) != (section.key_file is None):
+        key = "key_file" if section.key_file is None else "cert_file"
+        yield Finding(((*path, key),), "cert_file and key_file go together")
+
+
+def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if (
+            isinstance(section, JoystickInput)
+            and section.lease_s * section.rate_hz < LEASE_COMMANDS
+        ):
+            text = f"a lease holds fewer than {LEASE_COMMANDS} commands: a late one stops the robot"
+            paths = (("input", name, "lease_s"), ("input", name, "rate_hz"))
+            yield Finding(paths, text)
+
+
+def _ros2_nodes(robot: Robot) -> Iterator[tuple[Path, Ros2Node]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, Ros2Node):
+                yield (table, name), section
+
+
+def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
+    for path, section in _ros2_nodes(robot):
+        if (
+            isinstance(section, Ros2Input)
+            and section.discovery != "localhost"
+            and not section.trust_network
+        ):
+            text = "all of the domain could move the robot; if that is meant: trust_network = true"
+            yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
+
+
+def _ros2_domains(robot: Robot) -> Iterator[Finding]:
+    domains: dict[int, tuple[Path, Ros2Node]] = {}
+    for path, section in _ros2_nodes(robot):
+        if section.interface is not None and section.discovery == "localhost":
+            text = 'is of no use without discovery = "subnet"'
+            yield Finding(((*path, "interface"), (*path, "discovery")), text)
+        before, first = domains.setdefault(section.domain_id, (path, section))
+        for key in ("discovery", "interface"):
+            if getattr(section, key) != getattr(first, key):
+                text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
+                yield Finding(((*path, key), (*before, key)), text)
 
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
@@ -65,4 +139,8 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _mqtt_credentials,
     _rates_of_published_topics,
     _one_port_a_server,
+    _certificates,
+    _joystick_lives_long_enough,
+    _ros2_commands_are_meant,
+    _ros2_domains,
 )

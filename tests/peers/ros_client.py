@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A program as its users write it, on roslibpy: python ros_client.py URL. Prints what it saw."""
+
+import json
+import sys
+import threading
+import time
+
+import roslibpy
+
+WITHIN_S = 30
+
+
+def first(ros, topic, kind):
+    """The first message of a topic."""
+    came, found = threading.Event(), []
+
+    def take(message):
+        found.append(message)
+        came.set()
+
+    reader = roslibpy.Topic(ros, topic, kind)
+    reader.subscribe(take)
+    assert came.wait(WITHIN_S), topic
+    reader.unsubscribe()
+    return found[0]
+
+
+def main():
+    ros = roslibpy.Ros(sys.argv[1])
+    ros.run(timeout=WITHIN_S)
+
+    def trigger(name):
+        service = roslibpy.Service(ros, name, "std_srvs/Trigger")
+        return dict(service.call(roslibpy.ServiceRequest(), timeout=WITHIN_S))
+
+    said = {
+        "topics": ros.get_topics(),
+        "odom": first(ros, "/odom", "nav_msgs/Odometry"),
+        "arm": trigger("/arm"),
+    }
+    cmd_vel = roslibpy.Topic(ros, "/cmd_vel", "geometry_msgs/Twist")
+    moving, ending = threading.Event(), threading.Event()
+
+    def drive():
+        while not ending.wait(0.05):
+            cmd_vel.publish(roslibpy.Message({"linear": {"x": 0.2}, "angular": {"z": 0.0}}))
+
+    def look(message):
+        if message["commander"] == "web" and message["state"] == "moving":
+            said["motor_status"] = message
+            moving.set()
+
+    watching = roslibpy.Topic(ros, "/motor_status", "motord_msgs/MotorStatus")
+    watching.subscribe(look)
+    driver = threading.Thread(target=drive)
+    driver.start()
+    try:
+        assert moving.wait(WITHIN_S), "it does not move"
+    finally:
+        ending.set()
+        driver.join()
+    end_s = time.monotonic() + WITHIN_S
+    said["estop"] = trigger("/estop")
+    cmd_vel.publish(roslibpy.Message({"linear": {"x": 0.0}, "angular": {"z": 0.0}}))
+    said["reset"] = trigger("/reset")
+    while not said["reset"]["success"] and time.monotonic() < end_s:  # until the zero is there
+        said["reset"] = trigger("/reset")
+    print(json.dumps(said))
+    ros.terminate()
+
+
+main()

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rosbridge server: a program on roslibpy drives the robot; strangers and slow readers cost
+nothing."""
+
+import asyncio
+import contextlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.peers.mosquitto import free_port
+from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+TOKEN = "a-token-of-sixteen-and-more"
+CLIENT = Path(__file__).with_name("ros_client.py")
+
+
+@pytest.fixture(scope="module")
+def ports():
+    return free_port(), free_port()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory, ports):
+    folder = tmp_path_factory.mktemp("rosbridge")
+    token = folder / "token"
+    token.write_text(TOKEN, encoding="ascii")
+    token.chmod(0o600)
+    settings = (
+        "input.web.kind=rosbridge", f"input.web.port={ports[0]}", "input.web.stamped=false",
+        f"input.web.token_file={token}", "input.web.rate_hz=50", "input.web.lease_s=1.0",
+        "safety.command_timeout_s=1.0",
+        "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=1000",
+    )  # fmt: skip
+    with running(folder, *settings) as stage:
+        stage.wait_for("idle")
+        wait_until(lambda: bus(stage).get("inputs", {}).get("web", {}).get("lease"), "a lease")
+        yield stage
+
+
+def bus(stage):
+    return stage.robot.status()["bus"] or {}
+
+
+async def exchanged(port, *requests, until, token=None):
+    """Send the requests; the first answer that is it."""
+    query = f"?token={token}" if token else ""
+    async with asyncio.timeout(DEADLINE_S):
+        async with connect(f"ws://127.0.0.1:{port}/{query}") as client:
+            for request in requests:
+                await client.send(request if isinstance(request, str) else json.dumps(request))
+            async for raw in client:
+                if until(answer := json.loads(raw)):
+                    return answer
+    return None
+
+
+def is_status(answer):
+    return answer["op"] == "status"
+
+
+def test_a_program_on_roslibpy_reads_arms_drives_and_stops_the_robot(stage, ports):
+    run = subprocess.run(
+        [sys.executable, str(CLIENT), f"ws://127.0.0.1:{ports[0]}/?token={TOKEN}"],
+        capture_output=True, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr.decode()
+    said = json.loads(run.stdout)
+    assert "/odom" in said["topics"]
+    assert said["odom"]["child_frame_id"] == "base_link"
+    assert said["arm"] == {"success": True, "message": "armed"}
+    assert said["motor_status"]["commander_priority"] == 100
+    assert said["estop"] == {"success": True, "message": "estop"}
+    assert said["reset"] == {"success": True, "message": "idle"}
+
+
+@pytest.mark.parametrize("query", ["", "?token=", "?token=wrong-token-of-some-length"])
+async def test_who_has_no_token_does_not_even_connect(stage, ports, query):
+    with pytest.raises(InvalidStatus, match="401"):
+        async with connect(f"ws://127.0.0.1:{ports[0]}/{query}"):
+            pass
+
+
+async def test_the_token_may_stand_in_the_header(stage, ports):
+    headers = {"Authorization": f"Bearer {TOKEN}"}
+    async with connect(f"ws://127.0.0.1:{ports[0]}/", additional_headers=headers) as client:
+        await client.send(json.dumps({"op": "subscribe", "topic": "/odom"}))
+        async with asyncio.timeout(DEADLINE_S):
+            assert json.loads(await client.recv())["topic"] == "/odom"
+
+
+TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"op": "publish", "topic": "/cmd_vel", "msg": TWIST}, "only tells"),
+        ({"op": "subscribe", "topic": "/odour"}, "no topic /odour"),
+        ({"op": "fragment"}, "not served"),
+        ("{", "JSON object"),
+        ("[" * 60000, "JSON object"),
+        ([1], "JSON object"),
+    ],
+)
+async def test_a_server_that_only_tells_says_what_it_does_not_do(stage, ports, request_, words):
+    accepted = stage.robot.status()["commands"]["accepted"]
+    answer = await exchanged(ports[1], request_, until=is_status)
+    assert words in answer["msg"]
+    assert stage.robot.status()["commands"]["accepted"] == accepted
+
+
+async def test_a_service_of_a_server_that_only_tells_does_nothing(stage, ports):
+    request = {"op": "call_service", "service": "/arm", "id": "1"}
+    answer = await exchanged(ports[1], request, until=lambda one: one["op"] == "service_response")
+    assert (answer["result"], answer["id"]) == (False, "1")
+    assert stage.state() != "armed"
+
+
+@pytest.mark.parametrize(
+    "message", [None, {}, {"linear": {"x": "1"}, "angular": {"z": 0}}, {"linear": 3, "angular": 1}]
+)
+async def test_a_message_that_is_no_twist_is_refused(stage, ports, message):
+    request = {"op": "publish", "topic": "/cmd_vel", "msg": message}
+    answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
+    assert "no Twist" in answer["msg"]
+
+
+async def test_a_client_is_told_no_faster_than_it_asked_for(stage, ports):
+    request = {"op": "subscribe", "topic": "/odom", "throttle_rate": 200}
+    stamps = []
+    async with asyncio.timeout(DEADLINE_S):
+        async with connect(f"ws://127.0.0.1:{ports[1]}/") as client:
+            await client.send(json.dumps(request))
+            async for raw in client:
+                stamp = json.loads(raw)["msg"]["header"]["stamp"]
+                stamps.append(stamp["sec"] + stamp["nanosec"] * 1e-9)
+                if len(stamps) == 4:
+                    break
+    assert stamps[-1] - stamps[0] > 0.3
+
+
+async def test_a_reader_that_stops_reading_costs_samples_and_nobody_else_anything(stage, ports):
+    ticks = stage.robot.status()["loop"]["ticks"]
+    url = f"ws://127.0.0.1:{ports[1]}/"
+    async with connect(url, max_queue=1, ping_interval=None) as stuck:
+        for topic in ("odom", "joint_states", "motor_status", "tf"):
+            await stuck.send(json.dumps({"op": "subscribe", "topic": topic}))
+        before = bus(stage)["publishers"]["tell"]["dropped"]
+        async with asyncio.timeout(2 * DEADLINE_S):
+            while bus(stage)["publishers"]["tell"]["dropped"] == before:
+                answer = await exchanged(
+                    ports[1], {"op": "subscribe", "topic": "/tf"}, until=lambda one: True
+                )
+                assert answer["topic"] == "/tf"
+        stuck.transport.abort()
+        with contextlib.suppress(OSError):
+            await stuck.wait_closed()
+    assert stage.robot.status()["loop"]["ticks"] > ticks
