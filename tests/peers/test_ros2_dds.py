@@ -80,10 +80,15 @@ def called(name, kind="Trigger", **values):
         return client.find(lambda _: True, f"an answer of {name}")
 
 
+def nobody_commands(stage):
+    wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
+
+
 @pytest.fixture
 def armed(stage):
     assert called("arm")["success"]
     yield stage
+    nobody_commands(stage)
     assert called("stop")["success"]
     stage.wait_for("armed")
     assert called("disarm")["success"]
@@ -115,6 +120,7 @@ def test_a_command_moves_nothing_that_is_not_armed(stage):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
         assert stage.state() == "idle"
+    nobody_commands(stage)
 
 
 def test_services_say_what_the_daemon_says(stage):
