@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    FoxglovePublish,
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
@@ -21,6 +23,15 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
+_PACKAGES = {
+    "ros2": "cyclonedds",
+    "mqtt": "aiomqtt",
+    "mcap": "mcap",
+    "foxglove": "foxglove",
+    "rosbridge": "websockets",
+    "joystick": "evdev",
+}
+AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -64,10 +75,10 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
-def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, PrometheusPublish | RosbridgeServer):
+            if isinstance(section, AnyServer):
                 yield (table, name), section
 
 
@@ -82,11 +93,11 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, RosbridgeServer):
+        if isinstance(section, FoxglovePublish | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
@@ -134,6 +145,15 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*before, key)), text)
 
 
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            package = _PACKAGES.get(section.kind)
+            if package is not None and find_spec(package) is None:
+                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                yield Finding(((table, name, "kind"),), text, warning=True)
+
+
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
     _mqtt_credentials,
@@ -143,4 +163,5 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _joystick_lives_long_enough,
     _ros2_commands_are_meant,
     _ros2_domains,
+    _packages_are_there,
 )
