@@ -13,6 +13,8 @@ from motord.config.bus_sections import (
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Node,
     RosbridgeInput,
     RosbridgeServer,
 )
@@ -22,6 +24,7 @@ from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
 _PACKAGES = {
+    "ros2": "cyclonedds",
     "mqtt": "aiomqtt",
     "mcap": "mcap",
     "foxglove": "foxglove",
@@ -111,6 +114,37 @@ def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
             yield Finding(paths, text)
 
 
+def _ros2_nodes(robot: Robot) -> Iterator[tuple[Path, Ros2Node]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, Ros2Node):
+                yield (table, name), section
+
+
+def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
+    for path, section in _ros2_nodes(robot):
+        if (
+            isinstance(section, Ros2Input)
+            and section.discovery != "localhost"
+            and not section.trust_network
+        ):
+            text = "all of the domain could move the robot; if that is meant: trust_network = true"
+            yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
+
+
+def _ros2_domains(robot: Robot) -> Iterator[Finding]:
+    domains: dict[int, tuple[Path, Ros2Node]] = {}
+    for path, section in _ros2_nodes(robot):
+        if section.interface is not None and section.discovery == "localhost":
+            text = 'is of no use without discovery = "subnet"'
+            yield Finding(((*path, "interface"), (*path, "discovery")), text)
+        before, first = domains.setdefault(section.domain_id, (path, section))
+        for key in ("discovery", "interface"):
+            if getattr(section, key) != getattr(first, key):
+                text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
+                yield Finding(((*path, key), (*before, key)), text)
+
+
 def _packages_are_there(robot: Robot) -> Iterator[Finding]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
@@ -127,5 +161,7 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_server,
     _certificates,
     _joystick_lives_long_enough,
+    _ros2_commands_are_meant,
+    _ros2_domains,
     _packages_are_there,
 )

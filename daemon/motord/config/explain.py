@@ -20,8 +20,8 @@ from motord.config.toml_lines import Path
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
     ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
-    ("input", "*", "kind"): frozenset({"ros2", "zenoh"}),
-    ("publish", "*", "kind"): frozenset({"ros2", "zenoh"}),
+    ("input", "*", "kind"): frozenset({"zenoh"}),
+    ("publish", "*", "kind"): frozenset({"zenoh"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),

@@ -25,6 +25,8 @@ from motord.config.bus_sections import (
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Publish,
     RosbridgeInput,
     RosbridgePublish,
     StdoutPublish,
@@ -283,7 +285,7 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
@@ -292,6 +294,7 @@ AnyPublish = (
     | FoxglovePublish
     | McapPublish
     | PrometheusPublish
+    | Ros2Publish
     | OtherPublish
 )
 
