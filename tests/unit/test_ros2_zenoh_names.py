@@ -4,8 +4,6 @@ those of its design document."""
 
 import pytest
 
-pytest.importorskip("xxhash")
-
 from motord.bus.ros2 import types
 from motord.bus.ros2.types import Field, type_hash
 from motord.bus.ros2.zenoh_names import (
