@@ -37,6 +37,7 @@ STOP_KEY = (
 )
 WITHIN_S = 30.0
 GID = bytes(range(16))
+SENT_IN_VAIN = 1_000
 
 
 async def until(condition):
@@ -88,13 +89,18 @@ class Tokens:
 
     def __init__(self, session):
         self.alive = set()
+        self.gone = []
         self._kept = session.liveliness().declare_subscriber(
             "@ros2_lv/3/**", self._changed, history=True
         )
 
     def _changed(self, sample):
-        change = self.alive.add if sample.kind == zenoh.SampleKind.PUT else self.alive.discard
-        change(str(sample.key_expr))
+        token = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self.alive.add(token)
+        else:
+            self.alive.discard(token)
+            self.gone.append(token)
 
     def of(self, what):
         return [token for token in set(self.alive) if token.split("/")[5] == what]
@@ -111,10 +117,9 @@ def attached(sequence=1):
     return Attachment(sequence, time.time_ns(), GID).encode()
 
 
-def ask(session, key, **said):
+def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **said):
     """In a thread: it waits for all answers."""
-    replies = session.get(key, target=zenoh.QueryTarget.ALL_COMPLETE, timeout=10.0, **said)
-    return list(replies)
+    return list(session.get(key, target=target, timeout=10.0, **said))
 
 
 REQUEST = b"\x00\x01\x00\x00\x00"
@@ -213,8 +218,10 @@ async def test_what_is_no_request_calls_nothing_and_is_refused(key, said):
             tokens = Tokens(session)
             async with running(robot.node):
                 await until(lambda: tokens.of("SS"))
-                replies = await asyncio.to_thread(ask, session, key, **said)
-                assert not any(reply.ok for reply in replies)
+                everybody = zenoh.QueryTarget.ALL
+                replies = await asyncio.to_thread(ask, session, key, everybody, **said)
+                assert len(replies) == 1
+                assert replies[0].err is not None
                 assert robot.stops == 0
 
 
@@ -256,16 +263,33 @@ async def test_a_router_that_comes_late_or_comes_back_finds_the_node():
                     assert robot.stops == before + 1
 
 
-async def test_a_router_that_hangs_does_not_hold_who_publishes():
+async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
     port = free_port()
     async with router(port) as process:
         robot = Robot(port)
         with peer(port) as session:
+            heard = []
+            kept = session.declare_subscriber(STRING_KEY, heard.append)
             tokens = Tokens(session)
             async with running(robot.node):
                 await until(lambda: tokens.of("MP"))
+
+                def told():
+                    robot.said.publish(SimpleNamespace(data="x"))
+                    return heard
+
+                await until(told)
                 process.send_signal(signal.SIGSTOP)
-                message = SimpleNamespace(data="x" * 10_000)
-                for _ in range(5_000):
-                    robot.said.publish(message)
+                for _ in range(SENT_IN_VAIN):  # more than the sockets hold
+                    robot.said.publish(SimpleNamespace(data="x" * 20_000))
                 process.send_signal(signal.SIGCONT)
+
+                def last():
+                    robot.said.publish(SimpleNamespace(data="last"))
+                    return any(b"last" in sample.payload.to_bytes() for sample in list(heard))
+
+                await until(last)
+                lengths = [len(sample.payload.to_bytes()) for sample in list(heard)]
+                assert sum(length > 20_000 for length in lengths) < SENT_IN_VAIN
+                assert tokens.gone == []
+            kept.undeclare()
