@@ -9,7 +9,7 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check san bench soak fuzz mutants coverage wheel clean
+.PHONY: help demo test check san bench soak fuzz mutants coverage wheel deb vm clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
@@ -19,7 +19,9 @@ help:
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
 	@echo "make fuzz      rtu.c and the line, RUNS=10000000" >&2
 	@echo "make mutants   are the tests of rtu.c good?    make mutants FILE=line_drive.c" >&2
-	@echo "make wheel     a wheel in dist/                make clean  all that make made" >&2
+	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
+	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2
+	@echo "make clean     all that make made" >&2
 
 # ------------------------------------------------------------------------------------------- environment
 $(VENV)/made: pyproject.toml setup.py bootstrap.sh
@@ -83,7 +85,7 @@ bench: $(VENV)/built $(VENV)/bench
 soak: $(VENV)/built $(VENV)/test
 	@$(PYTHON) tests/soak/soak.py $(ARGS)
 
-# From gcc alone, with ASan and UBSan. FUZZ=line: the whole machine of a line.
+# From gcc alone, with ASan and UBSan.
 fuzz:
 	@$(MAKE) -C tests/c fuzz >&2
 
@@ -93,6 +95,13 @@ mutants: $(VENV)/made
 wheel: $(VENV)/made
 	@$(PYTHON) -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . >&2
 	@ls dist/*.whl
+
+deb: $(VENV)/built
+	@systemd/deb.sh dist
+
+# Builds the guest, boots it once, runs tests/vm/guest there. Says why, and succeeds, where it cannot.
+vm: $(VENV)/built
+	@$(PYTHON) tests/vm/run.py $(ARGS)
 
 clean:
 	@rm -rf $(VENV) build dist *.egg-info _motord_rt* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -4,7 +4,6 @@
 
 #include "line_machine.h"
 
-static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 static const int64_t STOPPING_NS = 1000 * LINE_MS;
 static const int64_t FUTURE_NS = 10 * LINE_MS;
 /* RFC 6298 with a host's scheduling in place of the clock's granularity */
@@ -35,7 +34,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     }
 }
 
-static void demote(line_machine *m, uint32_t number, uint32_t why, uint32_t mode)
+void line_demote(line_machine *m, uint32_t number, uint32_t why, uint32_t mode)
 {
     line_drive_state *drive = &m->drive[number];
     drive->mode = mode;
@@ -47,7 +46,7 @@ static void demote(line_machine *m, uint32_t number, uint32_t why, uint32_t mode
 static void quick_stop(line_machine *m, uint32_t number, uint32_t why, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    demote(m, number, why, DRIVE_READY);
+    line_demote(m, number, why, DRIVE_READY);
     drive->stopping = true;
     drive->off_by_ns = now_ns + STOPPING_NS;
     drive->due_ns = now_ns;
@@ -73,7 +72,7 @@ static void guard_armed(line_machine *m, uint32_t number, int64_t now_ns)
     } else if (m->newest.enabled == 1) {
         drive->was_enabled = true;
     } else if (drive->was_enabled) {
-        demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
+        line_demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
         power_off(m, number);
     }
 }
@@ -140,6 +139,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
             power_off(m, number);
         }
         drive->mode = DRIVE_OFF;
+        drive->back = false;
         drive->stage = STAGE_IDLE;
         m->current = m->current == number ? LINE_DRIVES_MAX : m->current;
     } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
@@ -263,10 +263,10 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->count.cycles++;
     line_publish(m, number);
     if (drive->lost_setup) {
-        demote(m, number, DEMOTED_LOST_SETUP, DRIVE_OFF);
+        line_demote(m, number, DEMOTED_LOST_SETUP, DRIVE_OFF);
         power_off(m, number);
     } else if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
-        demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+        line_demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
         power_off(m, number);
     } else if (drive->stopping && line_at_rest(m, number)) {
         power_off(m, number);
@@ -304,80 +304,6 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
     return false;
 }
 
-/* ------------------------------------------------------------------------------------------------- quiet ones */
-static uint32_t zero_exchanges(const line_drive *table)
-{
-    uint32_t count = 0;
-    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0) {
-        count++;
-    }
-    return count;
-}
-
-/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog quiet. */
-static uint32_t stop_probes(const line_machine *m, uint32_t number)
-{
-    const line_drive *table = &m->table.drive[number];
-    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(table) : 0;
-}
-
-void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
-{
-    line_drive_state *drive = &m->drive[number];
-    if (drive->mode != DRIVE_QUIET) {
-        drive->count.quiet++;
-    }
-    demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
-    if (m->shut == 0 || m->work == WORK_STOP) {
-        drive->stop = STOP_NOTHING;   /* its probes stop it; at the end there are none, so it is told all the same */
-    }
-    drive->stopping = drive->back = false;
-    drive->stage = STAGE_IDLE;
-    drive->probe_place = 0;
-    drive->probes_at_once = stop_probes(m, number) + 1;
-    drive->probe_pause_ns = PROBE_FIRST_NS;
-    drive->probe_at_ns = now_ns;
-    memset(drive->way_told, 0, sizeof drive->way_told);
-    if (m->current == number) {
-        m->current = LINE_DRIVES_MAX;
-    }
-}
-
-static void read_probe(line_machine *m, uint32_t number, line_frame *out)
-{
-    const line_drive *table = &m->table.drive[number];
-    if (table->probe > 0) {
-        (void)line_build(m, number, table->probe - 1, out);
-    } else if (table->extra_count > 0) {
-        *out = table->extra[0].frame;
-    } else {
-        (void)line_build(m, number, 0, out);   /* with zeros: it is not armed */
-    }
-}
-
-void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
-{
-    line_drive_state *drive = &m->drive[number];
-    const line_drive *table = &m->table.drive[number];
-    uint32_t stops = stop_probes(m, number);
-    uint32_t place = drive->probe_place;
-    if (place < stops && place < table->quick_stop_count) {
-        *out = table->quick_stop[place];
-    } else if (place < stops) {
-        (void)line_build(m, number, place - table->quick_stop_count, out);
-    } else {
-        read_probe(m, number, out);
-    }
-    drive->probe_place = (place + 1) % (stops + 1);
-    if (drive->probes_at_once > 1) {
-        drive->probes_at_once--;
-        drive->probe_at_ns = now_ns;
-        return;
-    }
-    drive->probe_at_ns = now_ns + drive->probe_pause_ns;
-    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
-}
-
 /* --------------------------------------------------------------------------------------------------- outcomes */
 static void learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
 {
@@ -413,6 +339,16 @@ static void way_acknowledged(line_drive_state *drive, const line_machine *m, uin
     drive->place++;
 }
 
+static bool reads_on(const line_drive *table, uint32_t place)
+{
+    for (; place < table->cyclic_count; place++) {
+        if (table->cyclic[place].field_count > 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
 static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -429,6 +365,9 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     } else {
         line_read(m, number, &table->cyclic[drive->place], reply, stamp_ns);
         drive->place++;
+        if (!reads_on(table, drive->place)) {
+            line_publish(m, number);   /* the core need not wait until the line is free again */
+        }
     }
 }
 

@@ -6,7 +6,6 @@
 #include <string.h>
 
 static const int64_t LOOK_MOVING_NS = 10 * LINE_MS, LOOK_RESTING_NS = 50 * LINE_MS;
-static const int64_t SHUT_REST_NS = 350 * LINE_MS, SHUT_NS = 480 * LINE_MS;
 /* Between the reply's last byte on the wire and our hearing of it: USB frames, receive buffers, a busy machine. */
 static const int64_t HOST_NS = 20 * LINE_MS;
 static const int64_t FAR_NS = INT64_MAX;
@@ -166,6 +165,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
         line_drive_answered(m, worker, reply, now_ns);
     } else if (worker < m->table.drive_count) {
         line_drive_failed(m, worker, kind, verdict->exception, now_ns);
+        m->slot_due_ns = later(m->slot_due_ns, now_ns);   /* who had to wait goes before a probe, which may take as long */
         doubt_echo(m);
     }
     if (work == WORK_ASK) {
@@ -350,57 +350,17 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
     return false;
 }
 
-/* --------------------------------------------------------------------------------------------------- the end */
-static void shut_down_begin(line_machine *m, int64_t now_ns)
-{
-    m->shut = 1;
-    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
-    m->shut_by_ns = now_ns + SHUT_NS;
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        line_drive_state *drive = &m->drive[i];
-        if (drive->mode == DRIVE_ARMED) {
-            drive->mode = DRIVE_READY;
-            drive->stopping = true;
-            drive->off_by_ns = m->shut_rest_by_ns;
-            drive->due_ns = now_ns;
-            m->broadcasts = m->table.broadcast_stop_count;
-            line_stop_now(m, i, STOP_QUICK);
-        }
-    }
-}
-
-static void shut_down_go_on(line_machine *m, int64_t now_ns)
-{
-    bool stopping = m->broadcasts > 0;
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        stopping |= m->drive[i].stopping || m->drive[i].stop != STOP_NOTHING;
-    }
-    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
-        m->shut = 2;
-        for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            m->drive[i].stopping = false;
-            line_stop_now(m, i, STOP_POWER_OFF);
-        }
-    } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
-        m->shut = 3;
-        m->news = true;
-    }
-}
-
 /* ------------------------------------------------------------------------------------------------------ the step */
 static void decide(line_machine *m, int64_t now_ns, line_output *out)
 {
-    if (m->control.shut_down != 0 && m->shut == 0) {
-        shut_down_begin(m, now_ns);
-    }
-    if (m->shut != 0) {
-        shut_down_go_on(m, now_ns);
-    }
+    line_shut_down(m, now_ns);
     if (m->shut == 3 || m->work != WORK_NONE || now_ns < m->free_ns || take_stop(m, out)) {
         return;
     }
     if (m->shut < 2) {
         (void)take_cycle(m, now_ns, out);
+    } else {
+        line_shut_down(m, now_ns);   /* all are told: that was it */
     }
 }
 
@@ -418,7 +378,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
         if (drive->told_motion || drive->mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->mode == DRIVE_QUIET) {
+        if (drive->mode == DRIVE_QUIET && m->shut < 2) {
             int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }

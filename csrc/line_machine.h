@@ -5,6 +5,8 @@
  * line_table.c    is a table good?
  * line_values.c   set-points into requests, replies into feedback
  * line_drive.c    one drive: its cycle, its failures, its stops
+ * line_quiet.c    a drive that does not answer
+ * line_end.c      how a line is shut down
  * line_asks.c     requests from outside the cycle
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
@@ -184,15 +186,22 @@ void line_obey_wish(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the set-points, its watchdog and its own words demand. */
 void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
+/* It loses what it was allowed; `why`: DEMOTED_*. */
+void line_demote(line_machine *m, uint32_t drive, uint32_t why, uint32_t mode);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */
 bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);
-void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
 /* How the exchange for a drive ended. */
 void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);
 void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception, int64_t now_ns);
-void line_go_quiet(line_machine *m, uint32_t drive, int64_t now_ns);
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
+
+/* ------------------------------------------------------------------------ line_quiet.c */
+void line_go_quiet(line_machine *m, uint32_t drive, int64_t now_ns);
+void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
+
+/* -------------------------------------------------------------------------- line_end.c */
+void line_shut_down(line_machine *m, int64_t now_ns);
 
 #endif

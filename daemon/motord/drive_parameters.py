@@ -17,7 +17,7 @@ from motord.operation import Operation
 from motord.rpc import INVALID_PARAMS, Refused, RpcError
 from motord_hal.drives.profile import SI_UNITS, Register
 from motord_hal.errors import HalError
-from motord_hal.modbus.parameter import kept_back, limits
+from motord_hal.modbus.parameter import kept_back
 from motord_hal.ports import JointSpec, Line
 
 PREFIX = "drive."
@@ -37,7 +37,7 @@ def listed(lines: Iterable[Line]) -> dict[str, dict[str, Any]]:
 
 
 def _about(joint: JointSpec, register: Register) -> dict[str, Any]:
-    low, high = limits(register)
+    low, high = register.si_limits
     writable = "w" in register.access and register.name not in kept_back(joint.profile)
     return {
         "value": None,

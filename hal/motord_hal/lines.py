@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from importlib import import_module
 from types import MappingProxyType
 from typing import cast
@@ -11,16 +12,31 @@ from motord_hal.errors import HalError
 from motord_hal.ports import Line, LineSpec, Listener
 from motord_hal.rt import Exchange
 
+Halt = Callable[[LineSpec], Awaitable[list[str]]]
+
 # Tables of strings: a robot loads only the lines that it has.
 KINDS = MappingProxyType(
     {
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
         ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("can", "asyncio"): "motord_hal.can.line:CanLine",
+        ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
+        ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }
 )
+
+HALTS = MappingProxyType(
+    {
+        "modbus-rtu": "motord_hal.rt_engine.halt:halt_line",
+        "ddsm": "motord_hal.rt_engine.halt:halt_line",
+        "modbus-tcp": "motord_hal.modbus.halt:halt_line",
+        "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
+    }
+)
+"""By kind: what stops the drives of a line that no daemon runs."""
 
 
 def engine_of(spec: LineSpec) -> str:
@@ -43,3 +59,14 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
         raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {kinds}')
     module, _, name = place.partition(":")
     return cast("Line", getattr(import_module(module), name)(spec, exchange, listener))
+
+
+async def halt_line(spec: LineSpec) -> list[str]:
+    """Quick stop, then power off, on every drive of a line that nobody runs. Returns what was not
+    acknowledged, in words. Raises HalError where the line cannot be had at all."""
+    place = HALTS.get(spec.kind)
+    if place is None:
+        raise HalError(f"{spec.name}: lines of kind {spec.kind} cannot be stopped from outside")
+    module, _, name = place.partition(":")
+    halt = cast("Halt", getattr(import_module(module), name))
+    return await halt(spec)

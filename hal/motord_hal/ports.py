@@ -10,7 +10,7 @@ cancelled.
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -78,6 +78,29 @@ class Echo(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TextWheel:
+    """Where a wheel is: for boards that want the base's speed and turn rate."""
+
+    side: float
+    """-1 left, 1 right."""
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextSpec:
+    """Templates of a line of text: docs/mcu/line-ascii.md."""
+
+    setpoints: str
+    feedback: str = ""
+    """Empty: the board says nothing."""
+    scale: float = 1.0
+    """The number of a joint is its set-point (motor rad/s, or duty of 1) times this."""
+    wheels: Mapping[str, TextWheel]
+    """By joint name."""
+    track_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LineSpec:
     """One medium and the joints on it. `index` is the line's place in the exchange."""
 
@@ -85,10 +108,12 @@ class LineSpec:
     name: str
     kind: str
     """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
-    gateway."""
+    gateway; "can"; "mcu" and "ascii" for a board alone on a port."""
     port: str
-    """A device file, "usb:SERIAL" for the adapter with that serial number, or HOST:PORT."""
+    """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or of a CAN
+    bus INTERFACE:CHANNEL."""
     baudrate: int
+    """Bits a second, of a CAN bus too."""
     parity: str
     """"none" | "even" | "odd"."""
     stop_bits: int
@@ -98,6 +123,8 @@ class LineSpec:
     """Silent interval between frames; None: by `gap`."""
     engine: str
     """"asyncio" | "rt" | "auto": rt where the line has a serial port, else asyncio."""
+    data_baudrate: int | None = None
+    """Of the data of CAN FD frames; None: a bus of classic frames."""
     gap: Gap | None = None
     """Rule for the silent interval; None: what the most demanding drive of the line needs."""
     direction: DirectionSpec = DirectionSpec()
@@ -107,6 +134,8 @@ class LineSpec:
     cpu: tuple[int, ...] = ()
     """CPUs of the line's thread (rt engine); none: all."""
     joints: tuple[JointSpec, ...]
+    text: TextSpec | None = None
+    """Of the kind "ascii"."""
     watchdog_s: float
     """Wanted communication watchdog of the drives, written and read back where the profile has
     one."""

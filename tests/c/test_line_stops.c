@@ -1,133 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Stops on a line where somebody is missing, on a wire of virtual time: who is told, when, and who is believed. */
-#include <string.h>
-
-#include "check.h"
-#include "line_machine.h"
-
-enum { WRITE = 6, READ = 3, SPEED = 0x10, STATUS = 0x20, CONTROL = 0x30, RELEASE = 0x31, QUICK_STOP = 5, DISABLE = 7 };
-
-static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
-
-/* A wire with its drives; `dead` has a bit for each that never answers. */
-typedef struct {
-    line_table table;
-    line_machine machine;
-    line_output out;
-    int64_t now_ns;
-    int64_t start_ns;
-    uint32_t dead;
-    bool echoes;
-    uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
-    uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not */
-    uint8_t bytes[2 * FRAME_BYTES_MAX];
-    uint32_t count;
-} wire;
-
-static wire w;
-
-static line_frame frame_of(uint8_t unit, uint8_t function, uint8_t address, uint8_t value)
-{
-    line_frame frame = {.request_bytes = 8, .request_seal = SEAL_CRC16, .reply_seal = SEAL_CRC16, .has_exceptions = 1,
-                        .request = {unit, function, 0, address, 0, value}};
-    rtu_seal(frame.request, 8, SEAL_CRC16);
-    if (function == WRITE) {
-        frame.reply_bytes = 8;
-        frame.echo_bytes = 6;
-    } else {
-        frame.reply_bytes = 7;
-        frame.match_bytes = 3;
-        memcpy(frame.match, (const uint8_t[]){unit, READ, 2}, 3);
-    }
-    return frame;
-}
-
-static line_drive drive_of(uint32_t joint)
-{
-    uint8_t unit = (uint8_t)(joint + 1);
-    line_drive drive = {.tries = 3, .extra_every = 4, .period_ns = 20 * MS, .turnaround_ns = 5 * MS,
-                        .watchdog_ns = 500 * MS, .cyclic_count = 2, .quick_stop_count = 1, .disarm_count = 2, .probe = 2};
-    drive.cyclic[0].frame = frame_of(unit, WRITE, SPEED, 0);
-    drive.cyclic[0].setpoint_count = 1;
-    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint, .byte = 4, .form = FORM_I16, .raw_per_si = 100.0,
-                                                  .raw_min = -1000.0, .raw_max = 1000.0};
-    drive.cyclic[1].frame = frame_of(unit, READ, STATUS, 1);
-    drive.quick_stop[0] = frame_of(unit, WRITE, CONTROL, QUICK_STOP);
-    drive.disarm[0] = frame_of(unit, WRITE, CONTROL, DISABLE);
-    drive.disarm[1] = frame_of(unit, WRITE, RELEASE, 0);
-    return drive;
-}
-
-static void begin_with(uint32_t drives, uint32_t echo)
-{
-    memset(&w, 0, sizeof w);
-    w.now_ns = w.start_ns = 1000 * MS;
-    w.echoes = echo != 0;
-    w.table = (line_table){.drive_count = drives, .echo = echo, .character_ns = (double)CHARACTER_NS,
-                           .gap_ns = GAP_NS, .setpoint_timeout_ns = 100 * MS};
-    for (uint32_t i = 0; i < drives; i++) {
-        w.table.drive[i] = drive_of(i);
-    }
-    CHECK(line_machine_init(&w.machine, &w.table, w.now_ns) == 0);
-}
-
-static void answer_on_the_wire(const uint8_t *request)
-{
-    uint32_t number = request[0] - 1U;
-    w.now_ns += 8 * CHARACTER_NS;
-    if (w.echoes) {
-        memcpy(w.bytes, request, 8);
-        w.count = 8;
-    }
-    bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
-    w.told_off[number] += power_off;
-    if ((w.dead >> number & 1) != 0) {
-        return;
-    }
-    w.power_offs[number] += power_off;
-    uint8_t read_reply[7] = {request[0], READ, 2, 0, 9};
-    rtu_seal(read_reply, 7, SEAL_CRC16);
-    uint32_t length = request[1] == READ ? 7 : 8;
-    memcpy(w.bytes + w.count, request[1] == READ ? read_reply : request, length);
-    w.count += length;
-    w.now_ns += DEVICE_NS + length * CHARACTER_NS;
-}
-
-/* One look; the core's set-points are always new and want motion. */
-static void go_on(void)
-{
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
-    for (uint32_t i = 0; i < w.table.drive_count; i++) {
-        w.machine.newest.joint[i].velocity_rad_s = 1.0;
-    }
-    line_machine_step(&w.machine, w.now_ns, w.bytes, w.count, &w.out);
-    w.count = 0;
-    if (w.out.send != NULL) {
-        line_machine_sent(&w.machine, w.now_ns);
-        answer_on_the_wire(w.out.send);
-        if (w.count == 0) {
-            w.now_ns += (w.machine.until_ns - w.now_ns) / 2;   /* a look in the middle of the waiting */
-        }
-    } else {
-        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);   /* it never asks to be woken at once for nothing */
-        w.now_ns = w.out.wake_ns;
-    }
-}
-
-static void wish(uint32_t drive, uint32_t mode)
-{
-    w.machine.control.drive[drive].count++;
-    w.machine.control.drive[drive].mode = mode;
-}
-
-static void arm(uint32_t drive)
-{
-    wish(drive, DRIVE_READY);
-    go_on();
-    wish(drive, DRIVE_ARMED);
-    go_on();
-    CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
-}
+#include "line_wire.h"
 
 static int64_t shut_down(void)
 {
@@ -158,7 +31,7 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     arm(2);
     arm(3);
     CHECK(shut_down() <= 500 * MS);
-    CHECK(w.power_offs[2] == 2 && w.power_offs[3] == 2);
+    CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
 /* Whatever is under way when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
@@ -175,6 +48,38 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
         CHECK(shut_down() <= 520 * MS);
         CHECK(w.told_off[0] > 0);
     }
+}
+
+static void a_wheel_that_turns_is_stopped_before_it_loses_its_power(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    w.turning = 1;
+    while (w.machine.drive[0].count.cycles < 3) {
+        go_on();
+    }
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    while (w.now_ns < asked_ns + 100 * MS) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[0] > asked_ns && w.quick_stop_ns[0] < asked_ns + 20 * MS);
+    CHECK(w.quick_stop_ns[1] == 0);
+    CHECK(w.power_off_ns[0] == 0 && w.power_off_ns[1] == 0);
+    w.turning = 0;
+    (void)shut_down();
+    CHECK(w.power_off_ns[0] > asked_ns + 100 * MS && w.power_off_ns[0] < asked_ns + 150 * MS);
+    CHECK(w.power_offs[1] == 2);
+}
+
+static void a_wheel_that_does_not_stop_loses_its_power_in_time(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.turning = 1;
+    int64_t asked_ns = w.now_ns;
+    (void)shut_down();
+    CHECK(w.power_off_ns[0] >= asked_ns + 350 * MS && w.power_off_ns[0] < asked_ns + 400 * MS);
 }
 
 static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
@@ -207,6 +112,8 @@ int main(void)
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
     a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();
+    a_wheel_that_turns_is_stopped_before_it_loses_its_power();
+    a_wheel_that_does_not_stop_loses_its_power_in_time();
     the_echo_of_a_stop_does_not_bring_a_dead_drive_back();
     return checks_report("line stops");
 }

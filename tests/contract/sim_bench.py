@@ -2,6 +2,7 @@
 """A simulated robot whose clock the test turns by hand, and a raw master on its pty."""
 
 import contextlib
+import functools
 import os
 import select
 import threading
@@ -9,6 +10,7 @@ import threading
 from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.sim.can_port import free_address
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
@@ -17,6 +19,7 @@ ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
 CHARACTER_S = 10 / 115200
 WATCHDOG_S = 0.5
+KINDS = {"modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "mcu-frame": "mcu"}
 GEAR = 2.0
 
 
@@ -44,18 +47,24 @@ def joints_of(profile, gear_ratio=1.0):
     )
 
 
+@functools.cache
+def can_address(folder):
+    """A bus of its own for each folder."""
+    return free_address()
+
+
 def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
     return LineSpec(
         index=0,
         name="bus",
-        kind="ddsm" if profile.protocol == "ddsm" else "modbus-rtu",
+        kind=KINDS[profile.protocol],
         port=str(port),
         baudrate=profile.baudrate,
         parity=profile.parity,
         stop_bits=profile.stop_bits,
         cycle_hz=cycle_hz,
         gap_s=None,
-        engine="rt" if profile.protocol == "ddsm" else "asyncio",  # which speaks Modbus only
+        engine="rt" if profile.protocol == "ddsm" else "asyncio",
         priority=0,
         joints=joints_of(profile, gear_ratio),
         watchdog_s=watchdog_s,
@@ -65,6 +74,8 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
 def rig_of(profile, folder, *, gear_ratio=1.0, **options):
     wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
     line = line_of(profile, gear_ratio=gear_ratio)
+    if profile.can is not None:
+        options["can"] = can_address(folder)
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
     return Rig(spec, link_dir=folder)
 
@@ -87,7 +98,8 @@ def simulated(profile, folder, **options):
 
 def spec_of(profile, folder):
     """The line that drives what `simulated` simulates."""
-    return line_of(profile, folder / "bus", cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
+    port = can_address(folder) if profile.can is not None else folder / "bus"
+    return line_of(profile, port, cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:

@@ -312,6 +312,15 @@ async def test_a_drive_that_loses_single_replies_stays(rig, peer):
     assert EventKind.DRIVE_QUIET not in rig.kinds()
 
 
+@pytest.mark.parametrize("peer", ENGINES, indirect=True)
+async def test_a_quiet_drive_whose_bytes_are_no_frames_hints_at_baud_rate_and_parity(rig, peer):
+    await rig.ready()
+    peer.tricks.extend(3 * [lambda request, honest: [(0.0, b"\xfe\x00\xf8\x80")]])
+    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+    said = next(event.text for event in rig.events if event.kind is EventKind.DRIVE_QUIET)
+    assert "baud rate or parity?" in said
+
+
 async def test_a_drive_that_refuses_its_configuration_is_said_once(peer):
     peer.units[1].refuses.add(MODE)
     async with running(spec_of(peer, hub_servo())) as rig:

@@ -130,6 +130,21 @@ def test_a_drive_without_a_watchdog_may_be_given_one(tmp_path):
     assert rests == [False, True]
 
 
+def test_a_set_point_that_counts_only_with_others_is_obeyed_when_all_came_in_one_request(tmp_path):
+    with Bench(tmp_path, "cs2rs") as bench:
+        bench.run_steps(bench.profile.configure)
+        arm(bench)
+        for address, words in ((0x6203, (60,)), (0x6203, (60, 50, 50, 0, 0)), (0x6207, (0x10,))):
+            request = Request(1, Function.WRITE_MULTIPLE, address, values=words)
+            assert bench.ask(request).exception == 0
+        bench.go_on(0.2)
+        assert bench.wheel().velocity_rad_s == 0.0
+        request = Request(1, Function.WRITE_MULTIPLE, 0x6203, values=(60, 50, 50, 0, 0x10))
+        assert bench.ask(request).exception == 0
+        bench.go_on(1.0)
+        assert bench.wheel().velocity_rad_s == pytest.approx(60 * RPM, abs=0.1)
+
+
 def test_a_direction_register_says_which_way(tmp_path):
     with Bench(tmp_path, "bld-305s") as bench:
         bench.run_steps(bench.profile.configure)

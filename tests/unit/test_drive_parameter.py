@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import Register, RegisterType
-from motord_hal.modbus.parameter import kept_back, limits, raw_to_write, readable
+from motord_hal.modbus.parameter import kept_back, raw_to_write, readable
 
 GAIN = Register(
     name="gain", address=0x3000, type=RegisterType.U16, scale=0.5, unit="rpm", access="rw",
@@ -42,7 +42,7 @@ def test_what_is_not_there_or_only_read_is_not_written():
 
 @given(st.one_of(st.floats(), st.floats(0, 60)))
 def test_a_value_goes_out_within_its_limits_or_not_at_all(value):
-    low, high = limits(GAIN)
+    low, high = GAIN.si_limits
     assert (low, high) == pytest.approx((10 * RPM, 500 * RPM))
     if low <= value <= high:
         raw = raw_to_write(PROFILE, "gain", value)

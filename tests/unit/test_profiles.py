@@ -47,6 +47,25 @@ def test_the_three_drives_to_start_with_are_there():
     assert {"duty-register", "zlac8015d", "bld-305s"} <= set(SHIPPED)
 
 
+CS2RS = (config_dir() / "drives" / "cs2rs.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pause = 0\n", "", "must lie side by side"),
+        ("write_function = 16", "write_function = 6", "needs write_function = 16"),
+        ("max_registers = 16", "max_registers = 4", "max_registers = 5 or more"),
+        ("pause = 0\n", "pauze = 0\n", "pauze"),
+        ("pause = 0\n", 'pause = "no"\n', "setpoint_with.pause"),
+    ],
+)
+def test_what_goes_with_a_set_point_must_fit_into_its_request(tmp_path, old, new, said):
+    assert CS2RS.count(old) >= 1
+    before, behind = CS2RS.rsplit(old, 1)
+    assert said in "\n".join(problems(tmp_path, before + new + behind, "cs2rs"))
+
+
 def test_a_misspelt_name_gets_a_suggestion():
     with pytest.raises(ProfileError, match='did you mean "zlac8015d"'):
         find_profile("zlac8015")

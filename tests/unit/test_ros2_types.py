@@ -42,6 +42,7 @@ def test_a_definition_is_read_by_another_parser_as_the_same_type(name):
         assert store.hash_rihs01(name) == type_hash(name)
 
 
-@pytest.mark.parametrize("topic", TOPICS.values(), ids=str)
+@pytest.mark.parametrize("topic", TOPICS)
 def test_a_published_message_has_the_fields_of_its_type_in_their_order(topic):
-    assert list(topic.message.__dataclass_fields__) == [f.name for f in TYPES[topic.type_name]]
+    fields = TOPICS[topic].message.__dataclass_fields__
+    assert list(fields) == [field.name for field in TYPES[TOPICS[topic].type_name]]

@@ -20,6 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("motord.cli.talk:drive", "Drive at V m/s and W rad/s."),
     "stop": ("motord.cli.talk:stop", "Come to rest, stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; stays until reset."),
+    "stop-all": ("motord.cli.stop_all:stop_all", "After a crash: tell every drive to stop."),
     "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop; stays disarmed."),
     "params": ("motord.cli.talk:params", "List, get and set limits of the running robot."),
     "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),

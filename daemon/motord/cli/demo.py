@@ -49,9 +49,7 @@ def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path)
     try:
-        result = run_demo(
-            path, loaded.robot.name, list(loaded.line), seconds, progress, stay_up if stay else None
-        )
+        result = run_demo(path, loaded.robot.name, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:
         progress("")
         raise Failure(str(error)) from error

@@ -135,7 +135,7 @@ def _show(name: str, as_json: bool) -> None:
     for number, channel in profile.channels.items():
         click.echo(f"\nchannel {number}")
         for key, value in asdict(channel).items():
-            if value is not None:
+            if value not in (None, ()):
                 click.echo(f"  {key:17} {_entry(value)}")
     click.echo("\nregisters")
     for register in profile.registers.values():
@@ -150,6 +150,8 @@ def _show(name: str, as_json: bool) -> None:
 def _entry(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {part}" for key, part in value.items())
+    if isinstance(value, tuple):
+        return ", ".join(f"{name} = {raw}" for name, raw in value)
     return str(value)
 
 

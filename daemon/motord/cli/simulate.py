@@ -27,8 +27,7 @@ from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
-from motord_hal.sim.line import SimulatedLine
-from motord_hal.sim.rig import TCP_KINDS, PortSpec, Rig, RigSpec, WheelSpec
+from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import SPIN_S, run, set_pace
 
 SEED_MAX = 1 << 32
@@ -82,6 +81,12 @@ class _AddressType(click.ParamType[_Address]):
     help="Each line's RTU frames through a TCP connection, on this port, the next, ...",
 )
 @click.option(
+    "--can",
+    metavar="INTERFACE:CHANNEL",
+    default="",
+    help="The bus that CAN lines are on, as socketcan:vcan0; UDP datagrams of their own otherwise.",
+)
+@click.option(
     "--units",
     type=click.IntRange(0, UNIT_MAX),
     default=0,
@@ -118,6 +123,7 @@ def simulate(
     seed: int | None,
     tcp: _Address | None,
     rtu_over_tcp: _Address | None,
+    can: str,
     units: int,
     tagged: bool,
     priority: int,
@@ -128,8 +134,8 @@ def simulate(
 ) -> None:
     """Be the drives of a robot, with motors, wheels and ground, on ports of their own.
 
-    Says where the ports are (with --json: one object, robot, ports, control, seed) and runs until
-    SIGINT or SIGTERM. Faults are described in docs/simulator.md.
+    Says where the ports are (with --json: one object, robot, ports, settings, control, seed) and
+    runs until SIGINT or SIGTERM. Faults are described in docs/simulator.md.
 
     \b
     Example: motord simulate robot.toml --link-dir /tmp/robot
@@ -150,6 +156,7 @@ def simulate(
     spec = dataclasses.replace(
         rig_spec(robot, faults, secrets.randbelow(SEED_MAX) if seed is None else seed),
         ports=_ports(robot, tcp or rtu_over_tcp, raw=rtu_over_tcp is not None),
+        can=can,
         units=units,
         tagged=tagged,
     )
@@ -222,21 +229,26 @@ def _say_faults(*, as_json: bool) -> None:
 
 def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:
     ports, control, seed = rig.ports(), str(rig.server.path), rig.script.seed
+    settings = [setting for line in rig.lines.values() for setting in _settings(line)]
     if as_json:
-        print_json({"robot": rig.spec.robot, "ports": ports, "control": control, "seed": seed})
+        where = {"robot": rig.spec.robot, "ports": ports, "settings": settings}
+        print_json({**where, "control": control, "seed": seed})
         return
     click.echo(f"{rig.spec.robot} is here: seed {seed}, control socket {control}")
     for name, port in ports.items():
         click.echo(f"  line {name}: {port}")
-    settings = " ".join(_setting(line) for line in rig.lines.values())
-    click.echo(f"Drive it from another terminal: motord run {robot_file} {settings}")
+    options = " ".join(f"--set {setting}" for setting in settings)
+    click.echo(f"Drive it from another terminal: motord run {robot_file} {options}")
     click.echo("Ctrl-C ends it.")
 
 
-def _setting(line: SimulatedLine) -> str:
+def _settings(line: AnySimulatedLine) -> tuple[str, ...]:
     """What makes a robot file find the line here."""
     name, address = line.spec.name, line.port.address
+    if line.spec.kind == "can":
+        interface, _, channel = address.partition(":")
+        return f"line.{name}.interface={interface}", f"line.{name}.channel={channel}"
     if line.spec.kind not in TCP_KINDS:
-        return f"--set line.{name}.port={address}"
+        return (f"line.{name}.port={address}",)
     host, _, port = address.rpartition(":")
-    return f"--set line.{name}.host={host} --set line.{name}.tcp_port={port}"
+    return f"line.{name}.host={host}", f"line.{name}.tcp_port={port}"

@@ -8,14 +8,19 @@ from collections.abc import Callable, Iterator
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    JoystickInput,
     MqttBroker,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Node,
     RosbridgeInput,
     RosbridgeServer,
 )
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
+
+LEASE_COMMANDS = 2
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -87,10 +92,55 @@ def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding
         yield Finding(((*path, key),), "cert_file and key_file go together")
 
 
+def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if (
+            isinstance(section, JoystickInput)
+            and section.lease_s * section.rate_hz < LEASE_COMMANDS
+        ):
+            text = f"a lease holds fewer than {LEASE_COMMANDS} commands: a late one stops the robot"
+            paths = (("input", name, "lease_s"), ("input", name, "rate_hz"))
+            yield Finding(paths, text)
+
+
+def _ros2_nodes(robot: Robot) -> Iterator[tuple[Path, Ros2Node]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, Ros2Node):
+                yield (table, name), section
+
+
+def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
+    for path, section in _ros2_nodes(robot):
+        if (
+            isinstance(section, Ros2Input)
+            and section.discovery != "localhost"
+            and not section.trust_network
+        ):
+            text = "all of the domain could move the robot; if that is meant: trust_network = true"
+            yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
+
+
+def _ros2_domains(robot: Robot) -> Iterator[Finding]:
+    domains: dict[int, tuple[Path, Ros2Node]] = {}
+    for path, section in _ros2_nodes(robot):
+        if section.interface is not None and section.discovery == "localhost":
+            text = 'is of no use without discovery = "subnet"'
+            yield Finding(((*path, "interface"), (*path, "discovery")), text)
+        before, first = domains.setdefault(section.domain_id, (path, section))
+        for key in ("discovery", "interface"):
+            if getattr(section, key) != getattr(first, key):
+                text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
+                yield Finding(((*path, key), (*before, key)), text)
+
+
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
     _mqtt_credentials,
     _rates_of_published_topics,
     _one_port_a_server,
     _certificates,
+    _joystick_lives_long_enough,
+    _ros2_commands_are_meant,
+    _ros2_domains,
 )

@@ -7,6 +7,7 @@ import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
+from motord.config.can_rules import CAN_RULES
 from motord.config.finding import Finding
 from motord.config.model import Joint, Robot
 from motord.config.toml_lines import Path
@@ -20,8 +21,11 @@ from motord.config.wheels import (
 )
 from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
+from motord_hal.modbus.codec import UNIT_MAX
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
+_SPEAKS = {"ddsm": "ddsm", "can": "can", "mcu": "mcu-frame"}
+"""The protocol of a line's kind; all others carry Modbus."""
 
 
 def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -45,9 +49,19 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
-        if (kind == "ddsm") != (protocol == "ddsm"):
+        if _SPEAKS.get(kind, "modbus-rtu") != protocol:
             text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
             yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
+
+
+def _address(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        table = profiles[joint.drive].can
+        low, high = (table.node_min, table.node_max) if table else (1, UNIT_MAX)
+        if not low <= joint.unit <= high:
+            path = ("joint", name, "unit")
+            text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
+            yield Finding((path, ("joint", name, "drive")), text)
 
 
 def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
@@ -164,19 +178,21 @@ def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         ours = (line.baudrate, line.parity, line.stop_bits)
         if factory != ours and (joint.line, joint.drive) not in seen:
             seen.add((joint.line, joint.drive))
-            words = "{} baud, parity {}, {} stop bit(s)"
+            on_can = profile.can is not None
+            words = "{} bit/s" if on_can else "{} baud, parity {}, {} stop bit(s)"
             text = (
                 f'drive "{joint.drive}" leaves the factory with {words.format(*factory)}; this '
                 f"line has {words.format(*ours)}: has the drive been set up so?"
             )
-            paths = (("line", joint.line, "baudrate"), ("joint", name, "drive"))
+            key = "bitrate" if on_can else "baudrate"
+            paths = (("line", joint.line, key), ("joint", name, "drive"))
             yield Finding(paths, text, warning=True)
 
 
 def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     safety = robot.safety
     for spec in line_specs(robot, profiles):
-        if not spec.joints:
+        if not spec.joints or spec.kind == "can":
             continue
         path = ("line", spec.name, "cycle_hz")
         most_hz = cycle_limit_hz(spec)
@@ -194,7 +210,7 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Rates that somebody asked for and the wire cannot carry are an error, defaults are not."""
     for spec in line_specs(robot, profiles):
-        if not spec.joints:
+        if not spec.joints or spec.kind == "can":
             continue
         need = budget(spec)
         if need.share <= 1 + _ROUNDING:
@@ -240,6 +256,7 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _one_joint_a_channel,
     _protocol,
+    _address,
     _mounting,
     _velocity,
     _duty,
@@ -250,4 +267,5 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _times,
     _budget,
     _watchdogs,
+    *CAN_RULES,
 )

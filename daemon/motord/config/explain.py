@@ -20,8 +20,8 @@ from motord.config.toml_lines import Path
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
     ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
-    ("input", "*", "kind"): frozenset({"ros2", "zenoh", "joystick"}),
-    ("publish", "*", "kind"): frozenset({"ros2", "zenoh", "foxglove"}),
+    ("input", "*", "kind"): frozenset({"zenoh"}),
+    ("publish", "*", "kind"): frozenset({"zenoh", "foxglove"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),

@@ -7,16 +7,30 @@ import itertools
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
-from motord.config.line_sections import DdsmLine, GatewayLine, SerialLine
+from motord.config.line_sections import (
+    AnyLine,
+    CanLine,
+    DdsmLine,
+    GatewayLine,
+    McuLine,
+    PortLine,
+    SerialLine,
+)
 from motord.config.model import Robot
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
         if first.address == second.address:
-            key = "tcp_port" if isinstance(second, GatewayLine) else "port"
+            key = _port_key(second)
             paths = (("line", other, key), ("line", one, key))
             yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _port_key(line: AnyLine) -> str:
+    if isinstance(line, CanLine):
+        return "channel"
+    return "tcp_port" if isinstance(line, GatewayLine) else "port"
 
 
 def _engine(robot: Robot) -> Iterator[Finding]:
@@ -25,8 +39,18 @@ def _engine(robot: Robot) -> Iterator[Finding]:
         if isinstance(line, GatewayLine) and line.engine == "rt":
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
+        elif isinstance(line, CanLine | PortLine) and line.engine == "rt":
+            yield Finding(at, f'kind "{line.kind}" runs on "asyncio"')
         elif isinstance(line, DdsmLine) and line.engine == "asyncio":
             yield Finding(at, 'kind "ddsm" runs on "rt" only')
+
+
+def _one_board(robot: Robot) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        alone = isinstance(robot.line.get(first.line), McuLine)
+        if alone and first.line == second.line and first.unit != second.unit:
+            text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
+            yield Finding((("joint", other, "unit"), ("joint", one, "unit")), text)
 
 
 def _gap(robot: Robot) -> Iterator[Finding]:
@@ -68,6 +92,7 @@ def _priority(robot: Robot) -> Iterator[Finding]:
 LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_line,
     _engine,
+    _one_board,
     _gap,
     _direction,
     _priority,

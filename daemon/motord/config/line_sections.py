@@ -108,5 +108,67 @@ class RtuOverTcpLine(GatewayLine):
     kind: Literal["rtu-over-tcp"]
 
 
-AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine
+class CanLine(Section):
+    """One CAN bus."""
+
+    kind: Literal["can"]
+    interface: str = Field(default="socketcan", pattern=r"^[a-z][a-z0-9_]*$")
+    """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ..."""
+    channel: str = Field(min_length=1)
+    """Which one: network interface (can0), serial port (/dev/ttyACM0), or GROUP:PORT of UDP."""
+    bitrate: int = number(
+        "bits a second; on socketcan as the interface was set up", 10_000, 1_000_000, "1/s", 500_000
+    )
+    data_bitrate: int | None = number(
+        "bits a second of the data of CAN FD frames; none: classic frames only",
+        10_000,
+        8_000_000,
+        "1/s",
+        None,
+    )
+    engine: Literal["auto", "asyncio", "rt"] = "auto"
+    """Who does the cyclic exchange."""
+    cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
+
+    @property
+    def address(self) -> str:
+        """INTERFACE:CHANNEL."""
+        return f"{self.interface}:{self.channel}"
+
+    @property
+    def baudrate(self) -> int:
+        """The bit rate, by the name that it has on other lines."""
+        return self.bitrate
+
+    @property
+    def parity(self) -> Literal["none"]:
+        """A CAN bus has none."""
+        return "none"
+
+    @property
+    def stop_bits(self) -> int:
+        """As other lines have at least."""
+        return 1
+
+
+class PortLine(Line):
+    """One device alone on a serial port of this machine, without a transceiver to turn."""
+
+    port: str = Field(min_length=1)
+    """Device file (/dev/serial/by-id/... names the same board after every start), or usb:SERIAL
+    for the board with that serial number."""
+
+    @property
+    def address(self) -> str:
+        """Where it is plugged in."""
+        return self.port
+
+
+class McuLine(PortLine):
+    """A board of one's own (ESP32, Arduino, Pico) that speaks motord's frames."""
+
+    kind: Literal["mcu"]
+
+
+AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine | McuLine
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

@@ -17,12 +17,15 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    JoystickInput,
     McapPublish,
     MqttInput,
     MqttPublish,
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Publish,
     RosbridgeInput,
     RosbridgePublish,
     StdoutPublish,
@@ -205,7 +208,7 @@ class Joint(Section):
     """Name of the line that it is connected to."""
     drive: str
     """Name of its drive profile (motord drives), or a profile's path with a slash in it."""
-    unit: int = number("Modbus address of its drive", 1, 247, "1")
+    unit: int = number("Modbus address, or node on the CAN bus, of its drive", 0, 255, "1")
     channel: int = number("which motor of the drive", 1, 8, "1", 1)
     side: Literal["left", "right"]
     gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
@@ -277,7 +280,7 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
@@ -285,6 +288,7 @@ AnyPublish = (
     | RosbridgePublish
     | McapPublish
     | PrometheusPublish
+    | Ros2Publish
     | OtherPublish
 )
 

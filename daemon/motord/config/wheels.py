@@ -38,10 +38,7 @@ def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
     setpoint = _setpoint(joint, profile)
     if takes_duty(joint, profile):
         return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
-    top = setpoint.raw_range[1] * setpoint.scale
-    if setpoint.maximum is not None:
-        top = min(top, setpoint.maximum)
-    return setpoint.to_si(1) / setpoint.scale * top / joint.gear_ratio
+    return setpoint.si_limits[1] / joint.gear_ratio
 
 
 def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, float]:
@@ -65,4 +62,4 @@ def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
 
 def _setpoint(joint: Joint, profile: DriveProfile) -> Register:
     channel = profile.channels[joint.channel]
-    return profile.registers[channel.velocity_setpoint or channel.duty_setpoint or ""]
+    return profile.registers[channel.setpoint]

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from motord_hal.drives.profile import Gap
+from motord_hal.mcu.frames import wire_bytes
+from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
@@ -16,6 +18,8 @@ from motord_hal.rt_engine.ddsm_frames import DdsmFrames
 _ASK_BYTES = 8 + 7
 """One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
 _BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
+_STREAMS = ("mcu",)
+"""Kinds without anything acyclic, and without a gap between frames."""
 _WORTH_SAYING = 1.02
 
 
@@ -45,6 +49,8 @@ def budget(spec: LineSpec) -> Budget:
     drives = [(_cycle_time_s(spec, joints), _rate_hz(spec, joints)) for joints in _units(spec)]
     most_hz = max(rate_hz for _, rate_hz in drives)
     slot_s = _wire_time_s(spec, _ASK_BYTES) + 2 * line_gap_s(spec)
+    if spec.kind in _STREAMS:
+        slot_s = 0.0
     cyclic = sum(time_s * rate_hz for time_s, rate_hz in drives)
     return Budget(len(drives), most_hz, cyclic + slot_s * most_hz)
 
@@ -59,11 +65,11 @@ def helps(spec: LineSpec) -> Iterator[tuple[str, float]]:
 
 
 def _changes(spec: LineSpec) -> Iterator[tuple[str, LineSpec]]:
-    if spec.kind != "ddsm":
+    if spec.kind not in ("ddsm", *_STREAMS):
         joints = tuple(map(_with_read_write, spec.joints))
         yield "function 23 where the drives have it", replace(spec, joints=joints)
     short = replace(spec, gap=Gap.CHARACTERS, gap_s=None)
-    if line_gap_s(short) < line_gap_s(spec):
+    if spec.kind not in _STREAMS and line_gap_s(short) < line_gap_s(spec):
         yield 'gap = "3.5char"', short
     faster = [replace(spec, baudrate=rate) for rate in _BAUDRATES if rate > spec.baudrate]
     if faster:
@@ -94,6 +100,9 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
     def wire_time_s(size_bytes: int) -> float:
         return _wire_time_s(spec, size_bytes)
 
+    if spec.kind == "mcu":
+        motors = max(joints[0].profile.channels)
+        return wire_time_s(wire_bytes(motors)) / WIRE_SHARE_MAX
     kind = DdsmFrames if spec.kind == "ddsm" else DrivePlan
     return kind(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
 

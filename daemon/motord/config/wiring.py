@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motord.config.line_sections import AnyLine, SerialLine
+from motord.config.line_sections import AnyLine, CanLine, SerialLine
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
 from motord_hal.drives.profile import Gap
@@ -37,6 +37,7 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         cycle_hz=line.cycle_hz,
         gap_s=None,
         engine=line.engine,
+        data_baudrate=line.data_bitrate if isinstance(line, CanLine) else None,
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
 import signal
 import subprocess
@@ -133,7 +132,7 @@ def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
 
 
 @contextlib.contextmanager
-def staged(robot_file: Path, lines: list[str]) -> Iterator[Stage]:
+def staged(robot_file: Path) -> Iterator[Stage]:
     """Simulated drives and a daemon on them; both are gone afterwards, whatever happened."""
     with contextlib.ExitStack() as cleanup:
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motord-demo-")))
@@ -142,7 +141,7 @@ def staged(robot_file: Path, lines: list[str]) -> Iterator[Stage]:
         # a name of its own: a daemon of the same robot may be running on this machine
         name = f"{robot_file.stem}-{os.getpid()}-{next(_stages)}"
         settings = [f"--set=robot.name={name}"]
-        settings += [f"--set=line.{line}.port={json.dumps(str(folder / line))}" for line in lines]
+        settings += [f"--set={setting}" for setting in sim.settings]
         cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
@@ -195,13 +194,12 @@ def drive(stage: Stage, seconds: float, progress: Progress) -> list[tuple[float,
 def run_demo(
     robot_file: Path,
     robot: str,
-    lines: list[str],
     seconds: float,
     progress: Progress,
     stay: Callable[[Stage], None] | None = None,
 ) -> Result:
     """Drive the course once and measure; `stay` may then keep the stage up. Raises DemoError."""
-    with staged(robot_file, lines) as stage:
+    with staged(robot_file) as stage:
         progress("starting the drives")
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
         stage.sim.reset_truth()

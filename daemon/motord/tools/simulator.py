@@ -28,6 +28,8 @@ class Simulator:
         self.process = process
         self.robot: str = hello["robot"]
         self.ports: dict[str, str] = hello["ports"]
+        self.settings: list[str] = hello["settings"]
+        """KEY=VALUE: what makes the robot file find the lines here."""
         self.seed: int = hello["seed"]
         self.control_path: str = hello["control"]
         self.control = SimControl(self.control_path)

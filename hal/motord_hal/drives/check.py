@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord_hal.drives.can_check import check_can
 from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
-_SPEED_UNITS = ("rpm", "rad/s")
+_SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written
 _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
-    "position": (("count",), "r"),
+    "position": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
     "temperature": (("c",), "r"),
@@ -23,16 +24,21 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 
 # the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
 _UNSEALED = 0xA0
+_FRAMES = ("ddsm", "mcu-frame", "ascii")
+"""Protocols in which an address is a place in a frame, or (ascii) just a number."""
+# bytes of a board's payloads that the line itself fills and reads (motord_hal.mcu.frames)
+_BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
+_BOARD_BYTES = {"w": 6 + 6 * 8, "r": 16 + 10 * 8}
 
 
 def check_profile(profile: DriveProfile, problems: Problems) -> None:
     """Add a row for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
         problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
-    for register in profile.registers.values():
-        _check_register(profile, register, problems)
-    _check_overlaps(profile, problems)
-    _check_serial(profile, problems)
+    if profile.can is not None:
+        check_can(profile, profile.can, problems)
+    else:
+        _check_wire(profile, problems)
     for number, channel in profile.channels.items():
         _check_channel(profile, f"channel.{number}", channel, problems)
     _check_counter(profile, problems)
@@ -46,6 +52,14 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     _check_faults(profile, problems)
     if profile.bus_voltage is not None:
         _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
+
+
+def _check_wire(profile: DriveProfile, problems: Problems) -> None:
+    """What only a drive on a serial line has."""
+    for register in profile.registers.values():
+        _check_register(profile, register, problems)
+    _check_overlaps(profile, problems)
+    _check_serial(profile, problems)
 
 
 def _check_serial(profile: DriveProfile, problems: Problems) -> None:
@@ -68,7 +82,7 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
     low, high = register.raw_range
     if register.address + register.type.words > 0x10000:
         problems.add(f"{key}.address", "the second word lies beyond 0xFFFF")
-    if register.type.words > profile.max_registers:
+    if register.type.words > profile.max_registers and profile.protocol not in _FRAMES:
         problems.add(f"{key}.type", "is wider than serial.max_registers allows in one request")
     if register.scale == 0:
         problems.add(f"{key}.scale", "must not be zero")
@@ -85,7 +99,9 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         _check_mask(key, register, problems)
     if profile.protocol == "ddsm":
         _check_place(key, register, problems)
-    elif register.type.bits < 16:
+    elif profile.protocol == "mcu-frame":
+        _check_board_place(key, register, problems)
+    elif profile.protocol == "modbus-rtu" and register.type.bits < 16:
         problems.add(f"{key}.type", f"{register.type.value}: a Modbus register has 16 bits")
 
 
@@ -98,6 +114,15 @@ def _check_place(key: str, register: Register, problems: Problems) -> None:
     last = 10 if register.address >> 8 == _UNSEALED else 9
     if not first <= begin < end <= last:
         problems.add(f"{key}.address", f"byte {begin} is outside the content of the frame")
+
+
+def _check_board_place(key: str, register: Register, problems: Problems) -> None:
+    """A byte of the set-points, of the feedback, or of both (docs/mcu-frame.md)."""
+    place = set(range(register.address, register.address + register.type.bits // 8))
+    for way in register.access:
+        if place & _BOARD_OWN[way] or max(place) >= _BOARD_BYTES[way]:
+            problems.add(f"{key}.address", f"{register.address} is no place for a register")
+            return
 
 
 def _check_mask(key: str, register: Register, problems: Problems) -> None:
@@ -113,8 +138,8 @@ def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
         apart = one.address + _span(profile, one) <= other.address or (
             other.address + _span(profile, other) <= one.address
         )
-        if profile.protocol == "ddsm":  # what is sent and what comes back are two frames
-            apart = apart or one.access != other.access
+        if profile.protocol in _FRAMES:  # what is sent and what comes back are two frames
+            apart = apart or not set(one.access) & set(other.access)
         shared = one.mask is not None and other.mask is not None and not one.mask & other.mask
         if not apart and not shared:
             problems.add(
@@ -125,7 +150,7 @@ def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
 
 def _span(profile: DriveProfile, register: Register) -> int:
     """How many addresses it takes: bytes of a frame, or words."""
-    return register.type.bits // 8 if profile.protocol == "ddsm" else register.type.words
+    return register.type.bits // 8 if profile.protocol in _FRAMES else register.type.words
 
 
 def _reference(
@@ -165,6 +190,7 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
             setpoint = register
     if setpoint is not None:
         _check_setpoint(profile, key, setpoint, channel.direction, problems)
+        _check_together(profile, f"{key}.setpoint_with", setpoint, channel, problems)
     if channel.direction is not None:
         _check_direction(profile, f"{key}.direction", channel.direction, problems)
 
@@ -176,13 +202,32 @@ def _check_setpoint(
     direction: Direction | None,
     problems: Problems,
 ) -> None:
-    if register.type.words == 2 and profile.write_function == 6:
+    narrow = profile.write_function == 6 and profile.protocol == "modbus-rtu"
+    if register.type.words == 2 and narrow:
         problems.add(key, "a 32-bit set-point cannot be written with function 6")
     if direction is not None and register.type.signed:
         problems.add(f"{key}.direction", "the set-point is signed: it needs no direction")
     low, high = register.minimum, register.maximum
     if (low is not None and low > 0) or (high is not None and high < 0):
         problems.add(key, f'the set-point "{register.name}" cannot say zero')
+
+
+def _check_together(
+    profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
+) -> None:
+    """One request carries them all: the drive never obeys half of it."""
+    if not channel.setpoint_with:
+        return
+    words = set(range(setpoint.address, setpoint.address + setpoint.type.words))
+    for name, _ in channel.setpoint_with:
+        register = _reference(profile, f"{key}.{name}", name, "w", (), problems)
+        if register is None:
+            return
+        words |= set(range(register.address, register.address + register.type.words))
+    if max(words) - min(words) + 1 != len(words):
+        problems.add(key, "these registers and the set-point's must lie side by side")
+    if profile.write_function != 16 or len(words) > profile.max_registers:
+        problems.add(key, f"needs write_function = 16 and max_registers = {len(words)} or more")
 
 
 def _check_direction(

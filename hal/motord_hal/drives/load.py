@@ -12,7 +12,9 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from motord_hal.drives.can_load import NODE_MAX, read_signals, read_table
 from motord_hal.drives.check import check_profile
 from motord_hal.drives.profile import (
     SI_UNITS,
@@ -32,7 +34,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -92,35 +94,21 @@ def load_profile(path: Path) -> DriveProfile:
 
 def _profile(root: Table, path: Path) -> DriveProfile:
     root.integer("schema", SCHEMA, SCHEMA)
-    serial = root.table("serial")
     motor = root.table("motor", required=False)
     steps = root.table("steps")
-    registers = _registers(root.table("register"), motor.integer("pole_pairs", 0, 100, 0))
     protocol = root.text("protocol", choices=PROTOCOLS)
-    # where the protocol leaves no choice, the file need not say it
-    one, six = (None, None) if protocol == "modbus-rtu" else (1, 6)
+    pole_pairs = motor.integer("pole_pairs", 0, 100, 0)
+    on_can = protocol == "can"
+    wire = _on_can(root, pole_pairs) if on_can else _on_serial(root, protocol, pole_pairs)
     profile = DriveProfile(
         name=root.text("name"),
         title=root.text("title"),
         protocol=protocol,
         source=root.text("source"),
         path=path,
-        baudrate=serial.integer("baudrate", 300, 4_000_000),
-        parity=serial.text("parity", choices=("none", "even", "odd")),
-        stop_bits=serial.one_of("stop_bits", (1, 2)),
-        unit=serial.integer("unit", 1, 247),
-        turnaround_s=serial.number("turnaround_s", 1e-5, 1.0, unit="s"),
-        gap=Gap(serial.text("gap", "spec", choices=[rule.value for rule in Gap]) or "spec"),
-        gap_s=serial.number("gap_s", 1e-5, 0.1, unit="s") if "gap_s" in serial else None,
-        max_registers=serial.integer("max_registers", 1, 123, one),
-        write_function=serial.one_of("write_function", (6, 16), six),
-        read_write_function=(
-            serial.one_of("read_write_function", (23,)) if "read_write_function" in serial else None
-        ),
-        broadcast_stop=serial.flag("broadcast_stop", default=False),
+        **wire,
         counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
         counter_bits=motor.one_of("counter_bits", (0, 8, 15, 16, 24, 32), 0),
-        registers=registers,
         channels=_channels(root.table("channel")),
         configure=_steps(steps, "configure"),
         arm=_steps(steps, "arm"),
@@ -133,9 +121,53 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         faults=tuple(_fault(table) for table in root.tables("fault")),
         bus_voltage=root.text("bus_voltage") if "bus_voltage" in root else None,
     )
-    for table in (serial, motor, steps, root):
+    for table in (motor, steps, root):
         table.finish()
     return profile
+
+
+def _on_serial(root: Table, protocol: str, pole_pairs: int) -> dict[str, Any]:
+    """What the profile of a drive on a serial line says of the wire, and its registers."""
+    serial = root.table("serial")
+    # where the protocol leaves no choice, the file need not say it
+    one, six = (None, None) if protocol == "modbus-rtu" else (1, 6)
+    both = "read_write_function" in serial
+    wire = {
+        "registers": _registers(root.table("register"), pole_pairs),
+        "baudrate": serial.integer("baudrate", 300, 4_000_000),
+        "parity": serial.text("parity", choices=("none", "even", "odd")),
+        "stop_bits": serial.one_of("stop_bits", (1, 2)),
+        "unit": serial.integer("unit", 1, 247),
+        "turnaround_s": serial.number("turnaround_s", 1e-5, 1.0, unit="s"),
+        "gap": Gap(serial.text("gap", "spec", choices=[rule.value for rule in Gap]) or "spec"),
+        "gap_s": serial.number("gap_s", 1e-5, 0.1, unit="s") if "gap_s" in serial else None,
+        "max_registers": serial.integer("max_registers", 1, 123, one),
+        "write_function": serial.one_of("write_function", (6, 16), six),
+        "read_write_function": serial.one_of("read_write_function", (23,)) if both else None,
+        "broadcast_stop": serial.flag("broadcast_stop", default=False),
+    }
+    serial.finish()
+    return wire
+
+
+def _on_can(root: Table, pole_pairs: int) -> dict[str, Any]:
+    """The same of a drive on a CAN bus: its registers are signals."""
+    can = root.table("can")
+    table = read_table(can, root.table("frame"))
+    wire = {
+        "registers": read_signals(root.table("signal"), table.frames, pole_pairs),
+        "can": table,
+        "baudrate": can.integer("bitrate", 10_000, 1_000_000),
+        "parity": "none",
+        "stop_bits": 1,
+        "unit": can.integer("node", 0, NODE_MAX),
+        "turnaround_s": can.number("turnaround_s", 1e-5, 1.0, unit="s"),
+        "gap_s": None,
+        "max_registers": 1,
+        "write_function": 6,
+    }
+    can.finish()
+    return wire
 
 
 def _registers(parent: Table, pole_pairs: int) -> dict[str, Register]:
@@ -156,7 +188,8 @@ def _register(name: str, table: Table, pole_pairs: int) -> Register:
         name=name,
         address=table.integer("address", 0, 0xFFFF),
         type=RegisterType(
-            table.text("type", choices=[kind.value for kind in RegisterType]) or "u16"
+            table.text("type", choices=[t.value for t in RegisterType if t is not RegisterType.F32])
+            or "u16"
         ),
         scale=table.number("scale", -bound, bound, 1.0),
         unit=unit,
@@ -198,13 +231,21 @@ def _channels(parent: Table) -> dict[int, Channel]:
         table = parent.table(name)
         references = {key: table.text(key) if key in table else None for key in _CHANNEL_KEYS}
         direction = _direction(table.table("direction")) if "direction" in table else None
-        found[int(name)] = Channel(**references, direction=direction)
+        together = _together(table.table("setpoint_with", required=False))
+        found[int(name)] = Channel(**references, setpoint_with=together, direction=direction)
         table.finish()
     if sorted(found) != list(range(1, len(found) + 1)) or not found:
         parent.problems.add(
             parent.name, "channels are numbered 1, 2, ... and there is at least one"
         )
     return found
+
+
+def _together(table: Table) -> tuple[tuple[str, int], ...]:
+    """In the file's order."""
+    together = tuple((name, table.integer(name, -(1 << 15), (1 << 16) - 1)) for name in table)
+    table.finish()
+    return together
 
 
 def _direction(table: Table) -> Direction:

@@ -12,11 +12,16 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from motord_hal.drives.can_profile import CanTable
 
 
 class RegisterType(enum.StrEnum):
     """Width and sign. Words of 32-bit values come high word first unless the name says
-    otherwise. A Modbus register cannot have 8 bits; a place in a frame of another protocol can."""
+    otherwise. A Modbus register cannot have 8 bits, nor is it a floating-point number; a place in a
+    frame of another protocol can be both."""
 
     U8 = "u8"
     I8 = "i8"
@@ -26,6 +31,7 @@ class RegisterType(enum.StrEnum):
     I32 = "i32"
     U32_LOW_FIRST = "u32-low-first"
     I32_LOW_FIRST = "i32-low-first"
+    F32 = "f32"
 
     @property
     def bits(self) -> int:
@@ -37,7 +43,7 @@ class RegisterType(enum.StrEnum):
 
     @property
     def signed(self) -> bool:
-        return self.value.startswith("i")
+        return self.value.startswith(("i", "f"))
 
 
 # drive unit → (SI unit, SI per drive unit, SI at drive zero)
@@ -47,6 +53,8 @@ SI_UNITS = MappingProxyType(
         "count": ("count", 1.0, 0.0),
         "rpm": ("rad/s", 2.0 * math.pi / 60.0, 0.0),
         "rad/s": ("rad/s", 1.0, 0.0),
+        "turn": ("rad", 2.0 * math.pi, 0.0),
+        "turn/s": ("rad/s", 2.0 * math.pi, 0.0),
         "percent": ("1", 0.01, 0.0),
         "a": ("A", 1.0, 0.0),
         "v": ("V", 1.0, 0.0),
@@ -108,6 +116,17 @@ class Register:
         return value - (1 << bits) if self.type.signed and value >> (bits - 1) else value
 
     @property
+    def si_limits(self) -> tuple[float, float]:
+        """Least and largest value in SI: its type's, and its own where it has any."""
+        low, high = sorted(self.to_si(raw) for raw in self.raw_range)
+        per_unit = SI_UNITS[self.unit][1]
+        if self.minimum is not None:
+            low = max(low, self.minimum * per_unit)
+        if self.maximum is not None:
+            high = min(high, self.maximum * per_unit)
+        return low, high
+
+    @property
     def raw_range(self) -> tuple[int, int]:
         """Smallest and largest raw value of the type."""
         bits = self.type.bits
@@ -145,12 +164,26 @@ class Channel:
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
     """Exactly one of the two set-points is there."""
+    setpoint_with: tuple[tuple[str, int], ...] = ()
+    """(register, raw value) of what is written with each set-point, in one request: the drive obeys
+    the set-point when it gets them."""
     position: str | None = None
     velocity: str | None = None
     current: str | None = None
     temperature: str | None = None
     fault: str | None = None
     direction: Direction | None = None
+
+    @property
+    def setpoint(self) -> str:
+        """The set-point's register."""
+        return self.velocity_setpoint or self.duty_setpoint or ""
+
+    @property
+    def commands(self) -> frozenset[str]:
+        """All registers that say what the motor shall do."""
+        way = (self.direction.register,) if self.direction else ()
+        return frozenset({self.setpoint, *way, *dict(self.setpoint_with)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,6 +283,8 @@ class DriveProfile:
     """Why there is none, and what to do instead; empty where there is one."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
+    can: CanTable | None = None
+    """The frames of a drive on a CAN bus, whose registers are signals in them."""
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
         """What a fault word says. A bit or code that the profile does not list is a fault too."""

@@ -145,6 +145,20 @@ class Table:
             return choices[0]
         return value
 
+    def integers(self, key: str, low: int, high: int) -> list[int]:
+        """An array of whole numbers in low..high; missing is empty."""
+        value = self._take(key, required=False)
+        if value is None:
+            return []
+        good = isinstance(value, list) and all(
+            isinstance(one, int) and not isinstance(one, bool) and low <= one <= high
+            for one in value
+        )
+        if not isinstance(value, list) or not good:
+            self.complain(key, f"must be an array of whole numbers, each {low} to {high}")
+            return []
+        return value
+
     def flag(self, key: str, *, default: bool) -> bool:
         """true or false."""
         value = self._take(key, required=False)

@@ -231,9 +231,7 @@ class Drive:
 
     def arming(self) -> Job:
         """Zero in its set-point registers, its set-up still there, then the profile's own steps."""
-        zeros = self.plan.setpoints({}).items()
-        rest = (Step(register=register, value=raw) for register, raw in zeros)
-        return Job("arm", (*rest, *self._kept, *self.plan.profile.arm))
+        return Job("arm", (*self.plan.zero_steps(), *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
         while self.jobs:
@@ -340,7 +338,8 @@ class Drive:
         self.state = DriveState.QUIET
         if not self._said_quiet:
             self._said_quiet = True
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
+            why = "; ".join(filter(None, (str(error), self._link.client.quiet_hint())))
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
             self._probes = deque(self._probe_requests())
             self._probes_at_once = len(self._probes) - 1
         self.probe_at_s = now_s() + self._probe_pause_s()

@@ -29,7 +29,7 @@ from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerBase, FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from serial import SerialException
+from serial import Serial, SerialException
 
 from motord_hal.clock import now_s, sleep_until_s
 from motord_hal.errors import BadReply, NoReply, PortError, Refused
@@ -49,6 +49,7 @@ from motord_hal.modbus.codec import (
     silent_interval_s,
 )
 from motord_hal.ports import Echo
+from motord_hal.serial.counters import Witness
 from motord_hal.serial.sysfs import device_file
 
 SCHEDULING_ALLOWANCE_S = 0.02
@@ -167,6 +168,10 @@ class GuardedClient:
         self._sent_s = 0.0
         self._line_quiet_until_s = 0.0
         self._unit_quiet_until_s: dict[int, float] = {}
+        self._witness = Witness()
+        self._heard_bytes = 0
+        self._noise_bytes = 0
+        """Heard since the request; heard since opening without an answer among them."""
 
     def wire_time_s(self, size_bytes: int) -> float:
         return frame_time_s(size_bytes, *self._serial)
@@ -201,6 +206,8 @@ class GuardedClient:
         if not connected:
             raise PortError(f"{self.port} cannot be opened: {self._why()}")
         self._client = client
+        self._witness.forget()
+        self._noise_bytes = 0
         self._last_byte_s = now_s()
         self._unit_quiet_until_s.clear()
 
@@ -219,6 +226,7 @@ class GuardedClient:
 
     def _trace_packet(self, sending: bool, data: bytes) -> bytes:
         self._last_byte_s = now_s()
+        self._heard_bytes = 0 if sending else self._heard_bytes + len(data)
         if sending:
             self._sent_s = self._last_byte_s
             self._last_byte_s += self.wire_time_s(len(data))
@@ -318,6 +326,7 @@ class GuardedClient:
 
     def _leave_alone(self, request: Request, within_s: float) -> None:
         """After a failure or a cancellation: silence for one more reply time of this unit."""
+        self._noise_bytes += self._heard_bytes
         now = now_s()
         sent = self._sent_s + self.wire_time_s(len(build_request(request)))
         if request.unit == BROADCAST_UNIT:
@@ -340,12 +349,22 @@ class GuardedClient:
                 raise BadReply(f"{self.port} is never silent: another master, or noise")
             await sleep_until_s(free_s)
 
+    def quiet_hint(self) -> str:
+        """What the UART's driver has to say of a drive that is quiet; empty: nothing."""
+        port = self._serial_port()
+        return "" if port is None else self._witness.hint(port.fileno(), self._noise_bytes)
+
+    def _serial_port(self) -> Serial | None:
+        transport = self._client.ctx.transport if self._client else None
+        port: Serial | None = getattr(transport, "sync_serial", None)
+        return port if port is not None and port.is_open else None
+
     def _drain(self) -> None:
         """Throw away what nobody asked for, and note when it came. Raises PortError."""
-        transport = self._client.ctx.transport if self._client else None
-        port = getattr(transport, "sync_serial", None)
+        port = self._serial_port()
         if port is None:
             raise PortError(f"{self.port} is not open")
+        self._witness.look(port.fileno(), self._noise_bytes)
         try:
             if port.read(4096):
                 self._last_byte_s = now_s()

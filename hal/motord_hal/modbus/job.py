@@ -35,6 +35,11 @@ class Job:
         """The current step; None when all are done."""
         return self.steps[self._index] if self._index < len(self.steps) else None
 
+    @property
+    def steps_ahead(self) -> tuple[Step, ...]:
+        """From the current step on."""
+        return self.steps[self._index :]
+
     def advance(self) -> None:
         self._index += 1
         self.failures = 0
@@ -86,9 +91,7 @@ def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
     others = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
     commands = {step.register for steps in others for step in steps if step.value is not None}
     for channel in profile.channels.values():
-        commands |= {channel.velocity_setpoint or "", channel.duty_setpoint or ""}
-        if channel.direction is not None:
-            commands.add(channel.direction.register)
+        commands |= channel.commands
     waited = {step.register for step in profile.configure if step.value is None}
     last = {step.register: step for step in profile.configure if step.value is not None}
     return tuple(

@@ -23,9 +23,7 @@ def kept_back(profile: DriveProfile) -> frozenset[str]:
     """Registers that motord itself writes: set-points, directions, steps and the watchdog."""
     names = {profile.watchdog.register} if profile.watchdog else set()
     for channel in profile.channels.values():
-        names |= {name for name in (channel.velocity_setpoint, channel.duty_setpoint) if name}
-        if channel.direction is not None:
-            names.add(channel.direction.register)
+        names |= channel.commands
     for steps in (
         profile.configure,
         profile.arm,
@@ -45,7 +43,7 @@ def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
         raise ValueError(f"{profile.name}: {name} can only be read")
     if name in kept_back(profile):
         raise ValueError(f"{profile.name}: {name} is written by motord itself")
-    low, high = limits(register)
+    low, high = register.si_limits
     if not (math.isfinite(value) and low <= value <= high):
         unit = SI_UNITS[register.unit][0]
         raise ValueError(f"{name}: {value:g} is not within {low:g} to {high:g} {unit}".rstrip())
@@ -56,15 +54,3 @@ def write_steps(profile: DriveProfile, name: str, value: float) -> tuple[Step, S
     """Write a value in SI, and read it back. Raises as `raw_to_write`."""
     write = Step(register=name, value=raw_to_write(profile, name, value))
     return write, read_back(write)
-
-
-def limits(register: Register) -> tuple[float, float]:
-    """Least and largest value of a register in SI: its type's, and its own where it has any."""
-    by_type = sorted(register.to_si(raw) for raw in register.raw_range)
-    per_unit = SI_UNITS[register.unit][1]
-    low, high = by_type
-    if register.minimum is not None:
-        low = max(low, register.minimum * per_unit)
-    if register.maximum is not None:
-        high = min(high, register.maximum * per_unit)
-    return low, high

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from motord_hal.drives.profile import Channel, DriveProfile, Register
+from motord_hal.drives.profile import Channel, DriveProfile, Register, Step
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -205,7 +205,14 @@ class DrivePlan:
             if channel.direction is not None:
                 value = abs(value)
             raw[name] = self.profile.registers[name].from_si(value)
+            raw.update(channel.setpoint_with)
         return raw
+
+    def zero_steps(self) -> tuple[Step, ...]:
+        """Writes that leave zero in the set-point registers, one by one, and let the drive know."""
+        zeros = [Step(register=self.channel(joint).setpoint, value=0) for joint in self.joints]
+        obey = (pair for joint in self.joints for pair in self.channel(joint).setpoint_with)
+        return (*zeros, *(Step(register=name, value=raw, verify=False) for name, raw in obey))
 
     def directions(
         self, wanted: Mapping[int, tuple[float, float]], raw: Mapping[str, int]
@@ -216,7 +223,7 @@ class DrivePlan:
             channel = self.channel(joint)
             if channel.direction is None:
                 continue
-            name = channel.velocity_setpoint or channel.duty_setpoint or ""
+            name = channel.setpoint
             velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
             value = velocity_rad_s if channel.velocity_setpoint else duty
             forward = (value > 0) != joint.inverted

@@ -13,7 +13,7 @@ from motord_hal.ddsm.codec import (
     is_answered,
     pick,
 )
-from motord_hal.drives.profile import DriveProfile, Register
+from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, WireTime, wanted_registers
 from motord_hal.ports import JointSpec
 from motord_hal.rt_engine.frames import PlannedFrame
@@ -44,8 +44,8 @@ class DdsmFrames:
         rest = {command_of(register): None for register in slow}
         return tuple(self._planned(command, slow) for command in rest if command not in cyclic)
 
-    def setpoint_names(self) -> tuple[str, ...]:
-        return tuple(register.name for register in self._setpoints())
+    def zero_steps(self) -> tuple[Step, ...]:
+        return tuple(Step(register=register.name, value=0) for register in self._setpoints())
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
         """One frame a command; what is not named in it is 0, so that it moves nothing."""
@@ -77,8 +77,7 @@ class DdsmFrames:
     # -------------------------------------------------------------------------------- in detail
     def _setpoints(self) -> list[Register]:
         channels = (self.profile.channels[joint.channel] for joint in self.joints)
-        names = (channel.velocity_setpoint or channel.duty_setpoint or "" for channel in channels)
-        return [self.profile.registers[name] for name in names]
+        return [self.profile.registers[channel.setpoint] for channel in channels]
 
     def _planned(self, command: int, wanted: Iterable[Register]) -> PlannedFrame:
         return PlannedFrame(

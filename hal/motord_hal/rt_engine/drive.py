@@ -8,7 +8,7 @@ obeys where it is safe, and sequences of requests.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 
 from motord_hal.clock import NS_PER_S, now_ns
@@ -57,6 +57,7 @@ class RtDrive:
         thread: LineThread,
         news: News,
         say: Say,
+        hint: Callable[[], str],
     ) -> None:
         self.jobs = jobs
         self.frames = jobs.frames
@@ -67,6 +68,7 @@ class RtDrive:
         self._thread = thread
         self._news = news
         self._say = say
+        self._hint = hint
         self._report: DriveReport | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
@@ -125,7 +127,8 @@ class RtDrive:
     def _is_quiet(self, why: str) -> None:
         if not self._said_quiet:
             self._said_quiet = True
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+            said = "; ".join(filter(None, (why, self._hint())))
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {said}")
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
@@ -205,7 +208,6 @@ class RtDrive:
 
     def _arming_steps(self) -> tuple[Step, ...]:
         profile = self.frames.profile
-        zeros = (Step(register=name, value=0) for name in self.frames.setpoint_names())
         said = profile.enabled
         enabled: tuple[Step, ...] = ()
         if said is not None:
@@ -217,7 +219,7 @@ class RtDrive:
                     within_s=VERIFY_WITHIN_S,
                 ),
             )
-        return (*zeros, *kept_steps(self._setup), *profile.arm, *enabled)
+        return (*self.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
 
     async def go(self) -> None:
         """The second half: from now on it is told the core's set-points. Raises HalError."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.ports import JointSpec
 from motord_hal.rt_table import LineFrame
 
@@ -36,8 +36,8 @@ class DriveFrames(Protocol):
         """Exchanges of which one is made now and then."""
         ...
 
-    def setpoint_names(self) -> tuple[str, ...]:
-        """The registers of its joints' set-points."""
+    def zero_steps(self) -> tuple[Step, ...]:
+        """Writes that leave zero in the set-point registers."""
         ...
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:

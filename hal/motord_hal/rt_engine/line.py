@@ -34,6 +34,7 @@ from motord_hal.rt_engine.news import News
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
 from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
+from motord_hal.serial.counters import Witness
 from motord_hal.serial.port import OpenPort, open_port
 
 REOPEN_FIRST_S = 0.1
@@ -57,6 +58,7 @@ class RtLine:
         self._table = line_table(spec, frames)
         check_table(spec.name, self._table)
         self._news = News()
+        self._witness = Witness()
         cycle_s = max(1.0 / spec.cycle_hz, sum(drive.slowest_cycle_s() for drive in frames))
         self._asks = Asks(spec.name, self._thread, len(frames) * (cycle_s + SLOT_ALLOWANCE_S))
         self._drives = [
@@ -67,6 +69,7 @@ class RtLine:
                 self._thread,
                 self._news,
                 self._say,
+                self._quiet_hint,
             )
             for index, drive in enumerate(frames)
         ]
@@ -156,6 +159,13 @@ class RtLine:
         )
         self._thread.start(thread, self._table)
         self._report = self._thread.report()
+        self._witness.forget()
+        self._witness.look(self._port.fd)
+
+    def _quiet_hint(self) -> str:
+        if self._port is None or self._report is None:
+            return ""
+        return self._witness.hint(self._port.fd, self._report.noise_bytes)
 
     def _lose(self, error: HalError) -> None:
         self._books.count_port_error()
@@ -204,6 +214,8 @@ class RtLine:
         report = self._report = self._thread.report()
         for drive, said in zip(self._drives, report.drives, strict=True):
             drive.update(said, report.fault_words)
+        if self._port is not None:
+            self._witness.look(self._port.fd, report.noise_bytes)
         self._news.looked()
         return report
 

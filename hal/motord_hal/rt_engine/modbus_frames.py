@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from motord_hal.drives.profile import Step
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
     Function,
@@ -69,8 +70,8 @@ class ModbusFrames:
             for span in self.plan.extra
         )
 
-    def setpoint_names(self) -> tuple[str, ...]:
-        return tuple(self.plan.setpoints({}))
+    def zero_steps(self) -> tuple[Step, ...]:
+        return self.plan.zero_steps()
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
         return tuple(map(modbus_frame, self.plan.writes(raw)))
@@ -96,7 +97,8 @@ class ModbusFrames:
         both = request.function is Function.READ_WRITE
         first = request.write_address if both else request.address
         offsets = {
-            name: self.profile.registers[name].address - first for name in self.setpoint_names()
+            name: self.profile.registers[name].address - first
+            for name in (self.plan.channel(joint).setpoint for joint in self.joints)
         }
         return {
             name: _VALUES_BEGIN[request.function] + 2 * offset

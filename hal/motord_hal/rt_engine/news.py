@@ -7,8 +7,8 @@ import asyncio
 import os
 from collections.abc import Callable
 
-LOOK_EVERY_S = 0.05
-"""So often the report is read when nothing calls for it."""
+LOOK_EVERY_S = 0.5
+"""So often the report is read when nothing calls for it: what matters calls."""
 
 
 class News:
@@ -17,7 +17,7 @@ class News:
     def __init__(self) -> None:
         self.event_fd = -1
         self._called = asyncio.Event()
-        self._looked = asyncio.Event()
+        self._waiting: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     def open(self) -> None:
         self.event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -41,19 +41,25 @@ class News:
 
     async def wait(self) -> None:
         """Until there is something to look at; LOOK_EVERY_S at most."""
+        timer = asyncio.get_running_loop().call_later(LOOK_EVERY_S, self.poke)
         try:
-            async with asyncio.timeout(LOOK_EVERY_S):
-                await self._called.wait()
-        except TimeoutError:
-            return
+            await self._called.wait()
+        finally:
+            timer.cancel()
         self._called.clear()
 
     def looked(self) -> None:
-        """A new report has been taken in: whoever waits looks whether it is what he waits for."""
-        self._looked.set()
-        self._looked = asyncio.Event()
+        """A new report has been taken in: who waits for what is true now goes on."""
+        for condition, future in self._waiting:
+            if not future.done() and condition():
+                future.set_result(None)
+        self._waiting = [
+            (condition, future) for condition, future in self._waiting if not future.done()
+        ]
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Returns when the condition holds after a report."""
         while not condition():
-            await self._looked.wait()
+            future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+            self._waiting.append((condition, future))
+            await future

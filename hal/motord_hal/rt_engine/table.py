@@ -123,7 +123,7 @@ def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]
 def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineSetpoint]:
     for joint in frames.joints:
         channel = frames.profile.channels[joint.channel]
-        name = channel.velocity_setpoint or channel.duty_setpoint or ""
+        name = channel.setpoint
         if name not in places:
             continue
         register = frames.profile.registers[name]

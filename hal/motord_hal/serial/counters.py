@@ -8,7 +8,14 @@ from __future__ import annotations
 
 import fcntl
 import struct
+from collections import deque
 from dataclasses import dataclass
+
+from motord_hal.clock import now_s
+
+LOOK_EVERY_S = 0.2
+LOOKS_KEPT = 10
+"""What a quiet drive may have to do with came within the last two seconds."""
 
 _TIOCGICOUNT = 0x545D
 _ICOUNTER = struct.Struct("=20i")
@@ -52,3 +59,28 @@ def quiet_hint(before: Counters | None, after: Counters | None, noise_bytes: int
     if noise_bytes > 0:
         return "bytes came, but no frame: baud rate or parity?"
     return ""
+
+
+class Witness:
+    """Remembers what an open port counted lately, for the moment when a drive falls quiet."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, Counters | None, int]] = deque(maxlen=LOOKS_KEPT)
+
+    def forget(self) -> None:
+        """The port is another one."""
+        self._seen.clear()
+
+    def look(self, fd: int, noise_bytes: int = 0) -> None:
+        """To be called often: it looks at the driver when it is time. `noise_bytes`: bytes since
+        opening that belonged to no answer."""
+        now = now_s()
+        if not self._seen or now - self._seen[-1][0] >= LOOK_EVERY_S:
+            self._seen.append((now, read_counters(fd), noise_bytes))
+
+    def hint(self, fd: int, noise_bytes: int = 0) -> str:
+        """As quiet_hint, from the oldest look that is remembered to now."""
+        if not self._seen:
+            return ""
+        _, before, noise_before = self._seen[0]
+        return quiet_hint(before, read_counters(fd), noise_bytes - noise_before)

@@ -49,6 +49,8 @@ class Motor:
     faults: list[FaultBit] = field(default_factory=list)
     switched_on: bool = False
     braking: bool = False
+    told_raw: int = 0
+    """The set-point that it obeys, where one counts only with what is written beside it."""
 
     @property
     def stopped_by_fault(self) -> bool:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The content of DDSM frames as registers: a name is a place in a command's request or reply
-(motord_hal.ddsm.codec)."""
+"""Registers by name alone, and the content of DDSM frames: there a name is a place in a command's
+request or reply (motord_hal.ddsm.codec)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from motord_hal.drives.profile import DriveProfile, Register
 FRAME_CONTENT_BYTES = 8
 
 
-class FrameContent:
+class NamedContent:
     """What a drive's profile lists, by name. A live one is computed when it is told."""
 
     def __init__(self, profile: DriveProfile) -> None:
@@ -33,6 +33,15 @@ class FrameContent:
 
     def put(self, name: str, raw: int) -> None:
         self._raw[name] = raw
+
+    def value(self, name: str) -> int:
+        """The raw value as the drive tells it now."""
+        live = self._live.get(name)
+        return self._raw[name] if live is None else live()
+
+
+class FrameContent(NamedContent):
+    """Of DDSM motors."""
 
     def write(self, frame: bytes) -> list[tuple[str, int]]:
         """Store what a request sets; what is out of its range is left as it was."""
@@ -57,8 +66,7 @@ class FrameContent:
             return None
         frame = bytearray((unit, command, *bytes(FRAME_CONTENT_BYTES)))
         for register in told:
-            live = self._live.get(register.name)
-            _tell(frame, register, self._raw[register.name] if live is None else live())
+            _tell(frame, register, self.value(register.name))
         return seal(bytes(frame))
 
 

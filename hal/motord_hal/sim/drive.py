@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
-from motord_hal.sim.content import FrameContent
+from motord_hal.sim.can_content import CanContent
+from motord_hal.sim.content import FrameContent, NamedContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
 from motord_hal.sim.reports import Reports
@@ -70,9 +71,7 @@ class SimulatedDrive:
         self.unit = unit
         self.stats = DriveStats()
         self.journal = Journal()
-        self.registers: RegisterFile | FrameContent = (
-            FrameContent(profile) if profile.protocol == "ddsm" else RegisterFile(profile)
-        )
+        self.registers = _content(profile)
         self._settings = _settings(profile)
         self._setting_taken = False
         self._watchdog_s = watchdog_s
@@ -82,6 +81,7 @@ class SimulatedDrive:
         self._sequences = {
             name: _Sequence(getattr(profile, name))
             for name in ("arm", "disarm", "quick_stop", "clear_fault")
+            if _commands(profile, name)
         }
         self._always_on = not any(step.value is not None for step in profile.arm)
         self._switch(on=self._always_on)
@@ -142,7 +142,7 @@ class SimulatedDrive:
 
     def _execute(self, request: Request) -> tuple[int, ...]:
         registers = self.registers
-        if request.function not in self.functions or isinstance(registers, FrameContent):
+        if request.function not in self.functions or not isinstance(registers, RegisterFile):
             raise Refusal(ILLEGAL_FUNCTION, f"function {request.function}")
         if request.function == Function.READ_HOLDING:
             return registers.read(request.address, request.count)
@@ -164,12 +164,38 @@ class SimulatedDrive:
             self.journal.add(now_s, frame[1], 0, tuple(reply))
         return reply
 
+    def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
+        """A frame to this drive has come, and these signals in it."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        self._obey(written)
+
+    def obey(self, written: Mapping[str, int], now_s: float) -> None:
+        """Do what a frame says that carries every register; a sequence goes on with a change."""
+        self.stats.requests += 1
+        self._heard_s = now_s
+        changed = [
+            (name, raw) for name, raw in written.items() if raw != self.registers.stored(name)
+        ]
+        for name, raw in changed:
+            self.registers.put(name, raw)
+        self._obey(changed)
+
     def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
             self._follow_sequences(name, raw)
             self._setting_taken |= name in self._settings
+        for motor in self._motors.values():
+            self._take_setpoint(motor, dict(written))
         if written:
             self._apply()
+
+    def _take_setpoint(self, motor: Motor, written: Mapping[str, int]) -> None:
+        """Where the set-point counts only together with others: when all of them came at once."""
+        channel = motor.channel
+        whole = all(written.get(name) == raw for name, raw in channel.setpoint_with)
+        if channel.setpoint_with and channel.setpoint in written and whole:
+            motor.told_raw = written[channel.setpoint]
 
     def _follow_sequences(self, name: str, raw: int) -> None:
         done = {key for key, sequence in self._sequences.items() if sequence.feed(name, raw)}
@@ -189,6 +215,7 @@ class SimulatedDrive:
         for motor in self._motors.values():
             motor.switched_on = on
             motor.braking = False
+            motor.told_raw = 0
 
     # ---------------------------------------------------------------------------------- motors
     def _brake(self) -> None:
@@ -201,8 +228,8 @@ class SimulatedDrive:
 
     def _zero_setpoints(self) -> None:
         for motor in self._motors.values():
-            setpoint = motor.channel.velocity_setpoint or motor.channel.duty_setpoint or ""
-            self.registers.put(setpoint, 0)
+            motor.told_raw = 0
+            self.registers.put(motor.channel.setpoint, 0)
             if motor.channel.direction is not None:
                 self.registers.put(motor.channel.direction.register, motor.channel.direction.rest)
 
@@ -220,8 +247,9 @@ class SimulatedDrive:
 
     def _follow_setpoint(self, motor: Motor) -> None:
         channel, axis = motor.channel, motor.axis
-        name = channel.velocity_setpoint or channel.duty_setpoint or ""
-        value = self.profile.registers[name].to_si(self.registers.stored(name)) * self._way(channel)
+        name = channel.setpoint
+        raw = motor.told_raw if channel.setpoint_with else self.registers.stored(name)
+        value = self.profile.registers[name].to_si(raw) * self._way(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)
         else:
@@ -310,6 +338,21 @@ class SimulatedDrive:
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
 
 
+def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
+    if profile.can is not None:
+        return CanContent(profile, profile.can)
+    if profile.protocol == "ddsm":
+        return FrameContent(profile)
+    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
+
+
+def _commands(profile: DriveProfile, name: str) -> bool:
+    """Whether a sequence is more than set-points: those tell a drive nothing but a speed."""
+    setpoints = {channel.setpoint for channel in profile.channels.values()}
+    writes = {step.register for step in getattr(profile, name) if step.value is not None}
+    return profile.can is None or not writes or not writes <= setpoints
+
+
 def _settings(profile: DriveProfile) -> frozenset[str]:
     """What is written once, when a drive is set up: not what commands it."""
     once = {step.register for step in profile.configure if step.value is not None}
@@ -317,7 +360,7 @@ def _settings(profile: DriveProfile) -> frozenset[str]:
     sequences = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
     often = {step.register for steps in sequences for step in steps}
     for channel in profile.channels.values():
-        often |= {channel.velocity_setpoint or "", channel.duty_setpoint or ""}
+        often |= channel.commands
     return frozenset(once - often)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.drives.can_load import NODE_MAX
 
 
 class FaultError(ValueError):
@@ -36,7 +36,8 @@ class Kind:
     keys: Mapping[str, Key]
 
 
-_UNIT = Key(1, UNIT_MAX, whole=True)
+_UNIT = Key(0, NODE_MAX, whole=True)
+"""A Modbus address, or a node of a CAN bus."""
 _TIME_S = Key(0.0, 1e6)
 _SPAN = {"from_s": _TIME_S, "for_s": _TIME_S}
 _WHEN = {"unit": _UNIT, **_SPAN}
@@ -85,6 +86,7 @@ KINDS = MappingProxyType(
             ms=_ms(100.0),
             busy=Key(0, 1, whole=True, default=0),
         ),
+        "unheard": _reply("CAN: a frame to the drive is lost"),
         "segments": _reply("TCP: the reply comes in pieces, so far apart", ms=_ms(5.0)),
         "silence": _state("the unit hears nothing", unit=_UNIT, for_s=_FOR_S),
         "turnaround": _state(
@@ -111,6 +113,10 @@ KINDS = MappingProxyType(
             "TCP: nothing passes in or out, then all of it", for_s=Key(0.0, 1e6, default=1.0)
         ),
         "half-open": _once("TCP: connections are forgotten without a word; new ones are served"),
+        "bus-off": _once(
+            "CAN: the master's controller goes bus-off; nothing passes",
+            for_s=Key(0.0, 1e6, default=0.5),
+        ),
         "reboot": _once(
             "no power; then defaults, counter at its start, disabled",
             unit=_UNIT,

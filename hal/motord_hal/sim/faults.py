@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, parse_fault
-from motord_hal.sim.framing import Framing
+from motord_hal.sim.framing import Rewriting
 
 
 @dataclass(slots=True)
@@ -138,7 +138,7 @@ class FaultScript:
                 return fault
         return None
 
-    def spoil(self, unit: int, frame: bytes, framing: Framing, now_s: float) -> Spoiled:
+    def spoil(self, unit: int, frame: bytes, framing: Rewriting, now_s: float) -> Spoiled:
         """A good reply as it goes on the wire; nothing is left of a dropped one."""
         spoiled = Spoiled(frame)
         for fault in self.faults:
@@ -148,7 +148,7 @@ class FaultScript:
         return spoiled
 
 
-def _spoil(spoiled: Spoiled, unit: int, framing: Framing, fault: Fault) -> None:
+def _spoil(spoiled: Spoiled, unit: int, framing: Rewriting, fault: Fault) -> None:
     frame = spoiled.frame
     match fault.kind:
         case "drop":

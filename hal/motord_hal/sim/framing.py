@@ -19,7 +19,17 @@ from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.slave import Answer, answer, answer_ddsm
 
 
-class Framing(Protocol):
+class Rewriting(Protocol):
+    """What of a protocol a fault has to know."""
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        """Instead of this frame; nothing where the protocol cannot refuse."""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        """A good frame with another unit's address."""
+
+
+class Framing(Rewriting, Protocol):
     """One protocol of a line."""
 
     def whole(self, frame: bytes) -> bool:
@@ -36,12 +46,6 @@ class Framing(Protocol):
     def answer(
         self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
     ) -> Answer | None: ...
-
-    def refusal(self, frame: bytes, code: int) -> bytes:
-        """Instead of this frame; nothing where the protocol cannot refuse."""
-
-    def readdressed(self, frame: bytes, unit: int) -> bytes:
-        """A good frame with another unit's address."""
 
 
 class ModbusFraming:
@@ -101,6 +105,18 @@ class DdsmFraming:
 
     def readdressed(self, frame: bytes, unit: int) -> bytes:
         return ddsm.seal(bytes((unit,)) + frame[1:])
+
+
+class Unaddressed:
+    """Of a board alone on its port: nobody else is there, and it refuses nothing."""
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        del frame, code
+        return b""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        del unit
+        return frame
 
 
 def framing_of(kind: str) -> Framing:

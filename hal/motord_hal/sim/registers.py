@@ -32,7 +32,7 @@ def raw_of(register: Register, value: float) -> int:
     if register.mask is not None:
         bits = register.mask.bit_count()
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if low else (0, (1 << bits) - 1)
-    raw = register.from_si(value if low else abs(value))
+    raw = register.from_si(value if register.type.signed else abs(value))
     return max(low, min(high, raw))
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from motord_hal.drives.profile import DriveProfile, Step
@@ -51,7 +52,15 @@ class Reports:
         self._bind(channel.temperature, lambda: axis.wheel.winding_c)
         if channel.position is not None:
             name = channel.position
+            if self._profile.registers[name].unit == "turn":
+                self._bind(name, lambda: self._turned_rad(motor.count or 0))
+                return
             self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
+
+    def _turned_rad(self, count: int) -> float:
+        """Of a drive that tells its position in turns: the counter, as an angle."""
+        half = 1 << (self._profile.counter_bits - 1)
+        return ((count + half) % (2 * half) - half) / self._profile.counts_per_turn * math.tau
 
     def _signed(self, name: str, word: int) -> int:
         _, high = self._profile.registers[name].raw_range

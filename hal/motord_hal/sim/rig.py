@@ -14,16 +14,18 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
+from motord_hal.sim.board_line import SimulatedBoard
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
+from motord_hal.sim.frame_talk import FrameTalk
 from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
@@ -32,6 +34,10 @@ from motord_hal.sim.server import ControlServer
 from motord_hal.sim.tcp import RawTcpPort
 from motord_hal.sim.wire import Clock
 
+if TYPE_CHECKING:
+    from motord_hal.sim.can_line import SimulatedCanLine
+
+AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
 REPLUG_RETRY_S = 0.1
@@ -79,6 +85,8 @@ class RigSpec:
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
     """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
     machine where its kind says TCP."""
+    can: str = ""
+    """INTERFACE:CHANNEL of the robot's one CAN bus; empty: each is on UDP datagrams of its own."""
     units: int = 0
     """At least this many drives on each line, from unit 1 on; the spare ones are as its first."""
     tagged: bool = False
@@ -155,7 +163,7 @@ class Rig:
         spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
         return spare | {joint.unit: joint.profile for joint in line.joints}
 
-    def _make_line(self, line: LineSpec, link_dir: Path) -> SimulatedLine:
+    def _make_line(self, line: LineSpec, link_dir: Path) -> AnySimulatedLine:
         drives = {}
         for unit, profile in self._profiles(line).items():
             axes = {
@@ -166,7 +174,24 @@ class Rig:
             axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
             watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
             drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
-        return SimulatedLine(line, drives, self.script, self._make_port(line, link_dir))
+        if line.kind == "can":
+            return self._make_can_line(line, drives)
+        port = self._make_port(line, link_dir)
+        if line.kind == "mcu":
+            talk = FrameTalk(line.joints[0].profile)
+            return SimulatedBoard(line, drives, self.script, port, talk)
+        return SimulatedLine(line, drives, self.script, port)
+
+    def _make_can_line(
+        self, line: LineSpec, drives: Mapping[int, SimulatedDrive]
+    ) -> SimulatedCanLine:
+        # python-can is there only where a robot has a CAN bus
+        from motord_hal.sim.can_line import SimulatedCanLine
+        from motord_hal.sim.can_port import BusSettings, CanPort, free_address
+
+        settings = BusSettings(line.baudrate, line.data_baudrate)
+        port = CanPort(self.spec.can or free_address(), settings)
+        return SimulatedCanLine(line, drives, self.script, port)
 
     def _make_port(self, line: LineSpec, link_dir: Path) -> Port:
         wanted = self.spec.ports.get(line.name)
@@ -269,7 +294,9 @@ class Rig:
             self.pull()
             self._replug_s = dict.fromkeys(self.lines, now_s + fault.values["for_s"])
         for line in self.lines.values():
-            if fault.kind == "tcp-stall":
+            if fault.kind == "bus-off" and not isinstance(line, SimulatedLine | SimulatedBoard):
+                line.go_off(now_s + fault.values["for_s"])
+            elif fault.kind == "tcp-stall":
                 line.port.stall(now_s + fault.values["for_s"])
             elif fault.kind == "half-open":
                 line.port.forget()
@@ -294,7 +321,7 @@ class Rig:
         for name in [line] if line else list(self.lines):
             self._line(name).plug()
 
-    def _line(self, name: str) -> SimulatedLine:
+    def _line(self, name: str) -> AnySimulatedLine:
         if name not in self.lines:
             raise ValueError(f'no line "{name}"; known: {", ".join(self.lines)}')
         return self.lines[name]

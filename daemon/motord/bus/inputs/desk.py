@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from motord.bus.link import Source
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.config import TokenInput
+from motord.config import StampedInput, TokenInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -35,11 +35,13 @@ class NotTaken(Exception):
 class Desk:
     """One networked input's."""
 
-    def __init__(self, name: str, section: TokenInput, station: Station) -> None:
+    def __init__(self, name: str, section: StampedInput, station: Station) -> None:
         """Raises OSError and ValueError for a token that cannot be used."""
         self._name = name
         self._station = station
-        self._token = Token(station.beside_robot_file(section.token_file))
+        self._token: Token | None = None
+        if isinstance(section, TokenInput):
+            self._token = Token(station.beside_robot_file(section.token_file))
         self._stamped = section.stamped
         self._calls = 0
         self._said_s = -SAY_AGAIN_S
@@ -47,7 +49,7 @@ class Desk:
 
     def admit(self, shown: object) -> None:
         """Raises NotTaken for who does not show the token."""
-        if not self._token.fits(shown):
+        if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
     def drive(self, message: object) -> None:
@@ -73,6 +75,8 @@ class Desk:
             if self._stamped:
                 raise self._no("it has no stamp (header.stamp, or stamped = false)")
             return linear_m_s, angular_rad_s, 0.0
+        if said_s == 0.0:
+            raise self._no("its stamp is zero: when was it given? (or stamped = false)")
         age_s = time.time() - said_s
         if not -FUTURE_S <= age_s < float("inf"):
             raise self._no("its stamp is in the future: do the clocks agree?")

@@ -38,7 +38,8 @@ from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
-"""Cyclone's own configuration: whoever sets it knows better than we."""
+"""Cyclone's own configuration, from the environment: with discovery subnet, whoever sets it knows
+better than we. It cannot open what the robot file keeps on this machine."""
 BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
@@ -113,7 +114,8 @@ class Writer:
 
     def say_mismatch(self) -> None:
         """A reader that asks for more than this writer offers hears nothing: said once for each."""
-        status: Any = self.entity.get_offered_incompatible_qos_status()  # type: ignore[no-untyped-call]
+        entity: Any = self.entity
+        status = entity.get_offered_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
             self._said = status.total_count
             _log.warning(_MISMATCH, self.name, "reader", "offer", status.last_policy_id)
@@ -143,7 +145,8 @@ class Reader:
 
     def say_mismatch(self) -> None:
         """A writer that offers less than this reader asks for is not heard: said once for each."""
-        status: Any = self.entity.get_requested_incompatible_qos_status()  # type: ignore[no-untyped-call]
+        entity: Any = self.entity
+        status = entity.get_requested_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
             self._said = status.total_count
             _log.warning(_MISMATCH, self.name, "writer", "ask for", status.last_policy_id)
@@ -161,7 +164,7 @@ class Participant:
     def __init__(self, domain_id: int, discovery: Discovery, interface: str | None = None) -> None:
         """Raises DdsError."""
         try:
-            if URI not in os.environ:
+            if discovery == "localhost" or URI not in os.environ:
                 _domain(domain_id, configuration(discovery, interface))
             self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:

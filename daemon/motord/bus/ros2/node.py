@@ -65,6 +65,7 @@ class Node:
         self._readers: list[Reader] = []
         self._writers: list[Writer] = []
         self._services: list[Service] = []
+        self._running = False
         self._graph = self._participant.writer(
             names.GRAPH_TOPIC, _GRAPH_TYPE, _GRAPH_QUALITY, f"typehash={type_hash(_GRAPH_TYPE)};"
         )
@@ -115,7 +116,10 @@ class Node:
         self._writers.append(service.writer)
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Until cancelled. Of several who share the node, the first one does it for all."""
+        if self._running:
+            return
+        self._running = True
         self._announce()
         async with asyncio.TaskGroup() as tasks:
             for service in self._services:

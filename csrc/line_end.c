@@ -1,0 +1,51 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it is silent. */
+#include "line_machine.h"
+
+static const int64_t SHUT_REST_NS = 350 * LINE_MS, SHUT_NS = 480 * LINE_MS;
+
+static void shut_down_begin(line_machine *m, int64_t now_ns)
+{
+    m->shut = 1;
+    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
+    m->shut_by_ns = now_ns + SHUT_NS;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        line_drive_state *drive = &m->drive[i];
+        if (drive->mode == DRIVE_ARMED) {
+            drive->mode = DRIVE_READY;
+            drive->stopping = true;
+            drive->off_by_ns = m->shut_rest_by_ns;
+            drive->due_ns = now_ns;
+            m->broadcasts = m->table.broadcast_stop_count;
+            line_stop_now(m, i, STOP_QUICK);
+        }
+    }
+}
+
+static void shut_down_go_on(line_machine *m, int64_t now_ns)
+{
+    bool stopping = m->broadcasts > 0;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        stopping |= m->drive[i].stopping || m->drive[i].stop != STOP_NOTHING;
+    }
+    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
+        m->shut = 2;
+        for (uint32_t i = 0; i < m->table.drive_count; i++) {
+            m->drive[i].stopping = false;
+            line_stop_now(m, i, STOP_POWER_OFF);
+        }
+    } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
+        m->shut = 3;
+        m->news = true;
+    }
+}
+
+void line_shut_down(line_machine *m, int64_t now_ns)
+{
+    if (m->control.shut_down != 0 && m->shut == 0) {
+        shut_down_begin(m, now_ns);
+    }
+    if (m->shut != 0) {
+        shut_down_go_on(m, now_ns);
+    }
+}

@@ -1,0 +1,80 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_quiet.c: a drive that does not answer: what it is told all the same, and how often it is asked. */
+#include <string.h>
+
+#include "line_machine.h"
+
+static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
+
+static uint32_t zero_exchanges(const line_drive *table)
+{
+    uint32_t count = 0;
+    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0) {
+        count++;
+    }
+    return count;
+}
+
+/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog quiet. */
+static uint32_t stop_probes(const line_machine *m, uint32_t number)
+{
+    const line_drive *table = &m->table.drive[number];
+    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(table) : 0;
+}
+
+void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    if (drive->mode != DRIVE_QUIET) {
+        drive->count.quiet++;
+    }
+    line_demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
+    if (m->shut == 0 || m->work == WORK_STOP) {
+        drive->stop = STOP_NOTHING;   /* its probes stop it; at the end there are none, so it is told all the same */
+    }
+    drive->stopping = drive->back = false;
+    drive->stage = STAGE_IDLE;
+    drive->probe_place = 0;
+    drive->probes_at_once = stop_probes(m, number) + 1;
+    drive->probe_pause_ns = PROBE_FIRST_NS;
+    drive->probe_at_ns = now_ns;
+    memset(drive->way_told, 0, sizeof drive->way_told);
+    if (m->current == number) {
+        m->current = LINE_DRIVES_MAX;
+    }
+}
+
+static void read_probe(line_machine *m, uint32_t number, line_frame *out)
+{
+    const line_drive *table = &m->table.drive[number];
+    if (table->probe > 0) {
+        (void)line_build(m, number, table->probe - 1, out);
+    } else if (table->extra_count > 0) {
+        *out = table->extra[0].frame;
+    } else {
+        (void)line_build(m, number, 0, out);   /* with zeros: it is not armed */
+    }
+}
+
+void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
+{
+    line_drive_state *drive = &m->drive[number];
+    const line_drive *table = &m->table.drive[number];
+    uint32_t stops = stop_probes(m, number);
+    uint32_t place = drive->probe_place;
+    if (place < stops && place < table->quick_stop_count) {
+        *out = table->quick_stop[place];
+    } else if (place < stops) {
+        (void)line_build(m, number, place - table->quick_stop_count, out);
+    } else {
+        read_probe(m, number, out);
+    }
+    drive->probe_place = (place + 1) % (stops + 1);
+    if (drive->probes_at_once > 1) {
+        drive->probes_at_once--;
+        drive->probe_at_ns = now_ns;
+        return;
+    }
+    drive->probe_at_ns = now_ns + drive->probe_pause_ns;
+    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+}

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After a daemon has died: every drive of its robot is told to stop. All lines at once, bounded."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+
+from motord.assembly import line_specs, profiles_of
+from motord.client import ClientError, find_socket
+from motord.config import Robot
+from motord_hal.errors import HalError
+from motord_hal.lines import halt_line
+from motord_hal.ports import LineSpec
+
+
+class DaemonRuns(Exception):
+    """A daemon drives this robot: it is the one to be told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Halted:
+    """What came of a line."""
+
+    line: str
+    joints: tuple[str, ...]
+    problems: tuple[str, ...]
+    """Empty: every drive has acknowledged that it stopped and that its power is off."""
+
+
+async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
+    """Raises DaemonRuns; ProfileError for profiles that cannot be read."""
+    name = robot.robot.name
+    try:
+        socket = find_socket(name)
+    except ClientError:
+        pass
+    else:
+        raise DaemonRuns(f"the daemon of {name} runs ({socket}): motord estop tells it")
+    specs = line_specs(robot, profiles_of(robot))
+    return tuple(await asyncio.gather(*(_halted(spec, within_s) for spec in specs)))
+
+
+async def _halted(spec: LineSpec, within_s: float) -> Halted:
+    try:
+        async with asyncio.timeout(within_s):
+            problems = await halt_line(spec)
+    except TimeoutError:
+        problems = [f"{spec.name}: not all was said within {within_s:g} s"]
+    except HalError as error:
+        problems = [str(error)]
+    return Halted(spec.name, tuple(joint.name for joint in spec.joints), tuple(problems))

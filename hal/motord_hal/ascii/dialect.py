@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of text on a stream line: docs/mcu/line-ascii.md is their description."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from motord_hal.ascii.text import Lines, Text
+from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
+from motord_hal.errors import ProfileError
+from motord_hal.mcu.dialect import Said
+from motord_hal.ports import JointSpec, LineSpec, TextSpec
+
+COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
+
+
+def setpoint_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """What a template of set-points may name: all joints, or the twist."""
+    return (*joints, LINEAR, ANGULAR)
+
+
+def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """What a template of feedback may name."""
+    return (*(name + what for name in joints for what in (COUNT, VELOCITY, CURRENT)), VOLTAGE)
+
+
+def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
+    """Raises ValueError for a template that does not say everything."""
+    said = set(text.fields)
+    if said not in (set(joints), {LINEAR, ANGULAR}):
+        raise ValueError(f"it must say {', '.join(joints)}, or v and w, and nothing else")
+
+
+def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
+    """Raises ProfileError."""
+    names = tuple(joint.name for joint in spec.joints)
+    if spec.text is None:
+        raise ProfileError(f"{spec.name}: no template")
+    try:
+        said = Text(spec.text.setpoints, setpoint_fields(names))
+        check_setpoints(said, names)
+        heard = Text(spec.text.feedback, feedback_fields(names)) if spec.text.feedback else None
+    except ValueError as error:
+        raise ProfileError(f"{spec.name}: {error}") from error
+    return spec.text, said, heard
+
+
+class TextDialect:
+    """dialect.Dialect for boards that read text."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self.bad = 0
+        self._spec, self._said, self._heard = texts_of(spec)
+        self._joints = spec.joints
+        self._profile = spec.joints[0].profile
+        if self._profile.protocol != "ascii":
+            raise ProfileError(f"{spec.name}: {self._profile.name} speaks {self._profile.protocol}")
+        self.answers = self._heard is not None
+        self.reset()
+
+    def reset(self) -> None:
+        self._lines = Lines()
+
+    def setpoints(self, raw: Mapping[str, int], now_ns: int) -> bytes:
+        del now_ns
+        motors = {joint.name: self._setpoint(joint, raw) for joint in self._joints}
+        if set(self._said.fields) == {LINEAR, ANGULAR}:
+            wheels = {j.name: motors[j.name] * _sign(j) / j.gear_ratio for j in self._joints}
+            return self._said.say(twist_of(self._spec, wheels))
+        return self._said.say({name: value * self._spec.scale for name, value in motors.items()})
+
+    def _setpoint(self, joint: JointSpec, raw: Mapping[str, int]) -> float:
+        channel = self._profile.channels[joint.channel]
+        name = channel.velocity_setpoint or channel.duty_setpoint or ""
+        return self._profile.registers[name].to_si(raw.get(name, 0))
+
+    def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:
+        for line in self._lines.feed(data) if self._heard else ():
+            numbers = self._heard.read(line) if self._heard else None
+            if numbers is None:
+                self.bad += 1
+                continue
+            yield Said(self._values(numbers), now_ns, now_ns, None)
+
+    def _values(self, numbers: Mapping[str, float]) -> dict[str, int]:
+        values: dict[str, int] = {}
+        for joint in self._joints:
+            channel = self._profile.channels[joint.channel]
+            if (count := numbers.get(joint.name + COUNT)) is not None and channel.position:
+                values[channel.position] = round(count)
+            for what, register in ((VELOCITY, channel.velocity), (CURRENT, channel.current)):
+                if (value := numbers.get(joint.name + what)) is not None and register:
+                    values[register] = self._profile.registers[register].from_si(value)
+        if (voltage := numbers.get(VOLTAGE)) is not None and self._profile.bus_voltage:
+            register = self._profile.bus_voltage
+            values[register] = self._profile.registers[register].from_si(voltage)
+        return values
+
+    def wire_bytes(self) -> int:
+        most = dict.fromkeys(self._said.fields, -999.0)
+        said = len(self._said.say(most))
+        if self._heard is None:
+            return said
+        return max(said, len(self._heard.say(dict.fromkeys(self._heard.fields, -99999.0))))
+
+
+def _sign(joint: JointSpec) -> float:
+    return -1.0 if joint.inverted else 1.0

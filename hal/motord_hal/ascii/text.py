@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers, and reads them."""
+
+from __future__ import annotations
+
+import math
+import re
+import string
+from collections.abc import Collection, Mapping
+
+LINE_BYTES_MAX = 256
+DEFAULT_FORMAT = ".3f"
+_FORMAT = re.compile(r"[+ ]?0?\d{0,2}(\.\d{1,2})?[dfg]?")
+_NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+
+
+class Text:
+    """A template whose fields are numbers. Raises ValueError that says what is wrong with it."""
+
+    def __init__(self, template: str, known: Collection[str]) -> None:
+        self.template = template
+        self.fields: tuple[str, ...] = ()
+        self._parts: list[tuple[str, str | None, str]] = []
+        try:
+            for literal, name, spec, conversion in string.Formatter().parse(template):
+                if name is not None:
+                    _check_field(name, spec or "", conversion, known)
+                self._parts.append((literal, name, spec or DEFAULT_FORMAT))
+        except ValueError as error:
+            raise ValueError(str(error)) from None
+        self.fields = tuple(name for _, name, _ in self._parts if name is not None)
+        self._check()
+        self._pattern = re.compile(self._regex())
+
+    def _check(self) -> None:
+        if not self.fields:
+            raise ValueError("there is no {field} in it")
+        if len(set(self.fields)) != len(self.fields):
+            raise ValueError("a field stands in it twice")
+        if any(not literal for literal, name, _ in self._parts[1:] if name is not None):
+            raise ValueError("two fields need something between them")
+        if not self.template.isascii():
+            raise ValueError("it must be ASCII")
+        if len(self.say(dict.fromkeys(self.fields, -1e9))) > LINE_BYTES_MAX:
+            raise ValueError(f"it makes lines of more than {LINE_BYTES_MAX} bytes")
+
+    def _regex(self) -> str:
+        """Any white space matches any other; the ends do not matter."""
+        parts = []
+        for literal, name, _ in self._parts:
+            words = re.split(r"\s+", literal)
+            parts.append(r"\s+".join(re.escape(word) for word in words))
+            if name is not None:
+                parts.append(_NUMBER)
+        return "".join(parts).removeprefix(r"\s+").removesuffix(r"\s+")
+
+    def say(self, values: Mapping[str, float]) -> bytes:
+        """The text with these numbers; NaN and infinity are 0."""
+        out = []
+        for literal, name, spec in self._parts:
+            out.append(literal)
+            if name is not None:
+                value = values[name] if math.isfinite(values[name]) else 0.0
+                out.append(format(round(value) if spec.endswith("d") else value, spec))
+        return "".join(out).encode("ascii")
+
+    def read(self, line: bytes) -> dict[str, float] | None:
+        """The numbers of a line; None: it is another one."""
+        text = line.decode("ascii", errors="replace").strip()
+        found = self._pattern.fullmatch(text)
+        if found is None:
+            return None
+        return dict(zip(self.fields, map(float, found.groups()), strict=True))
+
+
+def _check_field(name: str, spec: str, conversion: str | None, known: Collection[str]) -> None:
+    if name not in known:
+        raise ValueError(f"{{{name}}} is unknown (there are {', '.join(known)})")
+    if conversion or not _FORMAT.fullmatch(spec):
+        raise ValueError(f"{{{name}}}: a format is like :d, :.2f or :+05d")
+
+
+class Lines:
+    """Cuts a stream of bytes at line ends. The first piece after `reset` may be half a line and is
+    thrown away; so is what never ends."""
+
+    def __init__(self) -> None:
+        self._tail = bytearray()
+        self._whole = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The lines that these bytes complete, without their ends and without empty ones."""
+        pieces = re.split(rb"[\r\n;]", data)
+        lines = []
+        for number, piece in enumerate(pieces):
+            if number:
+                if self._whole and self._tail:
+                    lines.append(bytes(self._tail))
+                self._tail.clear()
+                self._whole = True
+            self._tail += piece
+            if len(self._tail) > LINE_BYTES_MAX:
+                self._tail.clear()
+                self._whole = False
+        return lines

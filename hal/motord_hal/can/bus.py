@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CAN bus on asyncio, through any adapter that python-can reaches.
+
+Received frames are handed on where the event loop sees them: from the descriptor where the adapter
+has one, else from a reader thread with a bounded queue. Sending never waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import can
+
+from motord_hal.can.address import bus_arguments, split_address
+from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.plan import Sent
+from motord_hal.clock import now_ns
+from motord_hal.errors import PortError
+
+OPEN_WITHIN_S = 5.0
+"""Serial and USB adapters take a while."""
+READ_AT_ONCE = 64
+"""Frames that are taken in before the event loop has a turn."""
+QUEUE_FRAMES = 1024
+"""Of the reader thread; the oldest are lost first."""
+THREAD_LOOKS_S = 0.05
+AGE_MAX_S = 0.1
+"""A frame that the event loop has not seen for longer counts as new: a stamp that says so is more
+likely to be wrong."""
+BAD_FRAMES_MAX = 100
+"""So many failures to read in a row are no bad frames any more."""
+IFF_UP = 0x1
+"""linux/if.h"""
+_FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
+
+Taker = Callable[[can.Message, int], None]
+"""A frame, and when it came: nanoseconds of CLOCK_MONOTONIC."""
+_log = logging.getLogger(__name__)
+
+
+class CanBus:
+    """One bus. `errors` counts what went wrong, by kind; with `trouble` set it is to be closed."""
+
+    def __init__(
+        self,
+        address: str,
+        bitrate: int,
+        data_bitrate: int | None,
+        identifiers: Iterable[tuple[int, bool]],
+        take: Taker,
+    ) -> None:
+        self.address = address
+        self.errors: Counter[str] = Counter()
+        self.trouble: PortError | None = None
+        self._arguments = bus_arguments(address, bitrate, data_bitrate)
+        if split_address(address)[0] == "socketcan":  # elsewhere they are no cheaper than a look-up
+            self._arguments["can_filters"] = [_filter(*one) for one in identifiers]
+        self._take = take
+        self._bus: can.BusABC | None = None
+        self._fd: int | None = None
+        self._reader: _ReaderThread | None = None
+        self._bad_in_a_row = 0
+
+    # ------------------------------------------------------------------------------------- opening
+    async def open(self) -> None:
+        """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
+        self._check_interface()
+        opening = asyncio.get_running_loop().run_in_executor(None, self._open)
+        try:
+            async with asyncio.timeout(OPEN_WITHIN_S):
+                self._bus = await asyncio.shield(opening)
+        except TimeoutError:
+            raise PortError(f"{self.address}: not open after {OPEN_WITHIN_S:g} s") from None
+        finally:
+            if self._bus is None:
+                opening.add_done_callback(_shut_late)
+        self.trouble = None
+        self._bad_in_a_row = 0
+        self._listen(self._bus)
+
+    def _check_interface(self) -> None:
+        """A socket on an interface that is down opens, and then says nothing."""
+        interface, channel = split_address(self.address)
+        if interface != "socketcan":
+            return
+        flags = Path("/sys/class/net") / channel / "flags"
+        try:
+            up = int(flags.read_text(encoding="ascii"), 16) & IFF_UP
+        except (OSError, ValueError):
+            raise PortError(f"{self.address}: there is no such interface") from None
+        if not up:
+            how = f"ip link set {channel} up type can bitrate ..."
+            raise PortError(f"{self.address} is down: {how}")
+
+    def _open(self) -> can.BusABC:
+        try:
+            return can.Bus(**self._arguments)
+        except (can.CanError, OSError, ValueError, ImportError) as error:
+            raise PortError(f"{self.address}: {error}") from error
+
+    def _listen(self, bus: can.BusABC) -> None:
+        try:
+            self._fd = bus.fileno()
+        except RuntimeError:  # python-can's word for: it has none
+            self._fd = None
+        if self._fd is not None and self._fd >= 0:
+            asyncio.get_running_loop().add_reader(self._fd, self._readable)
+        else:
+            self._fd = None
+            self._reader = _ReaderThread(bus, self._take_in, self._fail)
+
+    def close(self) -> None:
+        """Does nothing while it is closed."""
+        bus, self._bus = self._bus, None
+        if bus is None:
+            return
+        if self._fd is not None:
+            asyncio.get_running_loop().remove_reader(self._fd)
+            self._fd = None
+        if self._reader is not None:
+            self._reader.stop()  # which closes the bus when it has left it
+            self._reader = None
+        else:
+            _shut(bus)
+
+    # ----------------------------------------------------------------------------------- receiving
+    def _readable(self) -> None:
+        for _ in range(READ_AT_ONCE):
+            if self._bus is None or self.trouble is not None:
+                return
+            try:
+                message = self._bus.recv(timeout=0)
+            except (can.CanError, OSError) as error:
+                self._fail(error)
+                return
+            if message is None:
+                return
+            self._take_in(message, came_ns(message))
+
+    def _take_in(self, message: can.Message, stamp_ns: int) -> None:
+        self._bad_in_a_row = 0
+        if message.is_error_frame:
+            self._note(message)
+        elif not message.is_remote_frame and self._bus is not None:
+            self._take(message, stamp_ns)
+
+    def _note(self, message: can.Message) -> None:
+        kinds, trouble = error_words(message.arbitration_id, bytes(message.data))
+        self.errors.update(kinds)
+        if trouble is BusTrouble.BUS_OFF:
+            self.trouble = PortError(
+                f"{self.address}: bus-off: the controller has given up after too many errors "
+                "(cable, termination, bit rate)"
+            )
+
+    def _fail(self, error: Exception) -> None:
+        """A read or a write has failed: is it the bus, or one frame?"""
+        number = _errno_of(error)
+        self._bad_in_a_row += 1
+        if number is None and self._bad_in_a_row <= BAD_FRAMES_MAX:
+            self.errors["bad_frame"] += 1
+            return
+        if self.trouble is None:
+            self.errors["port"] += 1
+            words = errno.errorcode.get(number or 0, "")
+            self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
+
+    # ------------------------------------------------------------------------------------- sending
+    def send(self, sent: Sent) -> bool:
+        """False: the queue to the bus is full, the frame is lost and counted; the next one will be
+        newer. Raises PortError."""
+        self.check()
+        assert self._bus is not None  # check
+        try:
+            self._bus.send(_message(sent), timeout=0)
+        except can.CanTimeoutError:
+            self.errors["tx_full"] += 1
+            return False
+        except (can.CanError, OSError) as error:
+            if _errno_of(error) in (None, *_FULL):
+                self.errors["tx_full"] += 1
+                return False
+            self._fail(error)
+            self.check()
+        return True
+
+    def check(self) -> None:
+        """Raises PortError where the bus is closed, or has failed."""
+        if self.trouble is not None:
+            raise self.trouble
+        if self._bus is None:
+            raise PortError(f"{self.address} is closed")
+
+
+def came_ns(message: can.Message) -> int:
+    """When it came: CLOCK_MONOTONIC, by the age that the kernel's or the adapter's stamp gives it.
+    Those stamps are of the wall clock, which may be set meanwhile, or count from the adapter's
+    start; one that cannot be is not used, and the frame has come now."""
+    age_s = time.time() - message.timestamp
+    return now_ns() - (round(age_s * 1e9) if 0.0 <= age_s <= AGE_MAX_S else 0)
+
+
+def _filter(identifier: int, extended: bool) -> dict[str, Any]:
+    mask = 0x1FFFFFFF if extended else 0x7FF
+    return {"can_id": identifier, "can_mask": mask, "extended": extended}
+
+
+def _message(sent: Sent) -> can.Message:
+    return can.Message(
+        arbitration_id=sent.identifier,
+        is_extended_id=sent.extended,
+        is_fd=sent.fd,
+        bitrate_switch=sent.fd,
+        is_remote_frame=sent.remote_bytes is not None,
+        dlc=sent.remote_bytes,
+        data=None if sent.remote_bytes is not None else sent.data,
+    )
+
+
+def _errno_of(error: BaseException) -> int | None:
+    """The system's error behind python-can's; an OSError without a number is one of the adapter."""
+    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    if number is None and isinstance(error.__cause__, OSError):
+        number = error.__cause__.errno or errno.EIO
+    if number is None and isinstance(error, OSError):
+        number = errno.EIO
+    return number
+
+
+def _shut(bus: can.BusABC) -> None:
+    try:
+        bus.shutdown()
+    except (can.CanError, OSError) as error:
+        _log.debug("closing: %s", error)
+
+
+def _shut_late(opening: asyncio.Future[can.BusABC]) -> None:
+    """It was opened when nobody waited for it any more."""
+    if not opening.cancelled() and opening.exception() is None:
+        _shut(opening.result())
+
+
+class _ReaderThread:
+    """For adapters without a descriptor. The thread ends by itself soon after `stop`."""
+
+    def __init__(self, bus: can.BusABC, take_in: Taker, fail: Callable[[Exception], None]) -> None:
+        self._bus = bus
+        self._take_in = take_in
+        self._fail = fail
+        self._loop = asyncio.get_running_loop()
+        self._queue: deque[tuple[can.Message, int]] = deque(maxlen=QUEUE_FRAMES)
+        self._stopped = threading.Event()
+        threading.Thread(target=self._run, name="can-reader", daemon=True).start()
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            try:
+                message = self._bus.recv(timeout=THREAD_LOOKS_S)
+            except (can.CanError, OSError) as error:
+                self._tell(self._fail, error)
+                self._stopped.wait(THREAD_LOOKS_S)
+                continue
+            if message is not None:
+                self._queue.append((message, came_ns(message)))
+                self._tell(self._drain)
+        _shut(self._bus)
+
+    def _tell(self, call: Callable[..., None], *values: Any) -> None:
+        try:
+            self._loop.call_soon_threadsafe(call, *values)
+        except RuntimeError:  # the event loop has ended
+            self._stopped.set()
+
+    def _drain(self) -> None:
+        while self._queue and not self._stopped.is_set():
+            self._take_in(*self._queue.popleft())

@@ -1,0 +1,403 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive on a CAN bus: what it is told each cycle, what it says, whether it is still there.
+
+That a frame was sent says nothing: presence is judged by what the drive has sent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+from motord_hal.can.job_step import StepRunner, merged_writes
+from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted
+from motord_hal.clock import now_s
+from motord_hal.drives.can_profile import Frame
+from motord_hal.drives.profile import Step
+from motord_hal.errors import DriveFault, HalError, NoReply
+from motord_hal.modbus.faults import FaultWatch, Say
+from motord_hal.modbus.job import Job, configure_steps
+from motord_hal.ports import DriveState, EventKind
+from motord_hal.retry import Backoff
+from motord_hal.rt import Exchange
+
+PROBE_FIRST_S = 0.1
+PROBE_LIMIT_S = 2.0
+SAMPLE_PART = 0.5
+"""Frames that the bus has held up come in bunches; one sooner after the other than this part of its
+period tells nothing that the next one will not."""
+FIRST_WORD_S = 0.2
+"""On top of its longest silence: so long a drive may take for its first frame after opening."""
+STOPPING_WITHIN_S = 1.0
+"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
+REST_VELOCITY_RAD_S = 0.1
+
+Send = Callable[[Sent], bool]
+"""False: the bus takes nothing now."""
+
+
+class CanDrive:
+    """State of one node. All its methods run in the event loop; only those that the line's task
+    calls send."""
+
+    def __init__(
+        self,
+        plan: CanPlan,
+        send: Send,
+        exchange: Exchange,
+        *,
+        cycle_hz: float,
+        watchdog_s: float,
+        say: Say,
+    ) -> None:
+        self.plan = plan
+        self.state = DriveState.UNKNOWN
+        self.jobs: deque[Job] = deque()
+        self.names = tuple(joint.name for joint in plan.joints)
+        self.tries = max(joint.tries for joint in plan.joints)
+        self.was_enabled = False
+        """Set-points were enabled since it was armed: the next disable takes its power."""
+        self.told_motion = False
+        """The newest set-points that went out are not zero."""
+        self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
+        self._send = send
+        self._exchange = exchange
+        self._cycle_s = 1.0 / cycle_hz
+        self._watchdog_s = watchdog_s
+        self._setup = configure_steps(plan.profile, watchdog_s)
+        self._say = say
+        self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
+        self._set_up_backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
+        self._set_up_at_s = 0.0
+        self._runner = StepRunner(plan, send)
+        self._values: dict[str, int] = {}
+        self._heard_s: dict[str, float] = {}
+        self._heard_ns: dict[str, int] = {}
+        self._told_s = -math.inf
+        """When set-points went out last."""
+        self._waits_since_s = 0.0
+        """Nothing is known of it since then: the line was opened."""
+        self._quiet_since_s = 0.0
+        self._probe_at_s = 0.0
+        self._epoch = 0
+        self._cycles = 0
+        self._said_quiet = False
+        self._may_turn = False
+        """It has been armed since it was last seen set up: at rest and without power."""
+        self._still_enabled = 0
+        self._power_off_by_s: float | None = None
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.names)} (node {self.plan.node})"
+
+    # ------------------------------------------------------------------------------- what it says
+    def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
+        """A frame of this drive has come. Nothing is sent from here."""
+        self._heard_s[frame.name] = stamp_ns * 1e-9
+        self._runner.heard(values)
+        next_ns = self._heard_ns.get(frame.name, 0) + SAMPLE_PART * frame.period_s * 1e9
+        if frame in self.plan.measuring and stamp_ns < next_ns:
+            return
+        self._values.update(values)
+        self._heard_ns[frame.name] = stamp_ns
+        if self.state in (DriveState.READY, DriveState.ARMED) and frame in self.plan.fast:
+            self._publish()
+            self._check_power(frame)
+
+    def _publish(self) -> None:
+        """To the core, once everything that the wheel is judged by is known."""
+        if not all(frame.name in self._heard_ns for frame in self.plan.fast):
+            return
+        for joint in self.plan.joints:
+            reading = self.plan.reading(joint, self._values)
+            if reading is None:
+                continue  # no numbers: the sample grows old, and the core sees it
+            faults = self.faults[joint.name]
+            faults.update(reading.fault_word)
+            channel = self.plan.channel(joint)
+            measured = channel.position or channel.velocity
+            frame = self.plan.frame_of(measured) if measured else self.plan.fast[0]
+            self._exchange.put_feedback(
+                joint.index,
+                stamp_ns=self._heard_ns[frame.name],
+                count=reading.count,
+                velocity_rad_s=reading.velocity_rad_s,
+                current_a=reading.current_a,
+                voltage_v=reading.voltage_v,
+                temperature_c=reading.temperature_c,
+                epoch=self._epoch,
+                enabled=self.plan.enabled(self._values),
+                drive_faults=faults.stopping,
+            )
+
+    def _check_power(self, frame: Frame) -> None:
+        """What the frame says of the power, against what it should be."""
+        said = self.plan.profile.enabled
+        enabled = self.plan.enabled(self._values)
+        if said is None or self.plan.frame_of(said.register) is not frame or enabled is None:
+            return
+        if self.state is DriveState.ARMED and not enabled:
+            text = f"{self} is not enabled any more: set up again, disarmed"
+            self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self.configure(text)
+        elif self.state is not DriveState.READY or not enabled:
+            self._still_enabled = 0
+        elif not self.jobs and self._power_off_by_s is None:
+            # nobody armed it, so it shall not be enabled: a power-off was lost or refused
+            self._still_enabled += 1
+            if self._still_enabled == self.tries:
+                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
+                self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    # ------------------------------------------------------------------------- whether it is there
+    def _silence_s(self, frame: Frame) -> float:
+        if frame.period_s:
+            return frame.silence_s
+        asked_s = self.tries * self._cycle_s + self.plan.profile.turnaround_s
+        return max(frame.silence_s, asked_s)
+
+    def _missing(self) -> Frame | None:
+        """A frame that has not come for too long."""
+        for frame in self.plan.watched:
+            silent_s = now_s() - self._heard_s.get(frame.name, -math.inf)
+            if silent_s > self._silence_s(frame):
+                return frame
+        return None
+
+    def look(self) -> None:
+        """Once a cycle: is it there? Questions to one that is not, and jobs."""
+        missing = self._missing()
+        setting_up = any(job.name == "configure" for job in self.jobs)
+        if missing is None:
+            if self.state in (DriveState.UNKNOWN, DriveState.QUIET) and not setting_up:
+                self._set_up_again()
+        elif setting_up or self.state in self._past_patience():
+            self._go_quiet(missing)
+        if self.state in (DriveState.UNKNOWN, DriveState.QUIET):
+            self._probe()
+
+    def _set_up_again(self) -> None:
+        """It is there; one that has not let itself be set up is asked less and less often."""
+        if now_s() >= self._set_up_at_s:
+            self._set_up_at_s = now_s() + self._set_up_backoff.next_s()
+            self.configure(f"{self} is being configured")
+
+    def _past_patience(self) -> tuple[DriveState, ...]:
+        """The states in which a missing frame counts now: at first a drive is given time."""
+        longest_s = max(self._silence_s(frame) for frame in self.plan.watched)
+        if now_s() > self._waits_since_s + longest_s + FIRST_WORD_S:
+            return DriveState.READY, DriveState.ARMED, DriveState.UNKNOWN
+        return DriveState.READY, DriveState.ARMED
+
+    def _go_quiet(self, missing: Frame) -> None:
+        heard_s = self._heard_s.get(missing.name)
+        since = "" if heard_s is None else f" for {now_s() - heard_s:.2g} s"
+        error = NoReply(f"{self}: no {missing.name} frame{since}")
+        self._quiet(error)
+
+    def _quiet(self, error: HalError) -> None:
+        self._forget(error)
+        self.state = DriveState.QUIET
+        if not self._said_quiet:
+            self._said_quiet = True
+            self._quiet_since_s = now_s()
+            self._backoff.reset()
+            self._probe_at_s = 0.0
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
+
+    def _probe(self) -> None:
+        """Ask for what does not come by itself. It may hear us though we do not hear it, and then
+        do what it was last told: so one that may turn is told to stop."""
+        if now_s() < self._probe_at_s:
+            return
+        self._probe_at_s = now_s() + self._backoff.next_s()
+        if self._may_turn:
+            self._write_all(self.plan.profile.quick_stop)
+            self._send_setpoints({})
+            if now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
+                self._write_all(self.plan.profile.disarm)
+        for frame in self.plan.asked_fast:
+            self._ask(frame)
+
+    # ----------------------------------------------------------------------------- the cyclic part
+    def cycle(self, wanted: Wanted) -> None:
+        """Set-points out, questions out, one step of the first job. Raises PortError."""
+        self.look()
+        if self.state in (DriveState.READY, DriveState.ARMED):
+            self.tell(wanted)
+            for frame in self.plan.asked_fast:
+                self._ask(frame)
+            slow = self.plan.asked_slow
+            if slow and self._cycles % SLOW_EVERY_CYCLES == 0:
+                self._ask(slow[self._cycles // SLOW_EVERY_CYCLES % len(slow)])
+            self._cycles += 1
+        self._end_stopping()
+        if self.jobs:
+            self._slot()
+
+    def tell(self, wanted: Wanted) -> None:
+        """Only the set-points."""
+        heard = self.state is DriveState.ARMED or self.is_stopping
+        if heard or self.plan.table.idle_setpoints:
+            self._send_setpoints(wanted if self.state is DriveState.ARMED else {})
+
+    def _send_setpoints(self, wanted: Wanted) -> None:
+        raw = self.plan.setpoints(wanted)
+        motion = any(raw.values())
+        self.told_motion |= motion
+        sent = [self._send(self.plan.write(frame, raw)) for frame in self.plan.setpoint_frames]
+        if all(sent):
+            self.told_motion = motion
+            self._told_s = now_s()
+
+    def _ask(self, frame: Frame) -> None:
+        question = self.plan.question(frame)
+        if question is not None:
+            self._send(question)
+
+    # ---------------------------------------------------------------------------- the acyclic part
+    def submit(self, job: Job) -> Job:
+        """Queue a job; an urgent one goes ahead of the others."""
+        if job.urgent:
+            self.jobs.appendleft(job)
+        else:
+            self.jobs.append(job)
+        return job
+
+    def configure(self, why: str) -> None:
+        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
+        self._forget(NoReply(why))
+        self.state = DriveState.UNKNOWN
+        self.submit(Job("configure", self._setup))
+
+    def arming(self) -> Job:
+        """Zero in its set-points, then the profile's own steps."""
+        zeros = self.plan.setpoints({}).items()
+        rest = (Step(register=name, value=raw) for name, raw in zeros)
+        return Job("arm", (*rest, *self.plan.profile.arm))
+
+    def _forget(self, error: HalError) -> None:
+        while self.jobs:
+            self.jobs.popleft().fail(error)
+        self._values.clear()
+        self._heard_ns.clear()
+        self._still_enabled = 0
+        self._power_off_by_s = None
+
+    def lose(self, error: HalError) -> None:
+        """The bus is gone: nothing is known of the drive."""
+        self._forget(error)
+        self._heard_s.clear()
+        self.state = DriveState.UNKNOWN
+        self._waits_since_s = now_s()
+
+    def opened(self) -> None:
+        """The bus is there: the drive may speak."""
+        self._waits_since_s = now_s()
+        self._probe_at_s = 0.0
+        self._backoff.reset()
+
+    def _slot(self) -> None:
+        """One step of the first job."""
+        job = self.jobs[0]
+        if job.done.done():  # whoever wanted it has gone
+            self._drop(job)
+            return
+        try:
+            if job.step is not None:
+                self._runner.run(job, str(self))
+            if job.step is None:
+                self._drop(job)
+                self._finished(job)
+        except (NoReply, DriveFault) as error:
+            self._drop(job)
+            job.fail(error)
+            if job.name == "configure":
+                self._quiet(error)
+
+    def _drop(self, job: Job) -> None:
+        if job in self.jobs:
+            self.jobs.remove(job)
+
+    def _finished(self, job: Job) -> None:
+        if job.name == "configure":
+            self._configured()
+        elif job.name == "arm":
+            self.state, self.was_enabled = DriveState.ARMED, False
+            self._may_turn = True
+            self._told_s = now_s()
+        job.finish()
+
+    def _configured(self) -> None:
+        self.state = DriveState.READY
+        self._epoch += 1
+        self._cycles = 0
+        self._set_up_backoff.reset()
+        self._set_up_at_s = 0.0
+        self._may_turn = self.told_motion = False
+        if self._said_quiet:
+            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
+        else:
+            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
+        self._said_quiet = False
+
+    # ----------------------------------------------------------------------------------- stopping
+    def quick_stop(self) -> None:
+        """Stop now, ahead of everything else; the power goes off when the wheel is at rest."""
+        self._disarmed()
+        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
+        self._write_now("quick_stop", self.plan.profile.quick_stop)
+
+    def power_off(self) -> None:
+        """Power off now, ahead of everything else."""
+        self._disarmed()
+        self._power_off_by_s = None
+        self._write_now("disarm", self.plan.profile.disarm)
+        self.told_motion = False
+
+    @property
+    def has_stopped_itself(self) -> bool:
+        """It was told nothing for so long that it has stopped, if it has a watchdog: a pause of the
+        whole process. One that cannot say so would start again with the next set-point."""
+        return now_s() - self._told_s > self._watchdog_s
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._power_off_by_s is not None
+
+    def _end_stopping(self) -> None:
+        if self._power_off_by_s is None:
+            return
+        readings = [self.plan.reading(joint, self._values) for joint in self.plan.joints]
+        at_rest = all(
+            one is not None and abs(one.velocity_rad_s) < REST_VELOCITY_RAD_S for one in readings
+        )
+        if at_rest or now_s() > self._power_off_by_s:
+            self._power_off_by_s = None
+            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    def stand_down(self) -> Job:
+        """Zero from now on, power off with the next slot."""
+        self._disarmed()
+        return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    def _disarmed(self) -> None:
+        """From now on every set-point of this drive is zero."""
+        if self.state is DriveState.ARMED:
+            self.state = DriveState.READY
+        for job in [job for job in self.jobs if job.name == "arm"]:
+            self._drop(job)
+            job.fail(HalError(f"{self}: stopped while it was being armed"))
+
+    def _write_all(self, steps: tuple[Step, ...]) -> bool:
+        """All writes at once."""
+        writes = merged_writes(self.plan, steps)
+        return all(self._send(sent) for sent in writes)
+
+    def _write_now(self, name: str, steps: tuple[Step, ...]) -> None:
+        """All writes at once; what the bus does not take becomes a job."""
+        if not self._write_all(steps):
+            self.submit(Job(name, steps, urgent=True))

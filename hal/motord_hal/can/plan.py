@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cyclic table of one drive on a CAN bus, built once from its profile: which frames carry the
+set-points, which come back by themselves, which are asked for and how often. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from motord_hal.can.codec import build, frame_time_s, parse
+from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
+from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.errors import ProfileError
+from motord_hal.ports import JointSpec
+
+SLOW_EVERY_CYCLES = 8
+"""What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
+
+Wanted = Mapping[int, tuple[float, float]]
+"""Joint index → (wheel rad/s, duty); empty: everything zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A frame on its way to the bus."""
+
+    identifier: int
+    extended: bool
+    fd: bool
+    data: bytes
+    remote_bytes: int | None = None
+    """Of a remote frame: the length that it asks for; None: a data frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN."""
+
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    fault_word: int
+
+
+class CanPlan:
+    """One node with one or more joints on its channels."""
+
+    def __init__(self, joints: Iterable[JointSpec]) -> None:
+        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
+        self.profile: DriveProfile = self.joints[0].profile
+        if self.profile.can is None:
+            raise ProfileError(
+                f"{self.joints[0].name}: {self.profile.name} is no drive on a CAN bus"
+            )
+        self.table: CanTable = self.profile.can
+        self.node = self.joints[0].unit
+        self._signals = {
+            name: signals_of(self.profile.registers, name) for name in self.table.frames
+        }
+        self.setpoint_frames = self._frames_of(self._setpoint_names())
+        """Sent in every cycle."""
+        self.fast = self._frames_of(self._fast_names())
+        """What the wheel is judged by."""
+        slow = self._frames_of(self._slow_names())
+        self.slow = tuple(frame for frame in slow if frame not in self.fast)
+        self.watched = tuple(
+            frame
+            for frame in self.table.frames.values()
+            if frame.silence_s and (frame.period_s or frame in self.fast)
+        )
+        """Frames that are missed when they do not come."""
+        self.measuring = self._frames_of(self._measuring_names())
+        """What odometry is made of."""
+        self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)
+        self.asked_slow = tuple(frame for frame in self.slow if frame.ask and not frame.period_s)
+        self._by_identifier: dict[tuple[int, bool], list[Frame]] = {}
+        for frame in self.table.frames_from(Sender.DRIVE):
+            key = (frame.identifier(self.node), frame.extended)
+            self._by_identifier.setdefault(key, []).append(frame)
+
+    # ------------------------------------------------------------------------------------ building
+    def channel(self, joint: JointSpec) -> Channel:
+        return self.profile.channels[joint.channel]
+
+    def _setpoint_names(self) -> list[str]:
+        channels = [self.channel(joint) for joint in self.joints]
+        return [channel.velocity_setpoint or channel.duty_setpoint or "" for channel in channels]
+
+    def _fast_names(self) -> list[str]:
+        names = [self.profile.enabled.register] if self.profile.enabled else []
+        for joint in self.joints:
+            channel = self.channel(joint)
+            names += [n for n in (channel.position, channel.velocity, channel.fault) if n]
+        return names
+
+    def _measuring_names(self) -> list[str]:
+        channels = [self.channel(joint) for joint in self.joints]
+        return [name for c in channels if (name := c.position or c.velocity) is not None]
+
+    def _slow_names(self) -> list[str]:
+        names = [self.profile.bus_voltage]
+        for joint in self.joints:
+            channel = self.channel(joint)
+            names += [channel.current, channel.temperature]
+        return [name for name in names if name]
+
+    def _frames_of(self, names: Iterable[str]) -> tuple[Frame, ...]:
+        return tuple(dict.fromkeys(self.frame_of(name) for name in names))
+
+    def signal(self, name: str) -> Signal:
+        signal = self.profile.registers[name]
+        assert isinstance(signal, Signal)  # can_load made them
+        return signal
+
+    def frame_of(self, signal: str) -> Frame:
+        return self.table.frames[self.signal(signal).frame]
+
+    @property
+    def identifiers(self) -> tuple[tuple[int, bool], ...]:
+        """What this node may send: identifier, and whether it is extended."""
+        return tuple(self._by_identifier)
+
+    # ------------------------------------------------------------------------------------- sending
+    def write(self, frame: Frame, raw: Mapping[str, int]) -> Sent:
+        """The frame with these signals in it."""
+        data = build(frame, self._signals[frame.name], raw)
+        return Sent(frame.identifier(self.node), frame.extended, frame.fd, data)
+
+    def question(self, frame: Frame) -> Sent | None:
+        """What asks for a frame; None: nothing does."""
+        if frame.ask == "rtr":
+            identifier = frame.identifier(self.node)
+            return Sent(
+                identifier, frame.extended, fd=False, data=b"", remote_bytes=frame.size_bytes
+            )
+        return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
+
+    def setpoints(self, wanted: Wanted) -> dict[str, int]:
+        """Signal → raw for the set-points. What is missing, NaN or infinite is zero."""
+        raw = {}
+        for joint in self.joints:
+            channel = self.channel(joint)
+            sign = -1.0 if joint.inverted else 1.0
+            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
+            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
+            if name is None:
+                name, value = channel.duty_setpoint, duty * sign
+            assert name is not None  # the profile's checks: exactly one of the two is there
+            raw[name] = self.profile.registers[name].from_si(value if math.isfinite(value) else 0.0)
+        return raw
+
+    # ----------------------------------------------------------------------------------- receiving
+    def parse(
+        self, identifier: int, data: bytes, *, extended: bool
+    ) -> tuple[Frame, dict[str, int]] | None:
+        """Which frame it is and what stands in it; None: not one of this drive's."""
+        for frame in self._by_identifier.get((identifier, extended), ()):
+            values = parse(frame, self._signals[frame.name], data)
+            if values is not None:
+                return frame, values
+        return None
+
+    def reading(self, joint: JointSpec, values: Mapping[str, int]) -> Reading | None:
+        """What the raw values say of a joint; None: they are no numbers."""
+        channel = self.channel(joint)
+        sign = -1.0 if joint.inverted else 1.0
+        count = self._count(channel.position, values)
+        if count is None:
+            return None
+        return Reading(
+            count=count,
+            velocity_rad_s=self._si(channel.velocity, values) / joint.gear_ratio * sign,
+            current_a=self._si(channel.current, values),
+            voltage_v=self._si(self.profile.bus_voltage, values),
+            temperature_c=self._si(channel.temperature, values),
+            fault_word=values.get(channel.fault or "", 0),
+        )
+
+    def _count(self, name: str | None, values: Mapping[str, int]) -> int | None:
+        """The counter; of a position in turns the count that the profile makes of it."""
+        if name is None or name not in values:
+            return 0
+        signal, mask = self.signal(name), (1 << self.profile.counter_bits) - 1
+        if signal.unit == "count":
+            return values[name] & mask
+        turns = signal.to_si(values[name]) / (2.0 * math.pi)
+        return round(turns * self.profile.counts_per_turn) & mask if math.isfinite(turns) else None
+
+    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
+        if name is None or name not in values:
+            return math.nan
+        value = self.profile.registers[name].to_si(values[name])
+        return value if math.isfinite(value) else math.nan
+
+    def enabled(self, values: Mapping[str, int]) -> bool | None:
+        """None: the drive cannot say, or has not said yet."""
+        said = self.profile.enabled
+        if said is None or said.register not in values:
+            return None
+        return values[said.register] & said.mask == said.equals
+
+    # ------------------------------------------------------------------------------------ bus load
+    def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
+        """How long the frames of one cycle hold the bus at worst: set-points, what is asked for in
+        every cycle, and one that may wait, now and then."""
+
+        def time_s(frame: Frame, *, remote: bool = False) -> float:
+            return frame_time_s(frame, bitrate, data_bitrate, remote=remote)
+
+        def asked_s(frame: Frame) -> float:
+            asking = self.table.frames.get(frame.ask)
+            question_s = time_s(asking) if asking else time_s(frame, remote=True)
+            return question_s + time_s(frame)
+
+        cycle_s = sum(time_s(frame) for frame in self.setpoint_frames)
+        cycle_s += sum(asked_s(frame) for frame in self.asked_fast)
+        if self.asked_slow:
+            slow_s = sum(asked_s(frame) for frame in self.asked_slow) / len(self.asked_slow)
+            cycle_s += slow_s / SLOW_EVERY_CYCLES
+        return cycle_s
+
+    def own_load(self, bitrate: int, data_bitrate: int | None) -> float:
+        """The part of the bus that the drive takes by what it sends unasked."""
+        return sum(
+            frame_time_s(frame, bitrate, data_bitrate) / frame.period_s
+            for frame in self.table.frames_from(Sender.DRIVE)
+            if frame.period_s
+        )

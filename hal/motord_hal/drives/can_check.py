@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the frames and signals of a drive profile on a CAN bus."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.toml_table import Problems, did_you_mean
+
+_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+
+
+def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
+    """Add a row for everything that does not fit together."""
+    if not table.node_min <= profile.unit <= table.node_max:
+        problems.add("can.node", f"{profile.unit} is not {table.node_min} to {table.node_max}")
+    for frame in table.frames.values():
+        _check_frame(table, frame, problems)
+    for one, other in combinations(table.frames_from(Sender.DRIVE), 2):
+        if one.base == other.base and _same_beginning(one, other):
+            problems.add(f"frame.{other.name}.id", f"cannot be told from frame {one.name}")
+    for signal in profile.registers.values():
+        if isinstance(signal, Signal) and signal.frame:
+            _check_signal(table.frames[signal.frame], signal, problems)
+    for name in table.frames:
+        _check_overlaps(name, signals_of(profile.registers, name), problems)
+    _check_presence(profile, table, problems)
+
+
+def _same_beginning(one: Frame, other: Frame) -> bool:
+    common = min(len(one.begins), len(other.begins))
+    return one.begins[:common] == other.begins[:common]
+
+
+def _check_frame(table: CanTable, frame: Frame, problems: Problems) -> None:
+    key = f"frame.{frame.name}"
+    most = _EXTENDED_MAX if frame.extended else _STANDARD_MAX
+    if frame.identifier(table.node_max) > most:
+        problems.add(f"{key}.id", f"with node {table.node_max} it is beyond {most:#x}")
+    if len(frame.begins) > frame.size_bytes:
+        problems.add(f"{key}.begins", f"is longer than the frame ({frame.size_bytes} bytes)")
+    if frame.sender is Sender.MOTORD:
+        for name in ("ask", "period_s", "silence_s"):
+            if getattr(frame, name):
+                problems.add(f"{key}.{name}", "is only for frames of the drive")
+        return
+    if frame.ask and frame.ask != "rtr":
+        asking = table.frames.get(frame.ask)
+        if asking is None or asking.sender is not Sender.MOTORD:
+            hint = did_you_mean(frame.ask, table.frames)
+            problems.add(f"{key}.ask", f'"{frame.ask}" is no frame that motord sends{hint}')
+    if frame.ask == "rtr" and frame.fd:
+        problems.add(f"{key}.ask", "CAN FD has no remote frames (ISO 11898-1, 8.4.2.5)")
+    if frame.silence_s and frame.silence_s < 2 * frame.period_s:
+        problems.add(f"{key}.silence_s", "is shorter than two periods: one lost frame would do")
+
+
+def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
+    key = f"signal.{signal.name}"
+    if signal.start_bit + signal.length > 8 * frame.size_bytes:
+        problems.add(
+            f"{key}.start_bit", f"reaches beyond the {frame.size_bytes} bytes of {frame.name}"
+        )
+    if signal.scale == 0:
+        problems.add(f"{key}.scale", "must not be zero")
+    if signal.is_float and signal.length != 32:
+        problems.add(f"{key}.length", "a floating-point number has 32 bits")
+    low, high = signal.raw_range
+    if not low <= signal.default <= high:
+        problems.add(f"{key}.default", f"{signal.default} does not fit {signal.length} bits")
+    least, most = signal.minimum, signal.maximum
+    if least is not None and most is not None and least > most:
+        problems.add(f"{key}.minimum", "is above maximum")
+
+
+def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems) -> None:
+    for one, other in combinations(signals, 2):
+        if one.big_endian != other.big_endian:
+            continue  # bits are counted another way
+        if one.start_bit + one.length > other.start_bit:
+            problems.add(f"signal.{other.name}.start_bit", f"overlaps {one.name} in frame {frame}")
+
+
+def _check_presence(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
+    """What the wheel is judged by must come by itself or on demand, and be missed when it does
+    not."""
+    if not any(frame.silence_s for frame in table.frames.values()):
+        problems.add("frame", "no frame has a silence_s: nothing tells that the drive is there")
+    wanted = [profile.enabled.register] if profile.enabled else []
+    for channel in profile.channels.values():
+        wanted += [name for name in (channel.position, channel.velocity, channel.fault) if name]
+    for name in dict.fromkeys(wanted):
+        signal = profile.registers.get(name)
+        frame = table.frames.get(signal.frame) if isinstance(signal, Signal) else None
+        if frame is None or frame.sender is not Sender.DRIVE:
+            continue
+        if not frame.silence_s:
+            problems.add(f"frame.{frame.name}.silence_s", f"is missing: {name} comes in it")
+        if not frame.period_s and not frame.ask:
+            problems.add(
+                f"frame.{frame.name}", "is neither sent unasked (period_s) nor asked for (ask)"
+            )

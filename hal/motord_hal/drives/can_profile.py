@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive says and hears on a CAN bus, as values: frames, and signals as places in them.
+
+A signal is a register whose address is its frame. Its raw value is the whole number that stands in
+the frame; of a floating-point number that is its IEEE 754 pattern.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
+
+FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
+"""The greatest finite number of 32 bits (IEEE 754, binary32)."""
+SIZES_FD = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Bytes that a frame may carry: ISO 11898-1, 8.4.2.4 (a classic frame: up to 8)."""
+
+
+class Sender(enum.StrEnum):
+    MOTORD = "motord"
+    DRIVE = "drive"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One kind of frame. Its identifier is base + node << node_shift."""
+
+    name: str
+    base: int
+    node_shift: int
+    extended: bool
+    """29 bits of identifier, not 11."""
+    fd: bool
+    """A frame of CAN FD, its data at the data bit rate where the bus has one."""
+    size_bytes: int
+    sender: Sender
+    begins: bytes
+    """What its data begin with: of a frame that is sent, under the signals; of one that comes, what
+    tells it from others with the same identifier."""
+    ask: str
+    """How the drive is asked for it: "" not at all, "rtr" by a remote frame, else the name of the
+    frame that asks."""
+    period_s: float
+    """How often the drive sends it unasked; 0: never."""
+    silence_s: float
+    """A drive from which it has not come for so long is quiet; 0: it is not waited for."""
+    source: str
+
+    def identifier(self, node: int) -> int:
+        return self.base + (node << self.node_shift)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signal(Register):
+    """A place in a frame."""
+
+    frame: str
+    start_bit: int
+    """Little-endian: from the least significant bit of byte 0 upward. Big-endian: from the most
+    significant bit of byte 0 on."""
+    length: int
+    """Bits."""
+    big_endian: bool
+
+    @property
+    def is_float(self) -> bool:
+        return self.type is RegisterType.F32
+
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Smallest and largest whole number; of a floating-point number all patterns."""
+        if self.type.signed and not self.is_float:
+            return -(1 << self.length - 1), (1 << self.length - 1) - 1
+        return 0, (1 << self.length) - 1
+
+    @property
+    def si_limits(self) -> tuple[float, float]:
+        per_unit = SI_UNITS[self.unit][1]
+        if self.is_float:
+            ends = sorted((-FLOAT_MAX * self.scale, FLOAT_MAX * self.scale))
+        else:
+            ends = sorted(raw * self.scale for raw in self.raw_range)
+        low = ends[0] if self.minimum is None else max(ends[0], self.minimum)
+        high = ends[1] if self.maximum is None else min(ends[1], self.maximum)
+        return low * per_unit, high * per_unit
+
+    def to_si(self, raw: int) -> float:
+        """NaN and infinity come through: what a drive says is judged by who asks."""
+        number: float = raw
+        if self.is_float:
+            number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
+        return number * self.scale * SI_UNITS[self.unit][1]
+
+    def from_si(self, value: float) -> int:
+        """As Register.from_si; zero is always +0."""
+        if not math.isfinite(value):
+            raise ValueError(f"{self.name}: {value} cannot be written")
+        low, high = self.si_limits
+        number = min(max(value, low), high) / SI_UNITS[self.unit][1] / self.scale
+        if not self.is_float:
+            least, most = self.raw_range
+            return min(max(round(number), least), most)
+        number = min(max(number, -FLOAT_MAX), FLOAT_MAX) + 0.0  # -0.0 + 0.0 is +0.0
+        return int.from_bytes(struct.pack("<f", number), "little")
+
+    def insert(self, data: bytearray, raw: int) -> None:
+        """Write the raw value to its place. ValueError: it does not fit."""
+        low, high = self.raw_range
+        if not low <= raw <= high:
+            raise ValueError(f"{self.name}: {raw} does not fit {self.length} bits")
+        mask = (1 << self.length) - 1
+        shift, order = self._shift(len(data))
+        whole = int.from_bytes(data, order) & ~(mask << shift) | (raw & mask) << shift
+        data[:] = whole.to_bytes(len(data), order)
+
+    def extract(self, data: bytes) -> int:
+        """The raw value as it stands in the frame."""
+        shift, order = self._shift(len(data))
+        raw = int.from_bytes(data, order) >> shift & (1 << self.length) - 1
+        negative = self.type.signed and not self.is_float and raw >> (self.length - 1)
+        return raw - (1 << self.length) if negative else raw
+
+    def _shift(self, size_bytes: int) -> tuple[int, Literal["little", "big"]]:
+        if self.big_endian:
+            return 8 * size_bytes - self.start_bit - self.length, "big"
+        return self.start_bit, "little"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanTable:
+    """The frames of one drive, by name."""
+
+    frames: dict[str, Frame]
+    node_min: int
+    node_max: int
+    idle_setpoints: bool
+    """Whether zero set-points are sent to a drive that is not armed; where a set-point itself
+    switches the motor on, they are not."""
+
+    def frames_from(self, sender: Sender) -> tuple[Frame, ...]:
+        return tuple(frame for frame in self.frames.values() if frame.sender is sender)
+
+
+def signals_of(registers: dict[str, Register], frame: str) -> tuple[Signal, ...]:
+    """The signals of a frame, in the order of their places."""
+    found = [r for r in registers.values() if isinstance(r, Signal) and r.frame == frame]
+    return tuple(sorted(found, key=lambda signal: signal.start_bit))

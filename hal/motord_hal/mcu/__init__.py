@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boards that people program themselves, on a serial port: a stream of frames each way."""

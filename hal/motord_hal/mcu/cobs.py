@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Consistent overhead byte stuffing: bytes without a zero, so that zeros can part frames.
+
+Source: Cheshire & Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on Networking
+7(2), 1999.
+"""
+
+from __future__ import annotations
+
+_BLOCK_MAX = 254
+"""Bytes behind one code byte; the code 255 says that no zero follows them."""
+
+
+def encode(data: bytes) -> bytes:
+    """Without zeros; one byte longer, and one more for each 254."""
+    out = bytearray()
+    for number, run in enumerate(runs := data.split(b"\0")):
+        while len(run) >= _BLOCK_MAX:
+            out += bytes((_BLOCK_MAX + 1,)) + run[:_BLOCK_MAX]
+            run = run[_BLOCK_MAX:]
+            if not run and number == len(runs) - 1:
+                return bytes(out)
+        out += bytes((len(run) + 1,)) + run
+    return bytes(out)
+
+
+def decode(data: bytes) -> bytes:
+    """What was encoded. Raises ValueError for what `encode` never makes."""
+    out = bytearray()
+    at = 0
+    while at < len(data):
+        code = data[at]
+        block = data[at + 1 : at + code]
+        if code == 0 or len(block) != code - 1 or 0 in block:
+            raise ValueError(f"byte {at}: no block of {code}")
+        out += block
+        at += code
+        if code <= _BLOCK_MAX and at < len(data):
+            out.append(0)
+    return bytes(out)

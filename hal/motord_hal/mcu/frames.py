@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames between motord and a board, as pure functions: docs/mcu-frame.md is their description.
+Shared by the line and the simulator.
+
+A frame is version, type, sequence, time stamp, payload and CRC, stuffed by `cobs` and put between
+zeros. In a drive profile with `protocol = "mcu-frame"` a register's address is a byte of the
+payload: access "w" in the set-points, "r" in the feedback, "rw" at the same place in both. Numbers
+stand low byte first, as all usual microcontrollers keep them.
+"""
+
+from __future__ import annotations
+
+import enum
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from motord_hal.drives.profile import Register
+from motord_hal.mcu import cobs
+
+VERSION = 1
+FRAME_BYTES_MAX = 200
+"""Without stuffing. 8 motors need 106."""
+MOTORS_MAX = 8
+SETPOINTS_HEAD_BYTES = 6
+SETPOINTS_MOTOR_BYTES = 6
+FEEDBACK_HEAD_BYTES = 16
+FEEDBACK_MOTOR_BYTES = 10
+OWN_BYTES_W = frozenset({1, 4, 5})
+"""Bytes of the set-points that the line itself fills: motors, feedback period."""
+OWN_BYTES_R = frozenset({1, 4, 5, 6, 7, 8, 9})
+"""Bytes of the feedback that the line itself reads: also which set-points were heard, and when."""
+RESTARTED = 8
+"""The bit of status that a board sets when it starts, until the same bit of control is set."""
+HELD_UNIT_S = 0.0001
+
+_HEAD = struct.Struct("<BBHI")
+_CRC = struct.Struct("<H")
+_TIME_US = 1 << 32
+_POLYNOMIAL = 0x1021
+
+
+class FrameError(ValueError):
+    """Bytes that are no frame."""
+
+
+class Type(enum.IntEnum):
+    SETPOINTS = 0x01
+    FEEDBACK = 0x81
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    type: int
+    sequence: int
+    time_us: int
+    """Of the sender's clock, modulo 2^32."""
+    payload: bytes
+
+
+def _crc_table() -> tuple[int, ...]:
+    rows = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = crc << 1 ^ _POLYNOMIAL if crc & 0x8000 else crc << 1
+        rows.append(crc & 0xFFFF)
+    return tuple(rows)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes, start: int = 0xFFFF) -> int:
+    """Polynomial 0x1021, not reflected: CRC-16/IBM-3740 (start 0xFFFF), CRC-16/XMODEM (start 0)."""
+    crc = start
+    for byte in data:
+        crc = crc << 8 & 0xFFFF ^ _CRC_TABLE[crc >> 8 ^ byte]
+    return crc
+
+
+def build(frame: Frame) -> bytes:
+    """As it goes out: a zero, the stuffed frame, a zero. The first one ends whatever noise came
+    before."""
+    head = _HEAD.pack(VERSION, frame.type, frame.sequence & 0xFFFF, frame.time_us % _TIME_US)
+    body = head + frame.payload
+    if len(body) + _CRC.size > FRAME_BYTES_MAX:
+        raise ValueError(f"a payload of {len(frame.payload)} bytes is too long")
+    return b"\0" + cobs.encode(body + _CRC.pack(crc16(body))) + b"\0"
+
+
+def parse(stuffed: bytes) -> Frame:
+    """What stood between two zeros. Raises FrameError."""
+    try:
+        raw = cobs.decode(stuffed)
+    except ValueError as error:
+        raise FrameError(f"not stuffed: {error}") from error
+    if not _HEAD.size + _CRC.size <= len(raw) <= FRAME_BYTES_MAX:
+        raise FrameError(f"{len(raw)} bytes are no frame")
+    body, (crc,) = raw[: -_CRC.size], _CRC.unpack(raw[-_CRC.size :])
+    if crc16(body) != crc:
+        raise FrameError("wrong CRC")
+    version, kind, sequence, time_us = _HEAD.unpack_from(body)
+    if version != VERSION:
+        raise FrameError(f"frames of version {version}, not {VERSION}")
+    return Frame(kind, sequence, time_us, body[_HEAD.size :])
+
+
+class Splitter:
+    """Cuts a stream of bytes at its zeros. What never ends is thrown away, not kept."""
+
+    def __init__(self) -> None:
+        self._tail = bytearray()
+        self._too_long = False
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """What stood between zeros, without the empty pieces; what is too long comes cut off, so
+        that it is counted as no frame."""
+        for number, piece in enumerate(data.split(b"\0")):
+            if number and (self._tail or self._too_long):
+                yield bytes(self._tail)
+                self._tail.clear()
+                self._too_long = False
+            room = FRAME_BYTES_MAX + 2 - len(self._tail)
+            self._too_long |= len(piece) > room
+            self._tail += piece[:room]
+
+
+def wire_bytes(motors: int) -> int:
+    """Of the longer of both frames, with the zeros and the byte that the stuffing adds."""
+    setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
+    feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors
+    return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
+
+
+def newer(sequence: int, than: int) -> bool:
+    """Whether a sequence number comes after another: serial arithmetic of 16 bits (RFC 1982)."""
+    return 0 < (sequence - than & 0xFFFF) < 0x8000
+
+
+def size_bytes(register: Register) -> int:
+    return register.type.bits // 8
+
+
+def place(payload: bytearray, register: Register, raw: int) -> None:
+    """Write a raw value at its register's place. Raises ValueError where it does not fit."""
+    low, high = register.raw_range
+    if not low <= raw <= high:
+        raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
+    size = size_bytes(register)
+    word = raw & (1 << 8 * size) - 1
+    payload[register.address : register.address + size] = word.to_bytes(size, "little")
+
+
+def pick(payload: bytes, register: Register) -> int:
+    """The register's raw value. Raises FrameError where the payload is too short for it."""
+    size = size_bytes(register)
+    data = payload[register.address : register.address + size]
+    if len(data) != size:
+        raise FrameError(f"{len(payload)} bytes of payload end before {register.name}")
+    return int.from_bytes(data, "little", signed=register.type.signed)
+
+
+def setpoints_payload(
+    registers: Iterable[Register], raw: Mapping[str, int], motors: int, feedback_s: float
+) -> bytes:
+    """What goes to the board; registers without a value are 0."""
+    payload = bytearray(SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors)
+    for register in registers:
+        if "w" in register.access:
+            place(payload, register, raw.get(register.name, 0))
+    payload[1] = motors
+    payload[4:6] = min(max(round(feedback_s * 1000), 1), 0xFFFF).to_bytes(2, "little")
+    return bytes(payload)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the board says of the set-points that it heard last."""
+
+    sequence: int
+    held_s: float
+    """From hearing them to this feedback."""
+
+
+def heard_in(payload: bytes) -> Heard:
+    """Raises FrameError."""
+    if len(payload) < FEEDBACK_HEAD_BYTES:
+        raise FrameError(f"{len(payload)} bytes of payload are no feedback")
+    sequence, held = struct.unpack_from("<HH", payload, 6)
+    return Heard(sequence, held * HELD_UNIT_S)
+
+
+def feedback_payload(
+    registers: Iterable[Register], raw: Mapping[str, int], motors: int, period_ms: int, heard: Heard
+) -> bytes:
+    """What a board says: the simulator's side."""
+    payload = bytearray(FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors)
+    for register in registers:
+        if "r" in register.access:
+            place(payload, register, raw[register.name])
+    payload[1] = motors
+    held = min(round(heard.held_s / HELD_UNIT_S), 0xFFFF)
+    struct.pack_into("<HHH", payload, 4, period_ms, heard.sequence, held)
+    return bytes(payload)

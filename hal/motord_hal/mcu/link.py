@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A serial port as a stream both ways on asyncio: bytes are handed on the moment they come."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import os
+import termios
+from collections.abc import Callable
+
+from motord_hal.errors import PortError
+from motord_hal.ports import LineSpec
+from motord_hal.serial.port import OpenPort, open_port
+
+READ_BYTES = 4096
+FRAMES_WAITING_MAX = 2
+
+
+class Stream:
+    """One port. `heard` is called with what came, from the event loop."""
+
+    def __init__(self, spec: LineSpec, heard: Callable[[bytes], None]) -> None:
+        self._spec = spec
+        self._heard = heard
+        self._port: OpenPort | None = None
+        self._lost = ""
+
+    def open(self) -> None:
+        """Raises PortError."""
+        self.close()
+        self._port, self._lost = open_port(self._spec), ""
+        termios.tcflush(self._port.fd, termios.TCIOFLUSH)
+        asyncio.get_running_loop().add_reader(self._port.fd, self._read)
+
+    def close(self) -> None:
+        """Nothing happens when it is not open."""
+        if self._port is not None:
+            asyncio.get_running_loop().remove_reader(self._port.fd)
+            self._port.close()
+            self._port = None
+
+    def _read(self) -> None:
+        assert self._port is not None  # a reader without a port was removed
+        try:
+            data = os.read(self._port.fd, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            return
+        if data:
+            self._heard(data)
+        else:
+            self._lose("end of file")
+
+    def _lose(self, why: str) -> None:
+        self._lost = why
+        self.close()
+
+    def send(self, data: bytes) -> bool:
+        """Whether it was sent: not behind older frames that have not gone out yet, for they would
+        come late. Raises PortError."""
+        if self._port is None:
+            raise PortError(f"{self._spec.port} went away: {self._lost or 'it is closed'}")
+        fd = self._port.fd
+        try:
+            waiting = int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), "little")
+            if waiting > FRAMES_WAITING_MAX * len(data):
+                return False
+            return os.write(fd, data) == len(data)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            raise PortError(f"{self._spec.port} went away: {self._lost}") from error

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stopping the drives of a serial line that nobody runs, by the line's own thread: gaps, echo and
+the transceiver's direction are its business."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator, Mapping
+
+from motord_hal.errors import PortError
+from motord_hal.halt import halt_unit
+from motord_hal.ports import LineSpec
+from motord_hal.rt import Exchange
+from motord_hal.rt_engine.asks import Asks
+from motord_hal.rt_engine.frames import DriveFrames
+from motord_hal.rt_engine.news import News
+from motord_hal.rt_engine.protocols import frames_of
+from motord_hal.rt_engine.table import line_table
+from motord_hal.rt_line import LineThread, ThreadSpec
+from motord_hal.serial.port import OpenPort, open_port
+
+SLOT_WITHIN_S = 0.5
+"""So long a request may wait for its turn on the wire."""
+
+
+class _Unit:
+    """halt.Unit by requests outside the cycle."""
+
+    def __init__(self, index: int, frames: DriveFrames, asks: Asks) -> None:
+        self.name = ", ".join(joint.name for joint in frames.joints)
+        self.profile = frames.profile
+        self._index = index
+        self._frames = frames
+        self._asks = asks
+        given_s = (joint.reply_timeout_s for joint in frames.joints)
+        self._turnaround_s = max((s for s in given_s if s), default=self.profile.turnaround_s)
+
+    async def write(self, raw: Mapping[str, int]) -> None:
+        for frame in self._frames.writes(raw):
+            await self._asks.ask(self._index, frame, self._turnaround_s, urgent=True)
+
+    async def read(self, register: str) -> int:
+        frame = self._frames.read(register)
+        reply = await self._asks.ask(self._index, frame, self._turnaround_s)
+        return self._frames.raw(register, reply)
+
+
+async def halt_line(spec: LineSpec) -> list[str]:
+    """All drives at once. Returns what was not acknowledged, in words. Raises HalError: PortError
+    where the port cannot be had."""
+    frames = frames_of(spec)
+    thread = LineThread(spec.index, Exchange.private())
+    asks = Asks(spec.name, thread, SLOT_WITHIN_S)
+    units = [_Unit(index, each, asks) for index, each in enumerate(frames)]
+    async with _running(spec, thread, frames, asks):
+        problems = await asyncio.gather(*map(halt_unit, units))
+    return [problem for problem in problems if problem]
+
+
+@contextlib.asynccontextmanager
+async def _running(
+    spec: LineSpec, thread: LineThread, frames: list[DriveFrames], asks: Asks
+) -> AsyncIterator[None]:
+    """The thread on its port, with a task that hands out its answers."""
+    news, port = News(), open_port(spec)
+    with contextlib.ExitStack() as undo:
+        undo.callback(port.close)
+        news.open()
+        undo.callback(news.close)
+        thread.start(_thread_spec(spec, port, news), line_table(spec, frames))
+        undo.callback(thread.stop)
+        async with asyncio.TaskGroup() as tasks:
+            attending = tasks.create_task(_attend(spec, thread, news, asks))
+            yield
+            attending.cancel()
+
+
+def _thread_spec(spec: LineSpec, port: OpenPort, news: News) -> ThreadSpec:
+    return ThreadSpec(
+        fd=port.fd,
+        event_fd=news.event_fd,
+        priority=spec.priority,
+        cpu_mask=sum(1 << cpu for cpu in spec.cpu),
+        de_fd=port.de_fd,
+        de_active_high=spec.direction.active_high,
+        de_before_ns=round(spec.direction.before_s * 1e9),
+        de_after_ns=round(spec.direction.after_s * 1e9),
+    )
+
+
+async def _attend(spec: LineSpec, thread: LineThread, news: News, asks: Asks) -> None:
+    """Until the port goes away: then whoever waits for an answer is told."""
+    while (report := thread.report()).running:
+        asks.take_answers()
+        await news.wait()
+    asks.lose(PortError(f"{spec.port} went away: {os.strerror(report.error)}"))

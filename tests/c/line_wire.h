@@ -1,0 +1,146 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_wire.h: a line's machine on a wire of virtual time, with drives that answer, or do not. */
+#ifndef MOTORD_TESTS_LINE_WIRE_H
+#define MOTORD_TESTS_LINE_WIRE_H
+
+#include <string.h>
+
+#include "check.h"
+#include "line_machine.h"
+
+enum { WRITE = 6, READ = 3, SPEED = 0x10, STATUS = 0x20, CONTROL = 0x30, RELEASE = 0x31, QUICK_STOP = 5, DISABLE = 7 };
+
+static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
+
+/* A wire with its drives; `dead` has a bit for each that never answers. */
+typedef struct {
+    line_table table;
+    line_machine machine;
+    line_output out;
+    int64_t now_ns;
+        uint32_t dead;
+    uint32_t turning;                       /* bit n: its wheel says that it turns */
+    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
+    int64_t power_off_ns[LINE_DRIVES_MAX];
+    bool echoes;
+    uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
+    uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not */
+    uint8_t bytes[2 * FRAME_BYTES_MAX];
+    uint32_t count;
+} wire;
+
+static wire w;
+
+static inline line_frame frame_of(uint8_t unit, uint8_t function, uint8_t address, uint8_t value)
+{
+    line_frame frame = {.request_bytes = 8, .request_seal = SEAL_CRC16, .reply_seal = SEAL_CRC16, .has_exceptions = 1,
+                        .request = {unit, function, 0, address, 0, value}};
+    rtu_seal(frame.request, 8, SEAL_CRC16);
+    if (function == WRITE) {
+        frame.reply_bytes = 8;
+        frame.echo_bytes = 6;
+    } else {
+        frame.reply_bytes = 7;
+        frame.match_bytes = 3;
+        memcpy(frame.match, (const uint8_t[]){unit, READ, 2}, 3);
+    }
+    return frame;
+}
+
+static inline line_drive drive_of(uint32_t joint)
+{
+    uint8_t unit = (uint8_t)(joint + 1);
+    line_drive drive = {.tries = 3, .extra_every = 4, .period_ns = 20 * MS, .turnaround_ns = 5 * MS,
+                        .watchdog_ns = 500 * MS, .cyclic_count = 2, .quick_stop_count = 1, .disarm_count = 2, .probe = 2};
+    drive.cyclic[0].frame = frame_of(unit, WRITE, SPEED, 0);
+    drive.cyclic[0].setpoint_count = 1;
+    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint, .byte = 4, .form = FORM_I16, .raw_per_si = 100.0,
+                                                  .raw_min = -1000.0, .raw_max = 1000.0};
+    drive.cyclic[1].frame = frame_of(unit, READ, STATUS, 1);
+    drive.cyclic[1].field_count = 1;
+    drive.cyclic[1].field[0] = (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 3, .form = FORM_I16,
+                                            .si_per_raw = 0.01};
+    drive.quick_stop[0] = frame_of(unit, WRITE, CONTROL, QUICK_STOP);
+    drive.disarm[0] = frame_of(unit, WRITE, CONTROL, DISABLE);
+    drive.disarm[1] = frame_of(unit, WRITE, RELEASE, 0);
+    return drive;
+}
+
+static inline void begin_with(uint32_t drives, uint32_t echo)
+{
+    memset(&w, 0, sizeof w);
+    w.now_ns = 1000 * MS;
+    w.echoes = echo != 0;
+    w.table = (line_table){.drive_count = drives, .echo = echo, .character_ns = (double)CHARACTER_NS,
+                           .gap_ns = GAP_NS, .setpoint_timeout_ns = 100 * MS};
+    for (uint32_t i = 0; i < drives; i++) {
+        w.table.drive[i] = drive_of(i);
+    }
+    CHECK(line_machine_init(&w.machine, &w.table, w.now_ns) == 0);
+}
+
+static inline void answer_on_the_wire(const uint8_t *request)
+{
+    uint32_t number = request[0] - 1U;
+    w.now_ns += 8 * CHARACTER_NS;
+    if (w.echoes) {
+        memcpy(w.bytes, request, 8);
+        w.count = 8;
+    }
+    bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
+    w.told_off[number] += power_off;
+    if ((w.dead >> number & 1) != 0) {
+        return;
+    }
+    w.power_offs[number] += power_off;
+    if (power_off && w.power_off_ns[number] == 0) {
+        w.power_off_ns[number] = w.now_ns;
+    }
+    if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
+        w.quick_stop_ns[number] = w.now_ns;
+    }
+    uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
+    rtu_seal(read_reply, 7, SEAL_CRC16);
+    uint32_t length = request[1] == READ ? 7 : 8;
+    memcpy(w.bytes + w.count, request[1] == READ ? read_reply : request, length);
+    w.count += length;
+    w.now_ns += DEVICE_NS + length * CHARACTER_NS;
+}
+
+/* One look; the core's set-points are always new and want motion. */
+static inline void go_on(void)
+{
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
+    for (uint32_t i = 0; i < w.table.drive_count; i++) {
+        w.machine.newest.joint[i].velocity_rad_s = 1.0;
+    }
+    line_machine_step(&w.machine, w.now_ns, w.bytes, w.count, &w.out);
+    w.count = 0;
+    if (w.out.send != NULL) {
+        line_machine_sent(&w.machine, w.now_ns);
+        answer_on_the_wire(w.out.send);
+        if (w.count == 0) {
+            w.now_ns += (w.machine.until_ns - w.now_ns) / 2;   /* a look in the middle of the waiting */
+        }
+    } else {
+        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);   /* it never asks to be woken at once for nothing */
+        w.now_ns = w.out.wake_ns;
+    }
+}
+
+static inline void wish(uint32_t drive, uint32_t mode)
+{
+    w.machine.control.drive[drive].count++;
+    w.machine.control.drive[drive].mode = mode;
+}
+
+static inline void arm(uint32_t drive)
+{
+    wish(drive, DRIVE_READY);
+    go_on();
+    wish(drive, DRIVE_ARMED);
+    go_on();
+    CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
+}
+
+#endif

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference board, compiled for this machine, on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import tty
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-O1"]
+
+
+def compiled(folder: Path) -> Path:
+    """The board as a program."""
+    program = folder / "mcu_host"
+    sources = [ROOT / "docs/mcu/motord_mcu.c", ROOT / "tests/contract/mcu_host.c"]
+    flags = [*STRICT, "-D_DEFAULT_SOURCE", f"-I{ROOT / 'docs/mcu'}"]
+    subprocess.run(["cc", *flags, "-o", program, *sources], check=True, timeout=60)
+    return program
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the board tells its motors."""
+
+    enabled: bool
+    braking: bool
+    left_mrad_s: int
+    right_mrad_s: int
+    duty: int
+
+
+class McuPeer:
+    """Runs until it is closed. `told` grows with each change."""
+
+    def __init__(self, program: Path, link: Path) -> None:
+        self.link = link
+        self.told: list[Told] = []
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self.process = subprocess.Popen(
+            [program, str(self.master)],
+            pass_fds=[self.master],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            enabled, braking, left, right, duty = (int(word) for word in line.split())
+            self.told.append(Told(bool(enabled), bool(braking), left, right, duty))
+
+    def do(self, letter: str) -> None:
+        """f fault, g fault gone, r restart, m mute, d deaf, w well again."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(letter.encode())
+        self.process.stdin.flush()
+
+    @property
+    def now(self) -> Told:
+        return self.told[-1]
+
+    def pull(self) -> None:
+        """The board is gone, and its port with it."""
+        if self.process.stdin is not None and not self.process.stdin.closed:
+            self.process.stdin.close()
+            self.process.wait(10)
+            self._reader.join()
+            self.process.stdout.close()
+            self.link.unlink()
+            os.close(self.master)
+            os.close(self._slave)

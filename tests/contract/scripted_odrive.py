@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ODrive axes on a CAN bus that speak raw frames, written from the protocol's own table: nothing of
+what is tested is used here."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+import time
+from dataclasses import dataclass, field
+
+import can
+
+HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
+MODE, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0D, 0x14, 0x17, 0x18
+IDLE, CLOSED_LOOP = 1, 8
+HEARTBEAT_S, ESTIMATES_S = 0.05, 0.01
+
+
+def free_udp_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
+def new_address(kind):
+    """A bus of its own, as a robot file's line would name it."""
+    if kind == "virtual":
+        return f"virtual:{time.monotonic_ns()}"
+    return f"udp_multicast:239.74.163.2:{free_udp_port()}"
+
+
+def open_bus(address):
+    interface, _, channel = address.partition(":")
+    if interface == "virtual":
+        return can.Bus(interface=interface, channel=channel)
+    group, _, port = channel.rpartition(":")
+    return can.Bus(interface=interface, channel=group, port=int(port))
+
+
+@dataclass
+class Axis:
+    """What one axis is and was told."""
+
+    state: int = IDLE
+    error: int = 0
+    position_turns: float = 0.0
+    velocity_turns_s: float = 0.0
+    voltage_v: float = 24.0
+    current_a: float = 0.0
+    mode: tuple[int, int] = (3, 1)
+    silent: bool = False
+    no_estimates: bool = False
+    no_heartbeat: bool = False
+    deaf_to: set[int] = field(default_factory=set)
+    """Commands that are lost on the way."""
+    stuck: bool = False
+    """It does not change its state."""
+    heard: list[tuple[int, bytes]] = field(default_factory=list)
+    """Command and data of each frame that is no question."""
+    asked: list[int] = field(default_factory=list)
+
+    def told(self, command):
+        return [data for one, data in self.heard if one == command]
+
+    def velocities(self):
+        return [struct.unpack("<ff", data)[0] for data in self.told(INPUT_VELOCITY)]
+
+    def states(self):
+        return [int.from_bytes(data, "little") for data in self.told(STATE)]
+
+
+class Peer:
+    """Axes by node number; `run` is their life."""
+
+    def __init__(self, kind, nodes=(0,)):
+        self.address = new_address(kind)
+        self.axes = {node: Axis() for node in nodes}
+        self._bus = open_bus(self.address)
+        self._due_s = dict.fromkeys(((n, c) for n in nodes for c in (HEARTBEAT, ESTIMATES)), 0.0)
+
+    async def run(self):
+        while True:
+            while (message := self._bus.recv(timeout=0)) is not None:
+                self._take(message)
+            for node, axis in self.axes.items():
+                self._speak(node, axis)
+            await asyncio.sleep(0.002)
+
+    def close(self):
+        self._bus.shutdown()
+
+    def send(self, node, command, data):
+        self.send_raw(node << 5 | command, data)
+
+    def send_raw(self, identifier, data, **more):
+        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **more)
+        self._bus.send(message)
+
+    def _speak(self, node, axis):
+        now_s = time.monotonic()
+        for command, every_s in ((HEARTBEAT, HEARTBEAT_S), (ESTIMATES, ESTIMATES_S)):
+            if now_s >= self._due_s[node, command]:
+                self._due_s[node, command] = now_s + every_s
+                self.say(node, axis, command)
+
+    def say(self, node, axis, command):
+        if axis.silent or (axis.no_estimates and command == ESTIMATES):
+            return
+        if axis.no_heartbeat and command == HEARTBEAT:
+            return
+        data = {
+            HEARTBEAT: struct.pack("<IB3x", axis.error, axis.state),
+            ESTIMATES: struct.pack("<ff", axis.position_turns, axis.velocity_turns_s),
+            BUS: struct.pack("<ff", axis.voltage_v, 0.0),
+            IQ: struct.pack("<ff", 0.0, axis.current_a),
+            MOTOR_ERROR: bytes(8),
+        }
+        if command in data:
+            self.send(node, command, data[command])
+
+    def _take(self, message):
+        node, command = message.arbitration_id >> 5, message.arbitration_id & 0x1F
+        axis = self.axes.get(node)
+        if axis is None or message.is_error_frame:
+            return
+        if message.is_remote_frame:
+            axis.asked.append(command)
+            self.say(node, axis, command)
+            return
+        axis.heard.append((command, bytes(message.data)))
+        if command in axis.deaf_to:
+            return
+        if command == STATE and not axis.stuck:
+            axis.state = int.from_bytes(message.data, "little")
+        elif command == MODE:
+            axis.mode = struct.unpack("<II", message.data)
+        elif command == CLEAR:
+            axis.error = 0
+
+
+@contextlib.asynccontextmanager
+async def living(peer):
+    """The peer, alive until the end of the block."""
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(peer.run())
+        try:
+            yield peer
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+            peer.close()

@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CAN lines against scripted drives that speak raw frames: who is armed, who is quiet, what is
+said."""
+
+import asyncio
+import math
+import struct
+
+import pytest
+from loop_side import running, until
+from scripted_odrive import (
+    CLEAR,
+    CLOSED_LOOP,
+    ESTIMATES,
+    IDLE,
+    INPUT_VELOCITY,
+    MODE,
+    STATE,
+    Peer,
+    living,
+)
+
+from motord_hal.clock import now_ns
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import DriveFault, HalError, NoReply, PortError
+from motord_hal.ports import (
+    SETPOINT_TIMEOUT_S,
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineSpec,
+    LineState,
+)
+
+TURN = 2 * math.pi
+
+
+def joints(*nodes, profile="odrive-0.5"):
+    return tuple(
+        JointSpec(
+            index=index, name=f"wheel{node}", profile=find_profile(profile), unit=node,
+            inverted=index == 1, gear_ratio=2.0 if index == 1 else 1.0,
+        )
+        for index, node in enumerate(nodes)
+    )  # fmt: skip
+
+
+def spec_of(peer, *nodes, **changes):
+    values = {
+        "index": 0, "name": "can0", "kind": "can", "port": peer.address, "baudrate": 500000,
+        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": "auto",
+        "joints": joints(*(nodes or peer.axes)), "watchdog_s": 0.5, "priority": 0,
+    }  # fmt: skip
+    return LineSpec(**{**values, **changes})
+
+
+@pytest.fixture(params=["virtual", "udp_multicast"])
+async def peer(request):
+    async with living(Peer(request.param, nodes=(0, 3))) as peer:
+        yield peer
+
+
+@pytest.fixture
+async def rig(peer):
+    async with running(spec_of(peer, 0, 3)) as rig:
+        yield rig
+
+
+# ------------------------------------------------------------------------------------ configuring
+async def test_a_drive_is_configured_and_not_armed(rig, peer):
+    await rig.ready()
+    assert rig.line.state is LineState.READY
+    assert rig.line.engine == "asyncio"
+    assert peer.axes[0].mode == peer.axes[3].mode == (2, 1)
+    assert CLOSED_LOOP not in peer.axes[0].states()
+    assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY, EventKind.DRIVE_READY]
+
+
+async def test_signals_of_one_frame_are_written_together(rig, peer):
+    await rig.ready()
+    assert peer.axes[0].told(MODE) == [struct.pack("<II", 2, 1)]
+
+
+async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
+    await rig.ready()
+    await until(lambda: len(peer.axes[0].velocities()) > 10)
+    assert set(peer.axes[0].velocities()) == set(peer.axes[3].velocities()) == {0.0}
+
+
+async def test_a_drive_that_was_left_running_is_stopped_when_the_line_opens(peer):
+    peer.axes[0].state = CLOSED_LOOP
+    async with running(spec_of(peer, 0)) as rig:
+        await rig.ready()
+        assert peer.axes[0].states()[0] == IDLE
+
+
+async def test_a_drive_that_does_not_let_itself_be_set_up_is_said_once_and_tried_seldom(peer):
+    peer.axes[0].state, peer.axes[0].stuck = CLOSED_LOOP, True
+    async with running(spec_of(peer, 0)) as rig:
+        await until(lambda: len(peer.axes[0].states()) >= 3)
+        assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+        assert "axis_state" in rig.events[-1].text
+        assert EventKind.DRIVE_READY not in rig.kinds()
+
+
+# ------------------------------------------------------------------------------------ set-points
+async def test_set_points_go_out_in_turns_with_gear_and_sense(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
+    await until(lambda: any(peer.axes[0].velocities()) and any(peer.axes[3].velocities()))
+    assert peer.axes[0].velocities()[-1] == pytest.approx(1.0)
+    assert peer.axes[3].velocities()[-1] == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: TURN}
+    await until(lambda: any(peer.axes[3].velocities()))
+    assert set(peer.axes[0].velocities()) == {0.0}
+
+
+async def test_a_set_point_beyond_the_drive_s_range_is_sent_as_its_limit(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 1e30}
+    await until(lambda: any(peer.axes[0].velocities()))
+    assert set(peer.axes[0].velocities()) == {0.0, 200.0}
+
+
+# -------------------------------------------------------------------------------------- feedback
+async def test_feedback_comes_in_si_at_the_wheel_with_a_count(rig, peer):
+    for axis in peer.axes.values():
+        axis.position_turns, axis.velocity_turns_s = -0.25, 2.0
+        axis.voltage_v, axis.current_a = 23.5, -1.5
+    await rig.ready()
+
+    def left():
+        return rig.loop.exchange.take_feedback(0)
+
+    await until(lambda: left().voltage_v > 0 and left().current_a < 0)
+    await until(lambda: rig.loop.exchange.take_feedback(1).stamp_ns > 0)
+    assert left().count == (1 << 32) - 2048
+    assert left().velocity_rad_s == pytest.approx(2 * TURN)
+    assert left().voltage_v == pytest.approx(23.5)
+    assert left().current_a == pytest.approx(-1.5)
+    assert left().enabled is False
+    assert left().epoch == 1
+    assert 0 < now_ns() - left().stamp_ns < 20e9
+    assert rig.loop.exchange.take_feedback(1).velocity_rad_s == pytest.approx(-TURN)
+
+
+async def test_feedback_says_enabled_once_armed(rig):
+    await rig.arm()
+    await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+async def test_a_position_that_is_no_number_is_no_feedback(rig, peer, bad):
+    await rig.ready()
+    peer.axes[0].position_turns = bad
+    frames = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > frames + 20)
+    stamp_ns = rig.loop.exchange.take_feedback(0).stamp_ns
+    frames = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > frames + 20)
+    assert rig.loop.exchange.take_feedback(0).stamp_ns == stamp_ns
+
+
+async def test_a_frame_that_was_cut_short_is_counted_and_not_believed(rig, peer):
+    await rig.ready()
+    peer.axes[0].no_estimates = True
+    peer.send(0, ESTIMATES, struct.pack("<f", 100.0))
+    await until(lambda: rig.line.stats().errors.get("bad_frame") == 1)
+    assert rig.loop.exchange.take_feedback(0).count == 0
+
+
+async def test_frames_of_nodes_that_are_not_the_robot_s_change_nothing(rig, peer):
+    await rig.ready()
+    for command in range(32):
+        peer.send(17, command, bytes([0xFF] * 8))
+    frames = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > frames + 20)
+    assert rig.states() == {DriveState.READY}
+    assert rig.line.stats().errors == {}
+
+
+# --------------------------------------------------------------------------------------- stopping
+async def test_set_points_that_are_not_enabled_any_more_take_the_power_off(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    rig.loop.enabled = False
+    await until(lambda: peer.axes[0].states()[-1] == IDLE)
+    await until(lambda: rig.states() == {DriveState.READY})
+    count = len(peer.axes[0].velocities())
+    await until(lambda: len(peer.axes[0].velocities()) > count + 3)
+    assert set(peer.axes[0].velocities()[count:]) == {0.0}
+
+
+async def test_old_set_points_stop_the_drive_and_take_its_power_when_it_is_at_rest(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    peer.axes[0].velocity_turns_s = 1.0
+    told = len(peer.axes[0].states())
+    rig.loop.running = False
+    await until(lambda: rig.states() == {DriveState.READY})
+    await until(lambda: peer.axes[0].velocities()[-1] == 0.0)
+    peer.axes[0].velocity_turns_s = 0.0
+    await until(lambda: peer.axes[0].states()[told:] == [IDLE])
+    rig.loop.running = True  # the loop is back: nothing moves by itself
+    count = len(peer.axes[0].velocities())
+    await until(lambda: len(peer.axes[0].velocities()) > count + 5)
+    assert set(peer.axes[0].velocities()[count:]) == {0.0}
+
+
+async def test_a_power_off_that_was_lost_is_told_again(rig, peer):
+    await rig.arm()
+    peer.axes[0].deaf_to.add(STATE)
+    rig.loop.enabled = True
+    await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
+    await rig.line.disarm()
+    told = peer.axes[0].states().count(IDLE)
+    await until(lambda: peer.axes[0].states().count(IDLE) > told + 1)
+    await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+    assert "stays enabled" in rig.events[-1].text
+    peer.axes[0].deaf_to.clear()
+    await until(lambda: peer.axes[0].state == IDLE)
+
+
+async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
+    async with running(spec_of(peer, 0, 3)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
+        await until(lambda: any(peer.axes[3].velocities()))
+    assert rig.task.cancelled()
+    for axis in peer.axes.values():
+        await until(lambda axis=axis: axis.state == IDLE)
+        assert axis.velocities()[-1] == 0.0
+        assert axis.states()[-1] == IDLE
+    assert rig.line.state is LineState.CLOSED
+
+
+# ----------------------------------------------------------------------------------------- arming
+async def test_arming_fails_when_a_drive_does_not_say_it_is_enabled(rig, peer):
+    await rig.ready()
+    peer.axes[3].deaf_to.add(STATE)
+    with pytest.raises(DriveFault, match="axis_state"):
+        await rig.line.arm()
+    await until(lambda: peer.axes[0].state == IDLE and peer.axes[0].states()[-1] == IDLE)
+    assert DriveState.ARMED not in rig.states()
+
+
+async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
+    await rig.ready()
+    peer.axes[3].deaf_to.add(STATE)
+    task = asyncio.ensure_future(rig.line.arm())
+    await until(lambda: CLOSED_LOOP in peer.axes[0].states())
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    await until(lambda: peer.axes[0].states()[-1] == IDLE)
+    assert rig.states() == {DriveState.READY}
+
+
+async def test_arming_without_fresh_set_points_is_refused(rig, peer):
+    await rig.ready()
+    rig.loop.running = False
+    await until(lambda: now_ns() - rig.loop.put_ns > SETPOINT_TIMEOUT_S * 1e9)
+    with pytest.raises(HalError, match="no fresh set-points"):
+        await rig.line.arm()
+    assert DriveState.ARMED not in rig.states()
+
+
+async def test_a_drive_is_told_zero_before_it_is_armed(rig, peer):
+    await rig.arm()
+    heard = peer.axes[0].heard
+    armed = next(n for n, (c, d) in enumerate(heard) if (c, d[:1]) == (STATE, b"\x08"))
+    before = [d for c, d in heard[:armed] if c == INPUT_VELOCITY]
+    assert before[-1] == bytes(8)
+    assert set(before) == {bytes(8)}
+
+
+async def test_disarming_is_zero_and_power_off(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    await rig.line.disarm()
+    assert rig.states() == {DriveState.READY}
+    await until(lambda: peer.axes[0].state == IDLE)
+    await until(lambda: peer.axes[0].velocities()[-1] == 0.0)
+
+
+async def test_a_closed_line_says_so(peer):
+    async with running(spec_of(peer, 0, port="socketcan:nothing0")) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        for order in (rig.line.arm, rig.line.disarm, rig.line.clear_faults):
+            with pytest.raises(PortError):
+                await order()
+        assert rig.kinds() == [EventKind.LINE_LOST]
+        assert "no such interface" in rig.events[0].text
+
+
+# ------------------------------------------------------------------------------------------ quiet
+async def test_a_drive_that_never_speaks_is_said_once(peer):
+    peer.axes[0].silent = True
+    async with running(spec_of(peer, 0, 3)) as rig:
+        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: rig.line.drive_states["wheel3"] is DriveState.READY)
+        cycles = rig.line.stats().cycles
+        await until(lambda: rig.line.stats().cycles > cycles + 50)
+        assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+        with pytest.raises(NoReply, match="wheel0"):
+            await rig.line.arm()
+
+
+@pytest.mark.parametrize("what", ["silent", "no_estimates", "no_heartbeat"])
+async def test_a_drive_that_falls_silent_comes_back_configured_and_disarmed(rig, peer, what):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    setattr(peer.axes[0], what, True)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    epoch = rig.loop.exchange.take_feedback(0).epoch
+    await until(lambda: peer.axes[0].states()[-1] == IDLE, "one that may turn is told to stop")
+    mark = len(peer.axes[0].velocities())
+    peer.axes[0].state, peer.axes[0].mode = IDLE, (3, 1)  # it had lost its power
+    setattr(peer.axes[0], what, False)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.READY)
+    await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
+    assert peer.axes[0].mode == (2, 1)
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 3)
+    assert set(peer.axes[0].velocities()[mark:]) == {0.0}
+    assert rig.kinds()[3:] == [EventKind.DRIVE_QUIET, EventKind.DRIVE_BACK]
+
+
+async def test_sends_that_succeed_do_not_make_a_drive_present(rig, peer):
+    await rig.arm()
+    peer.axes[0].silent = True
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    assert rig.line.stats().errors == {}
+
+
+async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    peer.axes[0].state = IDLE
+    await until(lambda: rig.kinds()[3:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
+    assert rig.line.drive_states["wheel0"] is DriveState.READY
+    mark = len(peer.axes[0].velocities())
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 5)
+    assert set(peer.axes[0].velocities()[mark:]) == {0.0}
+
+
+# ----------------------------------------------------------------------------------------- faults
+async def test_faults_are_said_once_in_words_and_once_when_gone(rig, peer):
+    await rig.ready()
+    peer.axes[0].error = 0x4000 | 0x40
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    await until(lambda: rig.loop.exchange.take_feedback(0).drive_faults == 0x4040)
+    assert rig.line.drive_faults["wheel0"] == ("motor failed", "emergency stop requested")
+    with pytest.raises(DriveFault, match="motor failed"):
+        await rig.line.arm()
+    await rig.line.clear_faults()
+    assert peer.axes[0].told(CLEAR)
+    assert not peer.axes[3].told(CLEAR)
+    await until(lambda: EventKind.DRIVE_FAULT_GONE in rig.kinds())
+
+
+async def test_faults_that_stay_are_an_error_of_clearing(rig, peer):
+    await rig.ready()
+    peer.axes[0].error = 0x40
+    peer.axes[0].deaf_to.add(CLEAR)
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    with pytest.raises(DriveFault, match="axis_error"):
+        await rig.line.clear_faults()
+
+
+# -------------------------------------------------------------------------------------- registers
+async def test_a_signal_is_read_by_asking_or_from_the_next_frame(rig, peer):
+    await rig.ready()
+    peer.axes[3].voltage_v = 22.25
+    assert await rig.line.read_register("wheel3", "bus_voltage") == pytest.approx(22.25)
+    assert await rig.line.read_register("wheel3", "axis_state") == IDLE
+    with pytest.raises(LookupError):
+        await rig.line.read_register("wheel3", "input_velocity")
+    with pytest.raises(LookupError):
+        await rig.line.write_register("wheel3", "requested_state", 8.0)

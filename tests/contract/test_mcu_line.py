@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boards of one's own: the line against the reference board, compiled for this machine."""
+
+import math
+import os
+
+import pytest
+from loop_side import running, until
+from mcu_peer import McuPeer, compiled
+
+from motord_hal.clock import now_ns
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
+from motord_hal.lines import open_line
+from motord_hal.mcu import board
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState
+from motord_hal.rt import Exchange
+
+COUNTS_PER_RAD = 1320 / math.tau
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return compiled(tmp_path_factory.mktemp("board"))
+
+
+@pytest.fixture
+def peer(program, tmp_path):
+    peer = McuPeer(program, tmp_path / "board")
+    yield peer
+    peer.pull()
+
+
+def joints_of(drive="mcu-velocity"):
+    profile = find_profile(drive)
+    return (
+        JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
+        JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True,
+                  gear_ratio=2.0),
+    )  # fmt: skip
+
+
+def spec_of(port, joints=None, **changes):
+    values = {
+        "index": 0, "name": "board", "kind": "mcu", "port": str(port), "baudrate": 115200,
+        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": "auto",
+        "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
+    }  # fmt: skip
+    return LineSpec(**{**values, **changes})
+
+
+@pytest.fixture
+async def rig(peer):
+    async with running(spec_of(peer.link)) as rig:
+        yield rig
+
+
+async def armed_and_turning(rig, peer, rad_s=3.0):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: rad_s, 1: rad_s}
+    await until(lambda: peer.now.left_mrad_s == round(rad_s * 1000), "it turns")
+
+
+# ----------------------------------------------------------------------------- set-up and arming
+async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
+    await rig.ready()
+    assert rig.line.engine == "asyncio"
+    assert rig.line.state is LineState.READY
+    assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
+    assert await rig.line.read_register("left", "watchdog") == pytest.approx(0.2)
+    assert not any(told.enabled for told in peer.told)
+
+
+async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(program, tmp_path, monkeypatch):
+    monkeypatch.setattr(board, "START_GRACE_S", 0.1)
+    peer = McuPeer(program, tmp_path / "board")
+    peer.do("m")
+    async with running(spec_of(peer.link)) as rig:
+        await until(lambda: rig.states() == {DriveState.QUIET})
+        cycles = rig.line.stats().cycles
+        await until(lambda: rig.line.stats().cycles > cycles + 20)
+        assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_QUIET]
+        assert not any(told.enabled for told in peer.told)
+    peer.pull()
+
+
+async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
+    await rig.ready()
+    heard = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > heard + 10)
+    assert all(told.left_mrad_s == told.right_mrad_s == 0 for told in peer.told)
+
+
+async def test_arming_enables_at_zero_and_feedback_says_so(rig, peer):
+    rig.loop.velocity_rad_s = {0: 3.0}  # wished, but the loop has not enabled anything
+    await rig.arm()
+    assert peer.now.enabled
+    assert peer.now.left_mrad_s == 0
+    await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
+
+
+async def test_it_cannot_be_armed_without_fresh_set_points(rig):
+    await rig.ready()
+    rig.loop.running = False
+    await until(lambda: now_ns() - rig.loop.put_ns > 0.11e9)
+    with pytest.raises(HalError, match="no fresh set-points"):
+        await rig.line.arm()
+
+
+async def test_a_board_that_does_not_hear_is_not_armed(rig, peer):
+    await rig.ready()
+    peer.do("d")
+    with pytest.raises(HalError):
+        await rig.line.arm()
+    assert DriveState.ARMED not in rig.states()
+    peer.do("w")
+    await rig.arm()
+
+
+# ------------------------------------------------------------------------------------ set-points
+async def test_set_points_go_out_with_gear_and_sense_and_feedback_comes_back_in_si(rig, peer):
+    await armed_and_turning(rig, peer)
+    assert peer.now.right_mrad_s == -6000
+    right = rig.loop.exchange.take_feedback
+    await until(lambda: abs(right(1).velocity_rad_s - 3.0) < 0.01)
+    feedback = right(0)
+    assert feedback.voltage_v == pytest.approx(24.0)
+    assert feedback.temperature_c == pytest.approx(31.0)
+    assert feedback.current_a == pytest.approx(0.25)
+    assert right(1).current_a == pytest.approx(0.5)
+    first = feedback
+    await until(lambda: right(0).stamp_ns - first.stamp_ns > 0.2e9)
+    last = right(0)
+    turned_rad = (last.count - first.count) / COUNTS_PER_RAD
+    assert turned_rad == pytest.approx((last.stamp_ns - first.stamp_ns) * 3e-9, rel=0.2)
+    assert now_ns() - last.stamp_ns < 2e9
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: 1.0}
+    await until(lambda: peer.now.right_mrad_s == -2000)
+    assert {told.left_mrad_s for told in peer.told} == {0}
+
+
+async def test_a_duty_board_is_told_duties(peer):
+    spec = spec_of(peer.link, joints_of("mcu-duty"))
+    async with running(spec) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty, rig.loop.velocity_rad_s = True, {0: 0.5}, {0: 7.0}
+        await until(lambda: peer.now.duty == 5000)
+        assert {told.left_mrad_s for told in peer.told} == {0}
+
+
+# -------------------------------------------------------------------------------------- stopping
+async def test_set_points_that_are_not_enabled_any_more_take_the_power(rig, peer):
+    await armed_and_turning(rig, peer)
+    rig.loop.enabled = False
+    await until(lambda: not peer.now.enabled)
+    await until(lambda: rig.states() == {DriveState.READY})
+    assert not peer.now.braking
+
+
+async def test_old_set_points_brake_and_then_take_the_power(rig, peer):
+    await armed_and_turning(rig, peer)
+    rig.loop.running = False
+    await until(lambda: peer.now.braking)
+    await until(lambda: not peer.now.braking, "at rest the brake goes off")
+    assert rig.states() == {DriveState.READY}
+    rig.loop.running = True
+    heard = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > heard + 10)
+    assert not peer.now.enabled, "it does not start again by itself"
+
+
+async def test_disarming_takes_the_power_and_every_set_point(rig, peer):
+    await armed_and_turning(rig, peer)
+    await rig.line.disarm()
+    assert not peer.now.enabled
+    assert peer.now.left_mrad_s == 0
+
+
+async def test_cancelling_the_line_brakes_and_takes_the_power(program, tmp_path):
+    peer = McuPeer(program, tmp_path / "board")
+    async with running(spec_of(peer.link, watchdog_s=2.0)) as rig:
+        await armed_and_turning(rig, peer)
+        seen = len(peer.told)
+    await until(lambda: not peer.now.enabled)
+    assert any(told.braking for told in peer.told[seen:])
+    peer.pull()
+
+
+async def test_a_board_that_hears_nothing_any_more_stops_by_itself_and_stays_off(rig, peer):
+    await armed_and_turning(rig, peer)
+    peer.do("d")
+    await until(lambda: not peer.now.enabled and peer.now.braking, "its own watchdog")
+    await until(lambda: DriveState.ARMED not in rig.states())
+    peer.do("w")
+    await until(lambda: rig.states() == {DriveState.READY})
+    assert not peer.now.enabled
+
+
+# -------------------------------------------------------------------------------- not being there
+async def test_a_mute_board_is_quiet_told_to_stop_and_comes_back_disarmed(rig, peer):
+    await armed_and_turning(rig, peer)
+    peer.do("m")
+    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: not peer.now.enabled, "it is told to stop though it is not heard")
+    with pytest.raises(NoReply):
+        await rig.line.arm()
+    peer.do("w")
+    await until(lambda: rig.states() == {DriveState.READY})
+    assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+    assert EventKind.DRIVE_BACK in rig.kinds()
+
+
+async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoch(rig, peer):
+    await armed_and_turning(rig, peer)
+    epoch = rig.loop.exchange.take_feedback(0).epoch
+    peer.do("r")
+    await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+    await until(lambda: rig.states() == {DriveState.READY})
+    await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
+    assert not peer.now.enabled
+
+
+async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(program, tmp_path):
+    peer = McuPeer(program, tmp_path / "board")
+    async with running(spec_of(peer.link)) as rig:
+        await rig.arm()
+        peer.pull()
+        await until(lambda: rig.line.state is LineState.CLOSED)
+        with pytest.raises(PortError):
+            await rig.line.arm()
+        peer = McuPeer(program, tmp_path / "board")
+        await until(lambda: rig.states() == {DriveState.READY})
+        assert rig.kinds().count(EventKind.LINE_LOST) == 1
+        assert rig.line.stats().reopened == 1
+        assert not any(told.enabled for told in peer.told)
+        peer.pull()
+
+
+# ----------------------------------------------------------------------------------------- faults
+async def test_a_fault_stops_is_said_in_words_and_is_cleared_when_it_is_gone(rig, peer):
+    await armed_and_turning(rig, peer)
+    peer.do("f")
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    await until(lambda: not peer.now.enabled)
+    assert rig.line.drive_faults["left"] == ("over-current",)
+    await until(lambda: rig.states() == {DriveState.READY})
+    assert rig.loop.exchange.take_feedback(0).drive_faults == 1
+    with pytest.raises(DriveFault, match="over-current"):
+        await rig.line.arm()
+    with pytest.raises(DriveFault):
+        await rig.line.clear_faults()
+    peer.do("g")
+    await rig.line.clear_faults()
+    assert rig.line.drive_faults["left"] == ()
+    assert not peer.now.enabled
+    await rig.arm()
+
+
+# ------------------------------------------------------------------------------------- what is what
+async def test_round_trips_and_rates_are_counted(rig):
+    await rig.ready()
+    await until(lambda: rig.line.stats().exchanges > 30)
+    stats = rig.line.stats()
+    assert 0 < stats.round_trip.p50_us < 1e6
+    assert stats.wire_limit_hz > 100
+    assert stats.cycle_hz > 1
+
+
+async def test_registers_are_read_from_feedback_and_those_of_the_line_are_not_written(rig):
+    await rig.ready()
+    assert await rig.line.read_register("right", "voltage") == pytest.approx(24.0)
+    with pytest.raises(LookupError):
+        await rig.line.read_register("left", "control")
+    with pytest.raises(LookupError):
+        await rig.line.read_register("nobody", "voltage")
+    with pytest.raises(ValueError, match="written by motord itself"):
+        await rig.line.write_register("left", "watchdog", 1.0)
+
+
+def test_two_boards_on_one_line_are_refused(tmp_path):
+    left, right = joints_of()
+    other = JointSpec(index=1, name="right", profile=right.profile, unit=2)
+    with pytest.raises(ProfileError, match="one board"):
+        open_line(spec_of(tmp_path / "x", (left, other)), Exchange.private(), print)
+
+
+async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):
+    await rig.ready()
+    os.write(peer.master, b"\0\x05hello\0\xff\xff\0")
+    await until(lambda: rig.line.stats().errors.get("bad_reply", 0) >= 2)
+    assert rig.states() == {DriveState.READY}

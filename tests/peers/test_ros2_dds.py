@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from tests.sim.daemon_stage import running, wait_until
+
+from motord.bus.ros2.types import type_hash
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+
+PEER = Path(__file__).with_name("ros2_peer.py")
+DOMAIN = 100 + os.getpid() % 100
+NAMESPACE = "/r2"
+LEASE_S = 1.0
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    settings = (
+        "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
+        f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
+        "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
+        f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
+        f"safety.command_timeout_s={LEASE_S}",
+    )  # fmt: skip
+    with running(tmp_path_factory.mktemp("ros2"), *settings) as stage:
+        stage.wait_for("idle")
+        wait_until(lambda: inputs(stage).get("ros2", {}).get("lease"), "a lease")
+        yield stage
+
+
+def inputs(stage):
+    return (stage.robot.status()["bus"] or {}).get("inputs", {})
+
+
+class Peer:
+    """What it says, line by line."""
+
+    def __init__(self, *words):
+        command = [sys.executable, str(PEER), str(DOMAIN), *map(str, words)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.heard = []
+        self._reading = threading.Thread(target=self._read)
+        self._reading.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.heard.append(json.loads(line))
+
+    def find(self, fits, what):
+        return wait_until(lambda: next(filter(fits, list(self.heard)), None), what)
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        self._reading.join()
+        self.process.stdout.close()
+
+
+@contextlib.contextmanager
+def peer(*words):
+    made = Peer(*words)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def called(name, kind="Trigger", **values):
+    with peer("call", f"{NAMESPACE}/motord/{name}", kind, json.dumps(values)) as client:
+        return client.find(lambda _: True, f"an answer of {name}")
+
+
+@pytest.fixture
+def armed(stage):
+    assert called("arm")["success"]
+    yield stage
+    assert called("stop")["success"]
+    stage.wait_for("armed")
+    assert called("disarm")["success"]
+    stage.wait_for("idle")
+
+
+def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
+    with (
+        peer("topic", f"rt{NAMESPACE}/odom", "Odometry") as ear,
+        peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
+    ):
+        moved = ear.find(lambda sample: sample["pose"]["pose"]["position"]["x"] > 0.1, "a way")
+    assert moved["header"]["frame_id"] == "odom"
+    assert moved["child_frame_id"] == "base_link"
+    assert moved["twist"]["twist"]["linear"]["x"] > 0.0
+    commanding = armed.robot.status()["commands"]
+    assert commanding["accepted"] > 0
+
+
+def test_the_robot_stops_when_the_other_node_goes(armed):
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        armed.wait_for("moving")
+    armed.wait_for("armed")
+
+
+def test_a_command_moves_nothing_that_is_not_armed(stage):
+    accepted = inputs(stage)["ros2"]["sent"]
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
+        assert stage.state() == "idle"
+
+
+def test_services_say_what_the_daemon_says(stage):
+    answer = called("disarm")
+    assert answer["success"]
+    assert answer["message"] == "idle"
+    assert called("estop")["success"]
+    stage.wait_for("estop")
+    refused = called("arm")
+    assert not refused["success"]
+    assert "estop" in refused["message"]
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_a_topic_stops_as_the_service_does(stage):
+    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close"):
+        stage.wait_for("estop")
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
+    with peer("topic", f"rt{NAMESPACE}/robot_description", "String", "late") as ear:
+        told = ear.find(lambda _: True, "the description")
+    assert told["data"].startswith("<robot name=")
+    with peer("topic", f"rt{NAMESPACE}/joint_states", "JointState") as ear:
+        names = ear.find(lambda _: True, "joints")["name"]
+    assert names
+    assert all(f'<joint name="{name}" type="continuous"' in told["data"] for name in names)
+
+
+def test_the_graph_shows_one_node_with_all_that_it_has(stage):
+    with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
+        seen = ear.find(lambda _: True, "the graph")
+    (node,) = seen["node_entities_info_seq"]
+    assert (node["node_namespace"], node["node_name"]) == (NAMESPACE, "motord")
+    assert len(node["writer_gid_seq"]) > 10
+    assert len(node["reader_gid_seq"]) > 5
+
+
+def test_every_endpoint_shows_its_type_and_its_hash(stage):
+    with peer("endpoints") as eye:
+        odom = eye.find(lambda found: found["topic"] == f"rt{NAMESPACE}/odom", "odom")
+        arm = eye.find(lambda found: found["topic"].endswith("motord/armRequest"), "arm")
+    assert odom["type"] == "nav_msgs::msg::dds_::Odometry_"
+    assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
+    assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"
+    assert arm["user_data"].startswith("serviceid=")

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord stop-all` after a daemon was killed at full speed: simulated drives, real signals.
+
+The drives' own watchdogs are set so long that what stops the wheels is what was sent.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
+from pymodbus.client import ModbusTcpClient
+
+from motord.tools.simulator import start_simulator
+
+LONG = "safety.drive_watchdog_s=10"
+SPEED_M_S = 0.5
+
+
+def stop_all(*settings, robot=ROBOT):
+    """Exit status, and what it says of the lines."""
+    command = [sys.executable, "-m", "motord", "stop-all", str(robot), "--json"]
+    command += [part for setting in settings for part in ("--set", setting)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT)
+    assert done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout)["lines"]
+
+
+def full_speed(stage):
+    stage.wait_for("idle")
+    stage.robot.arm()
+
+    def turning():
+        stage.robot.drive(SPEED_M_S, 0.0)
+        joints = stage.sim.truth().joints.values()
+        return all(abs(joint.velocity_rad_s) > 3.0 for joint in joints)
+
+    wait_until(turning, "the wheels turn")
+
+
+@pytest.fixture
+def stage(tmp_path):
+    with running(tmp_path, LONG) as stage:
+        stage.port = f"line.rs485.port={json.dumps(str(tmp_path / 'rs485'))}"
+        yield stage
+
+
+def test_drives_of_a_killed_daemon_stop_and_lose_their_power(stage):
+    full_speed(stage)
+    stage.end(signal.SIGKILL)
+    assert not stage.sim.truth().at_rest
+    status, lines = stop_all(stage.port)
+    assert (status, lines[0]["problems"]) == (0, [])
+    truth = stage.sim.truth()
+    assert not any(joint.enabled for joint in truth.joints.values())
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+def test_wheels_are_braked_before_the_power_goes(stage):
+    full_speed(stage)
+    stage.end(signal.SIGKILL)
+    stop_all(stage.port)
+    # without power a simulated wheel coasts for seconds
+    assert all(abs(joint.velocity_rad_s) < 0.5 for joint in stage.sim.truth().joints.values())
+
+
+def test_a_port_that_a_daemon_holds_is_left_alone(stage):
+    full_speed(stage)
+    status, lines = stop_all(stage.port)
+    assert status == 3
+    assert "another program has it open" in lines[0]["problems"][0]
+    assert stage.state() in ("armed", "moving", "stopping")
+
+
+def test_a_silent_drive_is_named_and_takes_a_bounded_time(stage):
+    full_speed(stage)
+    stage.end(signal.SIGKILL)
+    stage.sim.inject("silence:from_s=0,for_s=60")
+    status, lines = stop_all(stage.port)
+    assert status == 3
+    assert "left, right" in lines[0]["problems"][0]
+
+
+def test_a_drive_whose_answers_are_lost_stops_all_the_same(stage):
+    full_speed(stage)
+    stage.end(signal.SIGKILL)
+    stage.sim.inject("drop")
+    status, _ = stop_all(stage.port)
+    assert status == 3
+    assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+def test_an_adapter_that_is_gone_is_said(tmp_path):
+    status, lines = stop_all(f'line.rs485.port="{tmp_path}/nothing"')
+    assert status == 3
+    assert "No such file" in lines[0]["problems"][0]
+
+
+def test_drives_behind_a_gateway_stop_too(tmp_path):
+    robot = tmp_path / "gateway.toml"
+    text = ROBOT.read_text(encoding="utf-8")
+    text = text.replace(
+        'kind = "modbus-rtu"', 'kind = "modbus-tcp"\nhost = "127.0.0.1"\ntcp_port = 1'
+    )
+    robot.write_text(
+        text.replace('port = "/dev/ttyUSB0"\nbaudrate = 115200\n', ""), encoding="utf-8"
+    )
+    with start_simulator(robot, options=("--tcp", "0")) as simulator:
+        port = int(simulator.ports["rs485"].rpartition(":")[2])
+        with ModbusTcpClient("127.0.0.1", port=port) as master:
+            for address, value in ((0x2000, 10000), (0x200D, 3), (0x200E, 8), (0x2088, 60)):
+                master.write_registers(address, [value], device_id=1)
+        wait_until(lambda: not simulator.control.truth().at_rest, "a wheel turns")
+        status, lines = stop_all(f"line.rs485.tcp_port={port}", robot=robot)
+        assert (status, lines[0]["problems"]) == (0, [])
+        truth = simulator.control.truth()
+        assert not any(joint.enabled for joint in truth.joints.values())
+        assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The daemon on serial ports of the kernel's own drivers: 8250 and ftdi_sio."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from cable import (
+    ADAPTER_SERIAL,
+    UART,
+    adapter,
+    daemon,
+    drive_on,
+    granted,
+    plug,
+    pull,
+    robot_file,
+    simulated_drive,
+)
+from daemon_stage import wait_until
+from gpio_chip import gpio_chip
+
+from motord.tools.scan import spec_of
+from motord_hal.errors import PortError
+from motord_hal.ports import DirectionKind, DirectionSpec
+from motord_hal.serial.counters import read_counters
+from motord_hal.serial.latency import ask_low_latency
+from motord_hal.serial.port import open_exclusively, open_port
+
+
+@pytest.fixture(autouse=True)
+def plugged():
+    plug()
+    yield
+    plug()
+
+
+def rests_without_power(sim):
+    truth = sim.truth()
+    return truth.at_rest and not any(joint.enabled for joint in truth.joints.values())
+
+
+def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path):
+    with (
+        simulated_drive(tmp_path, adapter()) as sim,
+        daemon(tmp_path, robot_file(tmp_path, UART), sim) as stage,
+    ):
+        drive_on(stage)
+        stage.robot.stop()
+        wait_until(lambda: sim.truth().at_rest, "the wheels rest")
+        stage.robot.disarm()
+        assert rests_without_power(sim)
+        assert stage.robot.status()["lines"]["rs485"]["engine"] == "rt"
+
+
+@pytest.mark.parametrize("kind", ["by serial number", "by id"])
+def test_an_adapter_that_was_pulled_is_found_again_and_the_drives_are_disarmed(tmp_path, kind):
+    by_id = next(p for p in os.listdir("/dev/serial/by-id") if ADAPTER_SERIAL in p)
+    port = {"by serial number": f"usb:{ADAPTER_SERIAL}", "by id": f"/dev/serial/by-id/{by_id}"}
+    with (
+        simulated_drive(tmp_path, UART) as sim,
+        daemon(tmp_path, robot_file(tmp_path, port[kind]), sim) as stage,
+    ):
+        drive_on(stage)
+        before = adapter()
+        somebody = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        pull()
+        stage.wait_for("fault")
+        wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
+        plug()
+        assert adapter() != before  # somebody still holds the old number
+        os.close(somebody)
+        wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
+        assert stage.state() == "fault"
+        assert rests_without_power(sim)
+        granted(stage.robot.reset)
+        drive_on(stage)
+
+
+def test_the_kernel_counts_what_a_uart_received():
+    fd = open_exclusively(UART)
+    try:
+        before = read_counters(fd)
+        with open(adapter(), "wb", buffering=0) as other:
+            other.write(b"abc")
+        wait_until(lambda: read_counters(fd).received >= before.received + 3, "three bytes")
+    finally:
+        os.close(fd)
+
+
+def test_an_ftdi_adapter_that_keeps_bytes_back_is_told_not_to():
+    timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
+    timer.write_text("16")
+    open_port(spec_of(adapter(), 115200, "none", DirectionSpec())).close()
+    assert int(timer.read_text()) == 1
+
+
+def test_a_plugged_adapter_has_a_short_latency_timer_by_the_udev_rule():
+    pull()
+    plug()
+    timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
+    wait_until(lambda: int(timer.read_text()) == 1, "udev has set the timer")
+
+
+def test_a_uart_hands_bytes_on_at_once():
+    fd = open_exclusively(UART)
+    try:
+        assert ask_low_latency(fd)
+    finally:
+        os.close(fd)
+
+
+def test_a_uart_that_cannot_turn_a_transceiver_says_what_else_can():
+    asked = DirectionSpec(kind=DirectionKind.KERNEL)
+    with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
+        open_port(spec_of(UART, 115200, "none", asked))
+    os.close(open_exclusively(UART))  # and holds nothing
+
+
+@pytest.mark.parametrize("talking", [1, 0], ids=["active high", "active low"])
+def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, talking):
+    with gpio_chip("rs485-hat", "DE") as level_of:
+        robot = robot_file(
+            tmp_path, UART, direction="gpio", direction_gpio_chip="rs485-hat",
+            direction_gpio_line="DE", direction_active_high=bool(talking), direction_after_s=0.005,
+        )  # fmt: skip
+        with simulated_drive(tmp_path, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
+            drive_on(stage)
+            wait_until(lambda: level_of("DE") == talking, "it talks")
+            wait_until(lambda: level_of("DE") != talking, "it listens")
+            stage.robot.disarm()
+            stage.end(signal.SIGKILL)  # the kernel gives the line back: it falls to its pull
+            wait_until(lambda: level_of("DE") == 0, "nobody drives the pair")

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints what
+they print. Arguments go to pytest. Without root, Debian 12 on amd64 or QEMU's packages: one line
+that says why, and status 0.
+
+Emulated, not virtualised: time in the guest means nothing, what the kernel does is real.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+BUILD = ROOT / "build" / "vm"
+BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "480"))
+ADAPTER_SERIAL = "A10K3XYZ"
+STATUS = "guest: status "
+DISK_MB = 120
+
+
+def why_not() -> str:
+    """Why the guest cannot be made here; empty: it can."""
+    if os.geteuid() != 0:
+        return "needs root, to make a file system of Debian packages"
+    release = Path("/etc/os-release")
+    if not release.exists() or "VERSION_CODENAME=bookworm" not in release.read_text("utf-8"):
+        return "needs Debian 12, whose packages the guest is made of"
+    if os.uname().machine != "x86_64":
+        return "needs an x86-64 machine"
+    wanted = ("qemu-system-x86_64", "mmdebstrap")
+    if not all(map(shutil.which, wanted)) and os.environ.get("MOTORD_VM_INSTALL") != "1":
+        return f"needs {', '.join(wanted)} (apt install qemu-system-x86 mmdebstrap)"
+    return ""
+
+
+def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
+    """What the guest is to test, as a disk."""
+    content, disk = folder / "content", folder / "project.ext4"
+    shutil.copytree(HERE / "guest", content / "tests/vm/guest",
+                    ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+    shutil.copytree(ROOT / "config", content / "config")
+    (content / "tests/sim").mkdir()
+    shutil.copy(ROOT / "tests/sim/daemon_stage.py", content / "tests/sim")
+    shutil.copy(package, content / "motord.deb")
+    (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")
+    subprocess.run(
+        ["mke2fs", "-q", "-F", "-t", "ext4", "-d", content, disk, f"{DISK_MB}M"],
+        check=True, timeout=60,
+    )  # fmt: skip
+    return disk
+
+
+def qemu(disk: Path, folder: Path) -> list[str]:
+    """The machine: a UART (ttyS1) cabled to a USB adapter, two CAN controllers on one bus, and the
+    monitor as a port in the guest, so that a test can pull the adapter by itself."""
+    cable, monitor = folder / "cable", folder / "monitor"
+    append = "console=ttyS0 quiet loglevel=4 audit=0 mitigations=off"
+    return [
+        "qemu-system-x86_64", "-accel", os.environ.get("MOTORD_VM_ACCEL", "tcg,thread=multi"),
+        "-cpu", "max", "-smp", "2", "-m", "1024", "-nodefaults", "-display", "none", "-no-reboot",
+        "-kernel", str(BUILD / "vmlinuz"), "-initrd", str(BUILD / "initrd.gz"),
+        "-append", append,
+        "-drive", f"file={BUILD / 'root.ext4'},if=virtio,format=raw,snapshot=on,cache=unsafe",
+        "-drive", f"file={disk},if=virtio,format=raw,readonly=on",
+        "-chardev", f"file,id=console,path={BUILD / 'console.log'}", "-serial", "chardev:console",
+        "-chardev", f"socket,id=wire,path={cable},server=on,wait=off",
+        "-chardev", f"socket,id=uart,path={cable},reconnect=1", "-serial", "chardev:uart",
+        "-device", "qemu-xhci", "-device",
+        f"usb-serial,id=adapter,chardev=wire,always-plugged=on,serial={ADAPTER_SERIAL}",
+        "-chardev", f"socket,id=qmp,path={monitor},server=on,wait=off",
+        "-mon", "chardev=qmp,mode=control",
+        "-chardev", f"socket,id=monitor,path={monitor},reconnect=1",
+        "-device", "virtio-serial-pci", "-device", "virtserialport,chardev=monitor,name=monitor",
+        "-chardev", "file,id=out,path=/dev/stdout",
+        "-device", "virtserialport,chardev=out,name=out",
+        "-object", "can-bus,id=can",
+        "-device", "kvaser_pci,canbus=can", "-device", "kvaser_pci,canbus=can",
+    ]  # fmt: skip
+
+
+def boot(command: list[str]) -> int:
+    """The status that the guest told; 1 where it told none."""
+    status = 1
+    limit = ["timeout", "-k", "5", str(BOOT_AND_TESTS_WITHIN_S)]
+    with subprocess.Popen(
+        [*limit, *command], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+    ) as machine:
+        assert machine.stdout is not None
+        for raw in machine.stdout:
+            line = raw.decode(errors="replace").rstrip("\r\n")
+            if line.startswith(STATUS):
+                status = int(line.removeprefix(STATUS))
+            else:
+                print(line, flush=True)
+    if machine.returncode != 0:
+        print(f"make vm: the guest did not end by itself: {BUILD / 'console.log'}", file=sys.stderr)
+        return 1
+    return status
+
+
+def main(arguments: list[str]) -> int:
+    reason = why_not()
+    if reason:
+        print(f"make vm: skipped: {reason}", file=sys.stderr)
+        return 0
+    subprocess.run([HERE / "image.sh", BUILD], check=True, timeout=600)
+    made = subprocess.run([ROOT / "systemd" / "deb.sh", BUILD / "package"],
+                          check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="motord-vm-") as folder:
+        disk = make_disk(Path(made.stdout.strip()), arguments, Path(folder))
+        return boot(qemu(disk, Path(folder)))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
