@@ -72,16 +72,20 @@ class ZenohNode:
     """Topics and services are made before `run`."""
 
     def __init__(self, name: str, namespace: str, domain_id: int, router: Router) -> None:
-        """Raises zenoh.ZError for a router that cannot be said so."""
+        """Raises ValueError for a router that cannot be."""
         self.name = name
         self.namespace = namespace
         self._domain_id = domain_id
         self._router = router
         self._configuration = router.configuration()
-        zenoh.Config.from_json5(self._configuration)
+        try:
+            zenoh.Config.from_json5(self._configuration)
+        except zenoh.ZError as error:
+            raise ValueError(f"{router.endpoint}: {error}") from error
         self._endpoints: list[Endpoint] = []
         self._services: list[Service] = []
         self._said = False
+        self._running = False
         self._ending = False
 
     def full(self, name: str) -> str:
@@ -117,7 +121,11 @@ class ZenohNode:
         self._endpoints.append(service)
 
     async def run(self) -> None:
-        """Until cancelled. Without a router, and after one was lost, it is asked for again."""
+        """Until cancelled. Without a router, and after one was lost, it is asked for again. Of
+        several who share the node, the first one does it for all."""
+        if self._running:
+            return
+        self._running = True
         try:
             async with asyncio.TaskGroup() as tasks:
                 for service in self._services:
