@@ -23,7 +23,18 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, byte, float64, int32, int64, sequence, uint8, uint32, uint64
+from cyclonedds.idl.types import (
+    array,
+    bounded_str,
+    byte,
+    float64,
+    int32,
+    int64,
+    sequence,
+    uint8,
+    uint32,
+    uint64,
+)
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -133,8 +144,8 @@ class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
 
 @dataclass
 class NodeEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: str
-    node_name: str
+    node_namespace: bounded_str[256]
+    node_name: bounded_str[256]
     reader_gid_seq: sequence[Gid]
     writer_gid_seq: sequence[Gid]
 

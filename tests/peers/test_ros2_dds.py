@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import PATIENT, running, wait_until
 
 from motord.bus.ros2.types import type_hash
 
@@ -29,7 +29,8 @@ def stage(tmp_path_factory):
         f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
         "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
         f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
-        f"safety.command_timeout_s={LEASE_S}",
+        f"safety.command_timeout_s={LEASE_S}", *PATIENT,
+        "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
     )  # fmt: skip
     with running(tmp_path_factory.mktemp("ros2"), *settings) as stage:
         stage.wait_for("idle")
@@ -105,6 +106,7 @@ def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
 def test_the_robot_stops_when_the_other_node_goes(armed):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         armed.wait_for("moving")
+    wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
     armed.wait_for("armed")
 
 
@@ -123,7 +125,7 @@ def test_services_say_what_the_daemon_says(stage):
     stage.wait_for("estop")
     refused = called("arm")
     assert not refused["success"]
-    assert "estop" in refused["message"]
+    assert "emergency stop" in refused["message"]
     assert called("reset")["success"]
     stage.wait_for("idle")
 
@@ -162,3 +164,62 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
     assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
     assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"
     assert arm["user_data"].startswith("serviceid=")
+
+
+def parameter(name, value, kind=3):
+    return {"name": name, "value": {"type": kind, "double_value": value}}
+
+
+def test_a_limit_is_a_parameter_and_is_changed(stage):
+    name = "limits.linear_m_s"
+    (before,) = called("get_parameters", "GetParameters", names=[name])["values"]
+    assert (before["type"], before["double_value"]) == (3, 1.0)
+    (answer,) = called("set_parameters", "SetParameters", parameters=[parameter(name, 0.8)])[
+        "results"
+    ]
+    assert answer == {"successful": True, "reason": ""}
+    assert stage.robot.call("params.get", names=[name]) == {name: 0.8}
+    called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
+
+
+def test_a_parameter_is_refused_with_the_reason(stage):
+    asked = [
+        parameter("limits.linear_m_s", 1e9),
+        parameter("limits.linear_m_s", 0.5, kind=2),
+        parameter("base.track_m", 0.5),
+        parameter("limits.nonsense", 0.5),
+    ]
+    results = called("set_parameters", "SetParameters", parameters=asked)["results"]
+    assert not any(result["successful"] for result in results)
+    large, integer, fixed, unknown = (result["reason"] for result in results)
+    assert "50" in large
+    assert "double" in integer
+    assert "robot file" in fixed
+    assert "no parameter" in unknown
+
+
+def test_a_managed_node_is_armed_and_disarmed_by_its_transitions(stage):
+    assert called("get_state", "GetState")["current_state"] == {"id": 2, "label": "inactive"}
+    assert called("change_state", "ChangeState", transition={"id": 3, "label": ""})["success"]
+    stage.wait_for("armed")
+    assert not called("change_state", "ChangeState", transition={"id": 1, "label": ""})["success"]
+    assert called("change_state", "ChangeState", transition={"id": 0, "label": "deactivate"})[
+        "success"
+    ]
+    stage.wait_for("idle")
+
+
+def test_no_transition_leads_out_of_an_emergency_stop(stage):
+    assert called("estop")["success"]
+    stage.wait_for("estop")
+    wait_until(
+        lambda: called("get_state", "GetState")["current_state"]["label"] == "errorprocessing",
+        "the state of an error",
+    )
+    for number in (1, 2, 3, 4):
+        assert not called("change_state", "ChangeState", transition={"id": number, "label": ""})[
+            "success"
+        ]
+    assert stage.state() == "estop"
+    assert called("reset")["success"]
+    stage.wait_for("idle")

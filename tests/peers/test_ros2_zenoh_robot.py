@@ -6,9 +6,12 @@ import contextlib
 import time
 
 import pytest
+import rosbags.typesys as rosbags
 from tests.peers.test_ros2_zenoh import REQUEST, STORE, ask, attached, peer
 from tests.peers.zenoh_router import endpoint, free_port, router
 from tests.sim.daemon_stage import running, wait_until
+
+from motord.bus.ros2.types import type_hash
 
 TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"
@@ -159,3 +162,49 @@ def test_an_emergency_stop_is_latched_and_arming_says_why_not(robot):
     assert "emergency stop" in refused.message
     lapsed(driver, "reset")
     stage.wait_for("idle")
+
+
+def asked(driver, name, service, request, response):
+    """Call a service of the node, its messages by the other encoder: `request` is a definition and
+    its values, `response` a definition."""
+    package, short = service.split("/")
+    key = f"5/r2/motord/{name}/{package}::srv::dds_::{short}_/{type_hash(f'{package}/srv/{short}')}"
+    store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
+    store.register(rosbags.get_types_from_msg(request[0], "peer/msg/Request"))
+    store.register(rosbags.get_types_from_msg(response, "peer/msg/Response"))
+    message = store.types["peer/msg/Request"](**request[1])
+    payload = bytes(store.serialize_cdr(message, "peer/msg/Request"))
+    (reply,) = ask(driver.session, key, payload=payload, attachment=attached())
+    return store.deserialize_cdr(reply.ok.payload.to_bytes(), "peer/msg/Response")
+
+
+def test_limits_are_parameters_that_other_nodes_list_and_read(robot):
+    _, driver = robot
+    listing = ("string[] prefixes\nuint64 depth\n", {"prefixes": [], "depth": 0})
+    listed = asked(
+        driver, "list_parameters", "rcl_interfaces/ListParameters", listing,
+        "rcl_interfaces/ListParametersResult result\n",
+    )  # fmt: skip
+    limits = [name for name in listed.result.names if name.startswith("limits.")]
+    assert limits
+    getting = ("string[] names\n", {"names": limits})
+    values = asked(
+        driver, "get_parameters", "rcl_interfaces/GetParameters", getting,
+        "rcl_interfaces/ParameterValue[] values\n",
+    ).values  # fmt: skip
+    assert len(values) == len(limits)
+    assert all(value.double_value > 0.0 for value in values if value.type == 3)
+
+
+def test_the_life_cycle_is_inactive_while_disarmed_and_active_while_armed(robot):
+    stage, driver = robot
+    ending = "lifecycle_msgs/State current_state\n"
+    asking = ("uint8 nothing\n", {"nothing": 0})
+
+    def label():
+        state = asked(driver, "get_state", "lifecycle_msgs/GetState", asking, ending)
+        return state.current_state.label
+
+    wait_until(lambda: label() == "inactive", "inactive")
+    with armed(stage, driver):
+        wait_until(lambda: label() == "active", "active")

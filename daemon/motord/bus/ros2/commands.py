@@ -16,15 +16,17 @@ from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.desk import URGENT, Desk, NotTaken
+from motord.bus.inputs.desk import METHODS, URGENT, Desk, NotTaken
+from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
 from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
 
-TRIGGERS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
+TRIGGERS = tuple(method for method in METHODS if method != "status")
 NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
 
@@ -45,6 +47,8 @@ class Ros2Commands:
             self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
         for method in URGENT:
             self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
+        Parameters(station.robot, station.call).serve(self._node)
+        Lifecycle(station, self._desk).serve(self._node)
 
     async def run(self) -> None:
         """As Adapter.run."""

@@ -118,7 +118,7 @@ class Writer:
         status = entity.get_offered_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
             self._said = status.total_count
-            _log.warning(_MISMATCH, self.name, "reader", "offer", status.last_policy_id)
+            _log.warning(_MISMATCH, self.name, "reader", _policy(status.last_policy_id), "offer")
 
 
 class Reader:
@@ -149,13 +149,21 @@ class Reader:
         status = entity.get_requested_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
             self._said = status.total_count
-            _log.warning(_MISMATCH, self.name, "writer", "ask for", status.last_policy_id)
+            _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "ask for")
 
 
-_MISMATCH = (
-    "%s: a %s does not go with the quality of service that we %s (policy %d: 11 is reliability, 2"
-    " durability)"
-)
+_MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
+_POLICIES = {
+    2: "durability (volatile or transient local)",
+    11: "reliability (best effort or reliable)",
+    23: "encoding",
+    24: "type",
+}
+"""By their numbers: DDS-XTypes 1.3, 7.6.3."""
+
+
+def _policy(number: int) -> str:
+    return _POLICIES.get(number, f"quality of service number {number}")
 
 
 class Participant:
