@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Zenoh router in a process of its own, to be killed and started again: zenoh_router.py PORT."""
+"""A Zenoh router in a process of its own, to be killed and started again.
+
+zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it lets in who shows a certificate of its authority.
+"""
 
 import asyncio
 import contextlib
@@ -25,10 +28,10 @@ def free_port():
 
 
 @contextlib.asynccontextmanager
-async def router(port):
+async def router(port, *tls):
     """Its process; it is killed at the end, also when it has been stopped."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, __file__, str(port), stdout=subprocess.PIPE
+        sys.executable, __file__, *map(str, (port, *tls)), stdout=subprocess.PIPE
     )
     try:
         async with asyncio.timeout(START_WITHIN_S):
@@ -46,6 +49,19 @@ def main():
         "listen": {"endpoints": [endpoint(sys.argv[1])]},
         "scouting": {"multicast": {"enabled": False}},
     }
+    if len(sys.argv) > 2:
+        folder = sys.argv[3]
+        said["listen"]["endpoints"].append(f"tls/localhost:{sys.argv[2]}")
+        said["transport"] = {
+            "link": {
+                "tls": {
+                    "root_ca_certificate": f"{folder}/ca.pem",
+                    "listen_certificate": f"{folder}/router.pem",
+                    "listen_private_key": f"{folder}/router.key",
+                    "enable_mtls": True,
+                }
+            }
+        }
     with zenoh.open(zenoh.Config.from_json5(json.dumps(said))):
         print("ready", flush=True)
         signal.pause()
