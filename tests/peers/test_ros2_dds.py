@@ -1,89 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
 
-import contextlib
-import json
-import os
-import subprocess
-import sys
-import threading
-from pathlib import Path
-
 import pytest
-from tests.sim.daemon_stage import PATIENT, running, wait_until
+from tests.peers.ros2_stage import NAMESPACE, called, inputs, nobody_commands, peer, ros2_stage
+from tests.sim.daemon_stage import wait_until
 
 from motord.bus.ros2.types import type_hash
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
-PEER = Path(__file__).with_name("ros2_peer.py")
-DOMAIN = 100 + os.getpid() % 100
-NAMESPACE = "/r2"
-LEASE_S = 1.0
-
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    settings = (
-        "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
-        f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
-        "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
-        f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
-        f"safety.command_timeout_s={LEASE_S}", *PATIENT,
-        "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
-    )  # fmt: skip
-    with running(tmp_path_factory.mktemp("ros2"), *settings) as stage:
-        stage.wait_for("idle")
-        wait_until(lambda: inputs(stage).get("ros2", {}).get("lease"), "a lease")
+    with ros2_stage(tmp_path_factory.mktemp("ros2")) as stage:
         yield stage
-
-
-def inputs(stage):
-    return (stage.robot.status()["bus"] or {}).get("inputs", {})
-
-
-class Peer:
-    """What it says, line by line."""
-
-    def __init__(self, *words):
-        command = [sys.executable, str(PEER), str(DOMAIN), *map(str, words)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.heard = []
-        self._reading = threading.Thread(target=self._read)
-        self._reading.start()
-
-    def _read(self):
-        for line in self.process.stdout:
-            self.heard.append(json.loads(line))
-
-    def find(self, fits, what):
-        return wait_until(lambda: next(filter(fits, list(self.heard)), None), what)
-
-    def close(self):
-        self.process.kill()
-        self.process.wait()
-        self._reading.join()
-        self.process.stdout.close()
-
-
-@contextlib.contextmanager
-def peer(*words):
-    made = Peer(*words)
-    try:
-        yield made
-    finally:
-        made.close()
-
-
-def called(name, kind="Trigger", **values):
-    with peer("call", f"{NAMESPACE}/motord/{name}", kind, json.dumps(values)) as client:
-        return client.find(lambda _: True, f"an answer of {name}")
 
 
 @pytest.fixture
 def armed(stage):
     assert called("arm")["success"]
     yield stage
+    nobody_commands(stage)
     assert called("stop")["success"]
     stage.wait_for("armed")
     assert called("disarm")["success"]
@@ -115,6 +52,7 @@ def test_a_command_moves_nothing_that_is_not_armed(stage):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
         assert stage.state() == "idle"
+    nobody_commands(stage)
 
 
 def test_services_say_what_the_daemon_says(stage):

@@ -4,11 +4,8 @@ DDS"; REP-2011 for the hash)."""
 
 from __future__ import annotations
 
-import re
-
 GRAPH_TOPIC = "ros_discovery_info"
 """Without a prefix: rmw_dds_common."""
-_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
 def dds_type(name: str) -> str:
@@ -38,9 +35,3 @@ def request(name: str) -> str:
 def reply(name: str) -> str:
     """/arm: rr/armReply"""
     return f"rr{name}Reply"
-
-
-def node_name(text: str) -> str:
-    """A text as the name of a node: letters, digits and _, not beginning with a digit."""
-    cleaned = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return cleaned if _NAME.fullmatch(cleaned) else f"_{cleaned}"
