@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A router lets in only who shows a certificate, and a node trusts only its own."""
+
 import shutil
 import subprocess
 
