@@ -31,6 +31,8 @@ from motord.config.bus_sections import (
     RosbridgePublish,
     StdoutPublish,
     UdpPublish,
+    ZenohInput,
+    ZenohPublish,
 )
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
@@ -285,7 +287,16 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
+Input = (
+    SocketInput
+    | RtInput
+    | MqttInput
+    | RosbridgeInput
+    | JoystickInput
+    | Ros2Input
+    | ZenohInput
+    | OtherInput
+)
 AnyPublish = (
     StdoutPublish
     | UdpPublish
@@ -295,6 +306,7 @@ AnyPublish = (
     | McapPublish
     | PrometheusPublish
     | Ros2Publish
+    | ZenohPublish
     | OtherPublish
 )
 
