@@ -17,12 +17,16 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    FoxglovePublish,
+    JoystickInput,
     McapPublish,
     MqttInput,
     MqttPublish,
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Publish,
     RosbridgeInput,
     RosbridgePublish,
     StdoutPublish,
@@ -241,6 +245,10 @@ class Joint(Section):
         "rad/s",
         None,
     )
+    pins: dict[str, str] = Field(default_factory=dict)
+    """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
+    number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
+    which changes with every cycle while the motor may move."""
     tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
     reply_timeout_s: float | None = number(
         "deadline for a reply; from baud rate, length and drive where it is not given",
@@ -277,14 +285,16 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
     | MqttPublish
     | RosbridgePublish
+    | FoxglovePublish
     | McapPublish
     | PrometheusPublish
+    | Ros2Publish
     | OtherPublish
 )
 

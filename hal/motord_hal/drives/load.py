@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_load import NODE_MAX, read_signals, read_table
 from motord_hal.drives.can_objects import read_objects
 from motord_hal.drives.check import check_profile
@@ -36,7 +37,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -125,6 +126,7 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         watchdog_note=root.text("watchdog_note") if "watchdog_note" in root else "",
         faults=tuple(_fault(table) for table in root.tables("fault")),
         bus_voltage=root.text("bus_voltage") if "bus_voltage" in root else None,
+        bridge=read_bridge(root) if "bridge" in root else None,
     )
     for table in (motor, steps, root):
         table.finish()
