@@ -40,6 +40,7 @@ HALTS = MappingProxyType(
         "ascii": "motord_hal.ascii.halt:halt_line",
         "roboclaw": "motord_hal.roboclaw.halt:halt_line",
         "pwm": "motord_hal.pwm.halt:halt_line",
+        "can": "motord_hal.can.halt:halt_line",
     }
 )
 """By kind: what stops the drives of a line that no daemon runs."""

@@ -81,8 +81,8 @@ async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
 
 
 async def test_lost_frames_both_ways_are_borne(rig, sim):
-    sim.inject("drop:p=0.1")
-    sim.inject("unheard:p=0.1")
+    sim.inject("drop:p=0.03")
+    sim.inject("unheard:p=0.05")
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 100)

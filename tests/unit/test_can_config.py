@@ -35,7 +35,7 @@ def problems(tmp_path, right, wrong, count=1):
         ("start_bit = 32", "start_bit = 30", "overlaps axis_error"),
         ("node_max = 63", "node_max = 64", "with node 64 it is beyond 0x7ff"),
         ("silence_s = 0.35", "silence_s = 0.1", "shorter than two periods"),
-        ("period_s = 0.01\nsilence_s = 0.1", "period_s = 0.01", "silence_s: is missing"),
+        ("period_s = 0.01\nsilence_s = 0.2", "period_s = 0.01", "silence_s: is missing"),
         ('ask = "rtr"\nperiod_s = 0.01', "", "neither sent unasked"),
         ('ask = "rtr"', 'ask = "heartbeat"', "is no frame that motord sends"),
         ("id = 0x003", "id = 0x001", "cannot be told from frame heartbeat"),

@@ -31,9 +31,9 @@ OPEN_WITHIN_S = 5.0
 READ_AT_ONCE = 64
 """Frames that are taken in before the event loop has a turn."""
 QUEUE_FRAMES = 1024
-"""Of the reader thread; the oldest are lost first."""
+"""Of the reader thread, the oldest are lost first; and as many are taken in when catching up."""
 THREAD_LOOKS_S = 0.05
-AGE_MAX_S = 0.1
+AGE_MAX_S = 1.0
 """A frame that the event loop has not seen for longer counts as new: a stamp that says so is more
 likely to be wrong."""
 BAD_FRAMES_MAX = 100
@@ -149,7 +149,10 @@ class CanBus:
 
     # ----------------------------------------------------------------------------------- receiving
     def _readable(self) -> None:
-        for _ in range(READ_AT_ONCE):
+        self._read(READ_AT_ONCE)
+
+    def _read(self, frames_max: int) -> None:
+        for _ in range(frames_max):
             if self._bus is None or self.trouble is not None:
                 return
             try:
@@ -189,6 +192,13 @@ class CanBus:
             self.errors["port"] += 1
             words = errno.errorcode.get(number or 0, "")
             self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
+
+    def catch_up(self) -> None:
+        """Take in what has come: an event loop that was late has not seen it yet."""
+        if self._fd is not None:
+            self._read(QUEUE_FRAMES)
+        elif self._reader is not None:
+            self._reader.drain()
 
     # ------------------------------------------------------------------------------------- sending
     def send(self, sent: Sent) -> bool:
@@ -290,7 +300,7 @@ class _ReaderThread:
                 continue
             if message is not None:
                 self._queue.append((message, came_ns(message)))
-                self._tell(self._drain)
+                self._tell(self.drain)
         _shut(self._bus)
 
     def _tell(self, call: Callable[..., None], *values: Any) -> None:
@@ -299,6 +309,7 @@ class _ReaderThread:
         except RuntimeError:  # the event loop has ended
             self._stopped.set()
 
-    def _drain(self) -> None:
+    def drain(self) -> None:
+        """Hand on what is queued."""
         while self._queue and not self._stopped.is_set():
             self._take_in(*self._queue.popleft())

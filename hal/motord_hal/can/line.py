@@ -188,6 +188,7 @@ class CanLine:
         period_s = 1.0 / self.spec.cycle_hz
         opened_s = due_s = now_s()
         while True:
+            self._bus.catch_up()  # before anyone is found missing
             self._bus.check()
             self._cycles += 1
             self._cycle_starts_s.append(now_s())

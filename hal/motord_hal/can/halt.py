@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stopping the drives of a CAN bus that nobody talks to any more.
+
+A frame that was sent is no acknowledgement: what a drive says of its power is, where it can say.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+import can
+
+from motord_hal.can.bus import CanBus
+from motord_hal.can.plan import CanPlan
+from motord_hal.clock import now_s
+from motord_hal.errors import NoReply
+from motord_hal.halt import halt_unit
+from motord_hal.modbus.units import joints_by_unit
+from motord_hal.ports import LineSpec
+
+SEND_WITHIN_S = 0.1
+"""A queue that is full for longer is one that nobody empties."""
+HEAR_WITHIN_S = 0.5
+LOOK_EVERY_S = 0.005
+
+
+class _Unit:
+    """halt.Unit on a bus."""
+
+    def __init__(self, plan: CanPlan, bus: CanBus) -> None:
+        self.name = ", ".join(joint.name for joint in plan.joints)
+        self.profile = plan.profile
+        self._plan = plan
+        self._bus = bus
+        self._held: dict[str, int] = {}
+        self._fresh: dict[str, int] = {}
+        """What has come since it was looked for."""
+
+    def take(self, message: can.Message) -> None:
+        found = self._plan.parse(
+            message.arbitration_id, bytes(message.data), extended=message.is_extended_id
+        )
+        if found is not None:
+            self._fresh.update(found[1])
+
+    async def write(self, raw: Mapping[str, int]) -> None:
+        self._held.update({name: raw[name] for name in self._plan.held if name in raw})
+        for frame in dict.fromkeys(self._plan.frame_of(name) for name in raw):
+            until_s = now_s() + SEND_WITHIN_S
+            while not self._bus.send(self._plan.write(frame, {**self._held, **raw})):
+                if now_s() > until_s:
+                    raise NoReply(f"the bus takes no frame in {SEND_WITHIN_S:g} s")
+                await asyncio.sleep(LOOK_EVERY_S)
+
+    async def read(self, register: str) -> int:
+        frame = self._plan.read_frame_of(register)
+        question = None if frame.period_s else self._plan.question(frame)
+        self._fresh.pop(register, None)
+        if question is not None:
+            self._bus.send(question)
+        until_s = now_s() + HEAR_WITHIN_S
+        while register not in self._fresh:
+            self._bus.check()
+            if now_s() > until_s:
+                raise NoReply(f"no {frame.name} frame in {HEAR_WITHIN_S:g} s")
+            await asyncio.sleep(LOOK_EVERY_S)
+        return self._fresh[register]
+
+    async def halt(self) -> str:
+        """As halt.halt_unit, and then what the drive says of its power."""
+        return await halt_unit(self) or await self._confirm()
+
+    async def _confirm(self) -> str:
+        said = self.profile.enabled
+        if said is None:
+            return f"{self.name}: told to stop; it cannot say whether it has power"
+        until_s = now_s() + HEAR_WITHIN_S
+        try:
+            while await self.read(said.register) & said.mask == said.equals:
+                if now_s() > until_s:
+                    return f"{self.name}: says that it is enabled still"
+        except NoReply as error:
+            return f"{self.name}: {error}"
+        return ""
+
+
+async def halt_line(spec: LineSpec) -> list[str]:
+    """All drives at once. Returns what was not acknowledged, in words. Raises PortError."""
+    units: list[_Unit] = []
+
+    def take(message: can.Message, stamp_ns: int) -> None:
+        del stamp_ns
+        for unit in units:
+            unit.take(message)
+
+    plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
+    identifiers = [one for plan in plans for one in plan.identifiers]
+    bus = CanBus(spec.port, spec.baudrate, spec.data_baudrate, identifiers, take)
+    await bus.open()
+    try:
+        units += [_Unit(plan, bus) for plan in plans]
+        problems = await asyncio.gather(*(unit.halt() for unit in units))
+    finally:
+        bus.close()
+    return [problem for problem in problems if problem]

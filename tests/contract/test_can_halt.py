@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drives on a CAN bus whose daemon has died: told to stop by whoever comes."""
+
+import pytest
+from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from test_can_line import spec_of
+
+from motord_hal.errors import PortError
+from motord_hal.lines import halt_line
+
+
+@pytest.fixture(params=["virtual", "udp_multicast"])
+async def peer(request):
+    async with living(Peer(request.param, nodes=(0, 3))) as peer:
+        for axis in peer.axes.values():
+            axis.state = CLOSED_LOOP
+        yield peer
+
+
+async def test_every_drive_is_told_zero_and_then_loses_its_power(peer):
+    assert await halt_line(spec_of(peer, 0, 3)) == []
+    for axis in peer.axes.values():
+        assert axis.state == IDLE
+        assert set(axis.velocities()) == {0.0}
+        told = [command for command, _ in axis.heard]
+        assert told.index(INPUT_VELOCITY) < told.index(STATE)
+        assert CLOSED_LOOP not in axis.states()
+
+
+async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_one_that_is_deaf_is_said(
+    peer,
+):
+    peer.axes[0].velocity_turns_s = 2.0
+    peer.axes[3].deaf_to.add(STATE)
+    problems = await halt_line(spec_of(peer, 0, 3))
+    assert peer.axes[0].state == IDLE
+    assert problems == ["wheel3: says that it is enabled still"]
+
+
+async def test_a_silent_drive_is_told_all_the_same_and_said(peer):
+    peer.axes[0].silent = True
+    (problem,) = await halt_line(spec_of(peer, 0, 3))
+    assert "wheel0: no heartbeat frame" in problem
+    assert peer.axes[0].state == peer.axes[3].state == IDLE
+
+
+async def test_a_bus_that_is_not_there_is_an_error(peer):
+    with pytest.raises(PortError, match="no such interface"):
+        await halt_line(spec_of(peer, 0, port="socketcan:nothing0"))
