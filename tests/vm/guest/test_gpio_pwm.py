@@ -56,6 +56,7 @@ async def armed(line):
             await line.ready()
             with contextlib.suppress(HalError):
                 await line.line.arm()
+            await asyncio.sleep(0.01)
 
 
 async def reaches(line, condition, what):
