@@ -112,7 +112,7 @@ def test_a_wrong_value_is_said_with_its_line_and_what_is_right(problems_of, wron
     [
         ('"differential"', '"mecanum"', "base.kind: {} is not in this version of motord"),
         ('"modbus-rtu"', '"canopen"', "line.rs485.kind: {} is not in this version of motord"),
-        ('"stdout"', '"ros2"', "publish.console.kind: {} is not in this version of motord"),
+        ('"stdout"', '"zenoh"', "publish.console.kind: {} is not in this version of motord"),
         ('"stdout"', '"stdio"', "publish.console.kind: {} is unknown"),
     ],
 )

@@ -12,15 +12,19 @@ from typing import Any, Protocol
 # Tables of strings: a robot loads only the buses that it has.
 PUBLISHERS = MappingProxyType(
     {
+        "foxglove": "motord.bus.publish.foxglove:FoxgloveServer",
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
+        "ros2": "motord.bus.ros2.publisher:Ros2Publisher",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
         "prometheus": "motord.bus.publish.prometheus:PrometheusServer",
     }
 )
 INPUTS = MappingProxyType(
     {
+        "joystick": "motord.bus.inputs.joystick:Joystick",
         "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
+        "ros2": "motord.bus.ros2.commands:Ros2Commands",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
     }
 )

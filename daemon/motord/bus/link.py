@@ -80,7 +80,7 @@ class Source:
         self._token: bytes | None = None
         self._sequence = 0
         self._failing = False
-        self._sender = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._sender: socket.socket | None = None
         self.sent = 0
         self.lost = 0
         """Commands for which there was no lease, or that the socket did not take."""
@@ -94,30 +94,30 @@ class Source:
 
     async def run(self) -> None:
         """Keep a lease until cancelled."""
-        try:
-            while True:
-                try:
-                    await self._hold()
-                except (ClientError, OSError, TimeoutError) as error:
-                    self._say(str(error) or "no answer")
-                await asyncio.sleep(LEASE_AGAIN_S)
-        finally:
-            self._sender.close()
+        while True:
+            try:
+                async with _connected(self._path) as (reader, writer):
+                    async with asyncio.timeout(LEASE_WITHIN_S):
+                        grant = await _ask(reader, writer, "lease", {"owner": self.owner})
+                    await self._hold(grant, reader)
+            except (ClientError, OSError, TimeoutError) as error:
+                self._say(str(error) or "no answer")
+            await asyncio.sleep(LEASE_AGAIN_S)
 
-    async def _hold(self) -> None:
-        async with _connected(self._path) as (reader, writer):
-            async with asyncio.timeout(LEASE_WITHIN_S):
-                grant = await _ask(reader, writer, "lease", {"owner": self.owner})
-            self._sender.connect(grant["socket"])
-            self._sequence = 0
-            self._token = bytes.fromhex(grant["token"])
+    async def _hold(self, grant: dict[str, Any], reader: asyncio.StreamReader) -> None:
+        """Until the daemon ends the lease."""
+        kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
+        with socket.socket(socket.AF_UNIX, kind) as sender:
+            sender.connect(grant["socket"])
+            self._token, self._sequence = bytes.fromhex(grant["token"]), 0
+            self._sender = sender
             if self._failing:
                 self._failing = False
                 _log.info("input.%s: has its lease again", self.owner)
             try:
                 await _ended(reader)
             finally:
-                self._token = None
+                self._token = self._sender = None
 
     def drive(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> bool:
         """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
@@ -130,7 +130,7 @@ class Source:
         return self._send(RELEASE, 0.0, 0.0, time.monotonic_ns())
 
     def _send(self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int) -> bool:
-        if self._token is None:
+        if self._token is None or self._sender is None:
             self.lost += 1
             return False
         self._sequence += 1

@@ -4,18 +4,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    FoxglovePublish,
+    JoystickInput,
     MqttBroker,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Node,
     RosbridgeInput,
     RosbridgeServer,
 )
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
+
+LEASE_COMMANDS = 2
+_PACKAGES = {
+    "ros2": "cyclonedds",
+    "mqtt": "aiomqtt",
+    "mcap": "mcap",
+    "foxglove": "foxglove",
+    "rosbridge": "websockets",
+    "joystick": "evdev",
+}
+AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -59,10 +75,10 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
-def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, PrometheusPublish | RosbridgeServer):
+            if isinstance(section, AnyServer):
                 yield (table, name), section
 
 
@@ -77,14 +93,65 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, RosbridgeServer):
+        if isinstance(section, FoxglovePublish | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
+
+
+def _joystick_lives_long_enough(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if (
+            isinstance(section, JoystickInput)
+            and section.lease_s * section.rate_hz < LEASE_COMMANDS
+        ):
+            text = f"a lease holds fewer than {LEASE_COMMANDS} commands: a late one stops the robot"
+            paths = (("input", name, "lease_s"), ("input", name, "rate_hz"))
+            yield Finding(paths, text)
+
+
+def _ros2_nodes(robot: Robot) -> Iterator[tuple[Path, Ros2Node]]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, Ros2Node):
+                yield (table, name), section
+
+
+def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
+    for path, section in _ros2_nodes(robot):
+        if (
+            isinstance(section, Ros2Input)
+            and section.discovery != "localhost"
+            and not section.trust_network
+        ):
+            text = "all of the domain could move the robot; if that is meant: trust_network = true"
+            yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
+
+
+def _ros2_domains(robot: Robot) -> Iterator[Finding]:
+    domains: dict[int, tuple[Path, Ros2Node]] = {}
+    for path, section in _ros2_nodes(robot):
+        if section.interface is not None and section.discovery == "localhost":
+            text = 'is of no use without discovery = "subnet"'
+            yield Finding(((*path, "interface"), (*path, "discovery")), text)
+        before, first = domains.setdefault(section.domain_id, (path, section))
+        for key in ("discovery", "interface"):
+            if getattr(section, key) != getattr(first, key):
+                text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
+                yield Finding(((*path, key), (*before, key)), text)
+
+
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            package = _PACKAGES.get(section.kind)
+            if package is not None and find_spec(package) is None:
+                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                yield Finding(((table, name, "kind"),), text, warning=True)
 
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
@@ -93,4 +160,8 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _rates_of_published_topics,
     _one_port_a_server,
     _certificates,
+    _joystick_lives_long_enough,
+    _ros2_commands_are_meant,
+    _ros2_domains,
+    _packages_are_there,
 )

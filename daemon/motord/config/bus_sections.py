@@ -70,15 +70,20 @@ class BusInput(Section):
     lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
 
 
-class TokenInput(BusInput):
+class StampedInput(BusInput):
+    """Commands that say when they were given."""
+
+    stamped: bool = True
+    """Every command has to say when it was given, so that one that waited somewhere is known by its
+    age. The clocks of both have to agree; false: what arrives counts as new."""
+
+
+class TokenInput(StampedInput):
     """Commands from a network: only with the token."""
 
     token_file: str = Field(min_length=1)
     """File with the token that every command has to show; at least 16 characters, readable by the
     daemon's user alone. A path that is not absolute is beside the robot file."""
-    stamped: bool = True
-    """Every command has to say when it was given, so that one that waited somewhere is known by its
-    age. The clocks of both have to agree; false: what arrives counts as new."""
 
 
 class MqttBroker(Section):
@@ -148,16 +153,28 @@ class McapPublish(BusPublish):
     )
 
 
-class RosbridgeServer(BusPublish):
-    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+class Server(BusPublish):
+    """A server of the second process."""
 
     host: str = Field(default="127.0.0.1", min_length=1)
     """Address to listen at; this machine only, unless something else is said."""
-    port: int = number("TCP port", 1, 65535, "1", 9090)
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
     key_file: str | None = None
     """Key of cert_file."""
+
+
+class FoxglovePublish(Server):
+    """A WebSocket to which Foxglove connects. It only tells: its protocol knows no token."""
+
+    kind: Literal["foxglove"]
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class RosbridgeServer(Server):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    port: int = number("TCP port", 1, 65535, "1", 9090)
 
 
 class RosbridgePublish(RosbridgeServer):
@@ -170,6 +187,59 @@ class RosbridgeInput(TokenInput, RosbridgeServer):
     """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
 
     kind: Literal["rosbridge"]
+
+
+class JoystickInput(BusInput):
+    """A joystick or gamepad at this machine. It commands as long as its dead-man button is held."""
+
+    kind: Literal["joystick"]
+    device: str = Field(min_length=1)
+    """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
+    dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button to be held, by the kernel's name."""
+    linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the speed: away from you is forward."""
+    angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the turn rate: to the left is a left turn."""
+    linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
+    angular_rad_s: float = number("turn rate at the end of the axis", 0.001, 100, "rad/s", 0.6)
+    dead_zone: float = number("part of the axis around its middle that is zero", 0, 0.9, "1", 0.1)
+    rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
+
+
+class Ros2Node(Section):
+    """Which node we are, and where. Sections that say the same are one node."""
+
+    domain_id: int = number("ROS_DOMAIN_ID of those who are to see us", 0, 232, "1", 0)
+    discovery: Literal["localhost", "subnet"] = "localhost"
+    """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
+    networks that it is connected to."""
+    interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
+    """The one network interface to use, by name (discovery subnet); where it is not given, what the
+    DDS library chooses."""
+    namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
+    """Goes before the name of every topic and service."""
+    node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
+    """Name of the node."""
+
+
+class Ros2Publish(BusPublish, Ros2Node):
+    """Topics of a ROS 2 node, on DDS. No ROS is needed here."""
+
+    kind: Literal["ros2"]
+    urdf_file: str | None = None
+    """Robot description that is published; one made from the robot file where it is not given. A
+    path that is not absolute is beside the robot file."""
+
+
+class Ros2Input(StampedInput, Ros2Node):
+    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist), and the
+    services arm, disarm, stop, estop, reset, reset_odometry, parameters and life cycle."""
+
+    kind: Literal["ros2"]
+    trust_network: bool = False
+    """DDS asks nobody who he is: with discovery subnet, whoever reaches the domain may move the
+    robot. It has to be said that this is meant."""
 
 
 class OtherPublish(BusPublish):

@@ -19,9 +19,9 @@ from motord.config.toml_lines import Path
 # Kinds and keys that motord plans and does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
-    ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "serial"}),
-    ("input", "*", "kind"): frozenset({"ros2", "zenoh", "joystick"}),
-    ("publish", "*", "kind"): frozenset({"ros2", "zenoh", "foxglove"}),
+    ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
+    ("input", "*", "kind"): frozenset({"zenoh"}),
+    ("publish", "*", "kind"): frozenset({"zenoh"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),

@@ -222,6 +222,15 @@ class PwmLine(Section):
         return f"{self.pwm_chip or ''} {self.gpio_chip or ''}".strip()
 
 
-_Serial = RtuLine | DdsmLine | McuLine | AsciiLine | RoboclawLine
-AnyLine = _Serial | TcpLine | RtuOverTcpLine | CanLine | PwmLine
+AnyLine = (
+    RtuLine
+    | DdsmLine
+    | TcpLine
+    | RtuOverTcpLine
+    | CanLine
+    | McuLine
+    | AsciiLine
+    | RoboclawLine
+    | PwmLine
+)
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

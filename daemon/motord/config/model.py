@@ -17,12 +17,16 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    FoxglovePublish,
+    JoystickInput,
     McapPublish,
     MqttInput,
     MqttPublish,
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    Ros2Input,
+    Ros2Publish,
     RosbridgeInput,
     RosbridgePublish,
     StdoutPublish,
@@ -281,14 +285,16 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | OtherInput
+Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
 AnyPublish = (
     StdoutPublish
     | UdpPublish
     | MqttPublish
     | RosbridgePublish
+    | FoxglovePublish
     | McapPublish
     | PrometheusPublish
+    | Ros2Publish
     | OtherPublish
 )
 

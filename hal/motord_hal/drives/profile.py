@@ -197,6 +197,8 @@ class Step:
     equals: int | None = None
     within_s: float = 0.0
     """For a wait: how long it may take."""
+    plus_node: bool = False
+    """For a write: the drive's own node number is added to the value."""
     verify: bool = True
     """For a write: whether the register keeps what was written, so that it can be read back."""
 
@@ -306,10 +308,10 @@ class DriveProfile:
     """Why there is none, and what to do instead; empty where there is one."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
-    bridge: Bridge | None = None
-    """Only of the protocol "pwm"."""
     can: CanTable | None = None
     """The frames of a drive on a CAN bus, whose registers are signals in them."""
+    bridge: Bridge | None = None
+    """Only of the protocol "pwm"."""
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
         """What a fault word says. A bit or code that the profile does not list is a fault too."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from motord.bus.link import Source
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.config import TokenInput
+from motord.config import StampedInput, TokenInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -23,7 +23,10 @@ URGENT = ("estop", "stop")
 CALLS_MAX = 4
 FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
+OLD_S = 3600.0
+"""Whatever is older is as old as this: it is not obeyed."""
 SAY_AGAIN_S = 10.0
+_SHORT = 40
 
 _log = logging.getLogger(__name__)
 
@@ -35,11 +38,13 @@ class NotTaken(Exception):
 class Desk:
     """One networked input's."""
 
-    def __init__(self, name: str, section: TokenInput, station: Station) -> None:
+    def __init__(self, name: str, section: StampedInput, station: Station) -> None:
         """Raises OSError and ValueError for a token that cannot be used."""
         self._name = name
         self._station = station
-        self._token = Token(station.beside_robot_file(section.token_file))
+        self._token: Token | None = None
+        if isinstance(section, TokenInput):
+            self._token = Token(station.beside_robot_file(section.token_file))
         self._stamped = section.stamped
         self._calls = 0
         self._said_s = -SAY_AGAIN_S
@@ -47,7 +52,7 @@ class Desk:
 
     def admit(self, shown: object) -> None:
         """Raises NotTaken for who does not show the token."""
-        if not self._token.fits(shown):
+        if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
     def drive(self, message: object) -> None:
@@ -66,22 +71,26 @@ class Desk:
             stamp = message["header"]["stamp"] if "header" in message else None
             linear_m_s = _number(twist["linear"]["x"])
             angular_rad_s = _number(twist["angular"]["z"])
-            said_s = None if stamp is None else stamp["sec"] + stamp["nanosec"] * 1e-9
-        except (KeyError, TypeError) as error:
+            said_s = None
+            if stamp is not None:
+                said_s = _number(stamp["sec"]) + _number(stamp["nanosec"]) * 1e-9
+        except (KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
         if said_s is None:
             if self._stamped:
                 raise self._no("it has no stamp (header.stamp, or stamped = false)")
             return linear_m_s, angular_rad_s, 0.0
+        if said_s == 0.0:
+            raise self._no("its stamp is zero: when was it given? (or stamped = false)")
         age_s = time.time() - said_s
-        if not -FUTURE_S <= age_s < float("inf"):
+        if not age_s >= -FUTURE_S:
             raise self._no("its stamp is in the future: do the clocks agree?")
-        return linear_m_s, angular_rad_s, max(age_s, 0.0)
+        return linear_m_s, angular_rad_s, min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object) -> Any:
         """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
         if method not in METHODS:
-            raise self._no(f"{method!r} is not one of {', '.join(METHODS)}")
+            raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
         if self._calls >= CALLS_MAX and method not in URGENT:
             raise self._no(f"{CALLS_MAX} calls are under way")
         self._calls += 1
@@ -103,7 +112,18 @@ class Desk:
 
 
 def _number(value: object) -> float:
-    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError."""
+    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError, and
+    OverflowError for a whole number that is too large."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
+        raise TypeError(f"{short(value)} is no number")
     return float(value)
+
+
+def short(value: object) -> str:
+    """What a stranger sent, fit for a sentence: it may be long, and nested deeply."""
+    return repr(value[:_SHORT]) if isinstance(value, str) else f"a {type(value).__name__}"
+
+
+def tag(value: object) -> str | int | None:
+    """What an answer repeats of its question; nothing, where it is neither text nor number."""
+    return value if isinstance(value, str | int) else None

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a joystick's events mean: its axes as a twist, and whether its dead-man button is held.
+
+Events are the kernel's (Documentation/input/event-codes.rst), and so are the axes' ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from motord.config import JoystickInput
+
+EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
+SYN_DROPPED = 3
+"""include/uapi/linux/input-event-codes.h"""
+
+
+@dataclass(frozen=True, slots=True)
+class Codes:
+    """The numbers of what is looked at."""
+
+    dead_man: int
+    linear: int
+    angular: int
+
+
+class Stick:
+    """The state of one device since it was opened; nothing is held at first."""
+
+    def __init__(
+        self, section: JoystickInput, codes: Codes, ranges: Mapping[int, tuple[int, int]]
+    ) -> None:
+        """`ranges`: least and greatest value of each axis. Raises ValueError for an axis that the
+        device has not."""
+        self._section = section
+        self._codes = codes
+        self._values = {codes.linear: 0.0, codes.angular: 0.0}
+        for axis in self._values:
+            low, high = ranges.get(axis, (0, 0))
+            if low >= high:
+                raise ValueError(f"it has no axis {axis}")
+        self._ranges = ranges
+        self.held = False
+        """Released, lost or never pressed: nobody commands."""
+
+    def take(self, kind: int, code: int, value: int) -> None:
+        """One event."""
+        if kind == EV_KEY and code == self._codes.dead_man:
+            self.held = value != 0
+        elif kind == EV_ABS and code in self._values:
+            self._values[code] = self._part(code, value)
+        elif kind == EV_SYN and code == SYN_DROPPED:
+            self.held = False  # events were lost: whether it is held is not known any more
+            self._values = dict.fromkeys(self._values, 0.0)
+
+    def _part(self, axis: int, value: int) -> float:
+        """-1 to 1, and 0 in the dead zone."""
+        low, high = self._ranges[axis]
+        part = min(max((2.0 * value - low - high) / (high - low), -1.0), 1.0)
+        zone = self._section.dead_zone
+        if abs(part) <= zone:
+            return 0.0
+        return (abs(part) - zone) / (1.0 - zone) * (1.0 if part > 0.0 else -1.0)
+
+    def twist(self) -> tuple[float, float]:
+        """m/s and rad/s. Axes grow away from forward and from left, so both signs turn."""
+        if not self.held:
+            return 0.0, 0.0
+        return (
+            -self._section.linear_m_s * self._values[self._codes.linear],
+            -self._section.angular_rad_s * self._values[self._codes.angular],
+        )

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plain CDR, little-endian: how every ROS 2 message travels (DDS-XTypes 1.3, 7.4.1: encoding
+version 1, final types). Values are aligned to their size, counted from the end of the header."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import Any
+
+from motord.bus.ros2.types import TYPES, Field
+
+HEADER = b"\x00\x01\x00\x00"
+"""CDR_LE, no options: RTPS 2.5, 10.2.1.2."""
+_CODES = {
+    "int8": "b",
+    "uint8": "B",
+    "char": "B",
+    "byte": "B",
+    "bool": "?",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+_UINT32 = struct.Struct("<I")
+Write = Callable[[bytearray, Any], None]
+
+
+@cache
+def _struct(codes: str, phase: int) -> struct.Struct:
+    """Values behind each other, each aligned, when the first byte lies at that offset modulo 8."""
+    parts, at = ["<"], phase
+    for code in codes:
+        size = struct.calcsize(code)
+        pad = -at % size
+        parts.append("x" * pad + code)
+        at += pad + size
+    return struct.Struct("".join(parts))
+
+
+def encode(name: str, message: Any) -> bytearray:
+    """A message, an object whose attributes are the type's fields, with its header and padded to a
+    multiple of 4. Raises ValueError for a value that does not fit its field."""
+    out = bytearray(HEADER)
+    try:
+        for write in _writers(name):
+            write(out, message)
+    except (struct.error, OverflowError) as error:
+        raise ValueError(f"{name}: {error}") from error
+    out.extend(bytes(-len(out) % 4))
+    return out
+
+
+@cache
+def _writers(name: str) -> tuple[Write, ...]:
+    """Fixed fields, also those of nested types, are written together; the others one by one."""
+    writers: list[Write] = []
+    fixed: list[tuple[str, str]] = []
+
+    def flush() -> None:
+        if fixed:
+            paths, codes = zip(*fixed, strict=True)
+            writers.append(_fixed(paths, "".join(codes)))
+            fixed.clear()
+
+    for path, field in _flat(name):
+        if field.count is None and field.kind != "string":
+            fixed.append((path, _CODES[field.kind]))
+        else:
+            flush()
+            writers.append(_variable(path, field))
+    flush()
+    return tuple(writers)
+
+
+def _flat(name: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
+    for field in TYPES[name]:
+        if field.primitive or field.count is not None:
+            yield prefix + field.name, field
+        else:
+            yield from _flat(field.kind, f"{prefix}{field.name}.")
+
+
+def _fixed(paths: Sequence[str], codes: str) -> Write:
+    get = attrgetter(*paths)
+    packs = [_struct(codes, phase).pack for phase in range(8)]
+    if len(paths) == 1:
+        return lambda out, message: out.extend(packs[(len(out) - 4) & 7](get(message)))
+    return lambda out, message: out.extend(packs[(len(out) - 4) & 7](*get(message)))
+
+
+def _variable(path: str, field: Field) -> Write:
+    get = attrgetter(path)
+    if field.count is None:
+        return lambda out, message: _write_string(out, get(message))
+    write_items = _items(field)
+    if not field.sequence:
+        return lambda out, message: write_items(out, get(message))
+
+    def write(out: bytearray, message: Any) -> None:
+        items = get(message)
+        out.extend(bytes(-len(out) % 4))
+        out.extend(_UINT32.pack(len(items)))
+        if items:
+            write_items(out, items)
+
+    return write
+
+
+def _items(field: Field) -> Write:
+    if field.kind == "string":
+
+        def write_strings(out: bytearray, items: Sequence[str]) -> None:
+            for item in items:
+                _write_string(out, item)
+
+        return write_strings
+    if field.primitive:
+        code = _CODES[field.kind]
+        return lambda out, items: out.extend(
+            _struct(
+                code * (field.count if field.count and not field.bounded else len(items)),
+                (len(out) - 4) & 7,
+            ).pack(*items)
+        )
+
+    def write_nested(out: bytearray, items: Sequence[Any]) -> None:
+        writers = _writers(field.kind)
+        for item in items:
+            for write in writers:
+                write(out, item)
+
+    return write_nested
+
+
+def _write_string(out: bytearray, text: str) -> None:
+    raw = text.encode()
+    out.extend(bytes(-len(out) % 4))
+    out.extend(_UINT32.pack(len(raw) + 1))
+    out.extend(raw)
+    out.append(0)
+
+
+def decode(name: str, raw: bytes) -> SimpleNamespace:
+    """The message. Raises ValueError for bytes that are none of that type; what follows it is not
+    looked at."""
+    if raw[:2] != HEADER[:2]:
+        raise ValueError(f"{name}: not in plain little-endian CDR (it begins {raw[:4].hex()})")
+    try:
+        return _Reader(raw).message(name)
+    except (struct.error, IndexError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+class _Reader:
+    def __init__(self, raw: bytes) -> None:
+        self._raw = raw
+        self._at = len(HEADER)
+
+    def message(self, name: str) -> SimpleNamespace:
+        return SimpleNamespace(**{field.name: self._field(field) for field in TYPES[name]})
+
+    def _field(self, field: Field) -> Any:
+        if field.count is None:
+            return self._value(field.kind)
+        count = self._values("I", 1)[0] if field.sequence else field.count
+        if field.primitive and field.kind != "string":
+            return self._values(_CODES[field.kind], count)
+        if count > len(self._raw) - self._at:  # each takes a byte at least
+            raise IndexError("longer than its bytes")
+        return tuple(self._value(field.kind) for _ in range(count))
+
+    def _value(self, kind: str) -> Any:
+        if kind == "string":
+            return self._string()
+        if kind in _CODES:
+            return self._values(_CODES[kind], 1)[0]
+        return self.message(kind)
+
+    def _values(self, code: str, count: int) -> tuple[Any, ...]:
+        size = struct.calcsize(f"<{code}")
+        if count == 0:
+            return ()
+        start = self._at + (len(HEADER) - self._at) % size
+        self._at = start + count * size
+        if self._at > len(self._raw):
+            raise IndexError("longer than its bytes")
+        return struct.unpack_from(f"<{count}{code}", self._raw, start)
+
+    def _string(self) -> str:
+        length = self._values("I", 1)[0]
+        start, self._at = self._at, self._at + length
+        if self._at > len(self._raw):
+            raise IndexError("longer than its bytes")
+        return self._raw[start : self._at].removesuffix(b"\0").decode()

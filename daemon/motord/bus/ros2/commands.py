@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands from ROS 2 nodes: cmd_vel under a lease, and services by the daemon's socket.
+
+cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped = false)
+~/arm, ~/disarm, ~/reset, ...     std_srvs/Trigger
+~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
+                                  those whose middleware our services do not reach
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from motord.bus.inputs.desk import METHODS, URGENT, Desk, NotTaken
+from motord.bus.ros2.dds import Quality
+from motord.bus.ros2.lifecycle import Lifecycle
+from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.parameters import Parameters
+from motord.config import Ros2Input
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+TRIGGERS = tuple(method for method in METHODS if method != "status")
+NEWEST = Quality(depth=1, reliable=False)
+"""Hears reliable writers and others; an old command is worth nothing."""
+
+_log = logging.getLogger(__name__)
+
+
+class Ros2Commands:
+    def __init__(self, name: str, section: Ros2Input, station: Station) -> None:
+        """Raises DdsError."""
+        self._name = name
+        self._desk = Desk(name, section, station)
+        self._node = node_of(station, section)
+        self._asked: set[str] = set()
+        self._asking = asyncio.Event()
+        kind = "TwistStamped" if section.stamped else "Twist"
+        self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
+        for method in TRIGGERS:
+            self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
+        for method in URGENT:
+            self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
+        Parameters(station.robot, station.call).serve(self._node)
+        Lifecycle(station, self._desk).serve(self._node)
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._desk.source.run())
+            tasks.create_task(self._node.run())
+            tasks.create_task(self._act())
+
+    def _drive(self, message: SimpleNamespace) -> None:
+        with contextlib.suppress(NotTaken):  # said by the desk
+            self._desk.drive(_as_mapping(message))
+
+    def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
+        async def answer(_: SimpleNamespace) -> SimpleNamespace:
+            try:
+                result = await self._desk.act(method)
+            except NotTaken as error:
+                return SimpleNamespace(success=False, message=str(error))
+            return SimpleNamespace(success=True, message=result["state"])
+
+        return answer
+
+    def _urgent(self, method: str) -> Callable[[SimpleNamespace], None]:
+        def ask(message: SimpleNamespace) -> None:
+            if method not in self._asked:
+                _log.warning("input.%s: %s by topic: %s", self._name, method, message.data[:200])
+            self._asked.add(method)
+            self._asking.set()
+
+        return ask
+
+    async def _act(self) -> None:
+        """What was asked for by topic: the graver first, the same only once at a time."""
+        while True:
+            await self._asking.wait()
+            self._asking.clear()
+            for method in [method for method in URGENT if method in self._asked]:
+                self._asked.discard(method)
+                try:
+                    await self._desk.act(method)
+                except NotTaken as error:
+                    _log.error("input.%s: %s: %s", self._name, method, error)
+
+
+def _as_mapping(value: Any) -> Any:
+    """A decoded message as the desk wants it."""
+    if isinstance(value, SimpleNamespace):
+        return {key: _as_mapping(item) for key, item in vars(value).items()}
+    return value

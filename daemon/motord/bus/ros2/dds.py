@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One DDS participant, on the Cyclone DDS binding. It carries bytes in CDR; what they mean is not
+known here. One thread waits for the network; all else happens in the event loop.
+
+No listeners (they run Python in DDS's own receive thread) and no KEEP_ALL (a write would wait for
+the slowest reader, with the interpreter's lock held).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from motord.bus.ros2.cyclone_types import cyclone_type
+
+Discovery = Literal["localhost", "subnet"]
+URI = "CYCLONEDDS_URI"
+"""Cyclone's own configuration, from the environment: with discovery subnet, whoever sets it knows
+better than we. It cannot open what the robot file keeps on this machine."""
+BLOCKING_MAX = duration(milliseconds=5)
+_ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+_JOIN_WITHIN_S = 2.0
+_LOOK_EVERY_S = 2.0
+_LOCALHOST = (
+    '<General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
+    "</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="localhost"/></Peers></Discovery>'
+)
+
+_log = logging.getLogger(__name__)
+
+
+class DdsError(OSError):
+    """The DDS library refuses; the text says what."""
+
+
+def configuration(discovery: Discovery, interface: str | None) -> str:
+    """Cyclone's configuration: this machine alone, or what its network interface reaches."""
+    inside = ""
+    if discovery == "localhost":
+        inside = _LOCALHOST
+    elif interface is not None:
+        network = f'<NetworkInterface name="{interface}"/>'
+        inside = f"<General><Interfaces>{network}</Interfaces></General>"
+    return f"<CycloneDDS><Domain>{inside}</Domain></CycloneDDS>"
+
+
+@cache
+def _domain(domain_id: int, xml: str) -> Domain:
+    """One of a number for the whole process: Cyclone's rule."""
+    return Domain(domain_id, xml)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """Of an endpoint, as ROS 2 names it."""
+
+    depth: int = 10
+    reliable: bool = True
+    latched: bool = False
+    """TRANSIENT_LOCAL: who comes later is told the newest, too."""
+
+    def qos(self, user_data: str) -> Qos:
+        """As DDS says it."""
+        durability = (
+            Policy.Durability.TransientLocal if self.latched else Policy.Durability.Volatile
+        )
+        reliability: Any = Policy.Reliability.BestEffort
+        if self.reliable:
+            reliability = Policy.Reliability.Reliable(BLOCKING_MAX)
+        policies = [
+            reliability,
+            durability,
+            Policy.History.KeepLast(self.depth),
+            Policy.DataRepresentation(use_cdrv0_representation=True),
+            Policy.WriterDataLifecycle(autodispose=False),
+            Policy.Userdata(user_data.encode()),
+        ]
+        if self.latched:
+            history = Policy.History.KeepLast(self.depth)
+            policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
+        return Qos(*policies)
+
+
+class Writer:
+    def __init__(self, entity: DataWriter[Any], name: str) -> None:
+        self.entity = entity
+        self.name = name
+        self.gid = entity.guid.bytes
+        self._handle = entity._ref  # noqa: SLF001  the binding's write would encode once more
+        self.lost = 0
+        """Samples that DDS did not take."""
+        self._said = 0
+
+    def write(self, raw: bytearray) -> bool:
+        """Whole CDR with its header. False: DDS did not take it."""
+        if ddspy_write(self._handle, raw) < 0:
+            self.lost += 1
+            return False
+        return True
+
+    def say_mismatch(self) -> None:
+        """A reader that asks for more than this writer offers hears nothing: said once for each."""
+        entity: Any = self.entity
+        status = entity.get_offered_incompatible_qos_status()
+        if status is not None and status.total_count > self._said:
+            self._said = status.total_count
+            _log.warning(_MISMATCH, self.name, "reader", _policy(status.last_policy_id), "offer")
+
+
+class Reader:
+    def __init__(
+        self, entity: DataReader[Any], name: str, depth: int, take: Callable[[bytes, Any], None]
+    ) -> None:
+        self.entity = entity
+        self.name = name
+        self.gid = entity.guid.bytes
+        self.condition = ReadCondition(entity, _ANY)
+        self._handle = entity._ref  # noqa: SLF001  the binding's take would decode, too
+        self._depth = depth
+        self._take = take
+        self._said = 0
+
+    def deliver(self) -> None:
+        """All that has arrived."""
+        taken = ddspy_take(self._handle, _ANY, self._depth)
+        if isinstance(taken, int):
+            return
+        for raw, info in taken:
+            if info.valid_data:
+                self._take(raw, info)
+
+    def say_mismatch(self) -> None:
+        """A writer that offers less than this reader asks for is not heard: said once for each."""
+        entity: Any = self.entity
+        status = entity.get_requested_incompatible_qos_status()
+        if status is not None and status.total_count > self._said:
+            self._said = status.total_count
+            _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "ask for")
+
+
+_MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
+_POLICIES = {
+    2: "durability (volatile or transient local)",
+    11: "reliability (best effort or reliable)",
+    23: "encoding",
+    24: "type",
+}
+"""By their numbers: DDS-XTypes 1.3, 7.6.3."""
+
+
+def _policy(number: int) -> str:
+    return _POLICIES.get(number, f"quality of service number {number}")
+
+
+class Participant:
+    """Endpoints are made before `run`."""
+
+    def __init__(self, domain_id: int, discovery: Discovery, interface: str | None = None) -> None:
+        """Raises DdsError."""
+        try:
+            if discovery == "localhost" or URI not in os.environ:
+                _domain(domain_id, configuration(discovery, interface))
+            self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
+        except DDSException as error:
+            raise DdsError(f"no DDS participant in domain {domain_id}: {error.msg}") from error
+        self.gid = self.entity.guid.bytes
+        self.readers: list[Reader] = []
+        self.writers: list[Writer] = []
+        self._topics: dict[str, Topic[Any]] = {}
+        self._guard = GuardCondition(self.entity)
+        self._arrived = asyncio.Event()
+        self._taken = threading.Event()
+        self._ending = False
+
+    def writer(
+        self, topic: str, kind: str, quality: Quality, user_data: str, *, service: bool = False
+    ) -> Writer:
+        """Of a type of `types.TYPES`. Raises DdsError."""
+        try:
+            entity = DataWriter(
+                self.entity, self._topic(topic, kind, service), quality.qos(user_data)
+            )
+        except DDSException as error:
+            raise DdsError(f"{topic}: {error.msg}") from error
+        self.writers.append(Writer(entity, topic))
+        return self.writers[-1]
+
+    def reader(
+        self,
+        topic: str,
+        kind: str,
+        quality: Quality,
+        user_data: str,
+        take: Callable[[bytes, Any], None],
+        *,
+        service: bool = False,
+    ) -> Reader:
+        """`take` is called in the event loop for each sample, with DDS's word on it, and must not
+        raise. Raises DdsError."""
+        try:
+            entity = DataReader(
+                self.entity, self._topic(topic, kind, service), quality.qos(user_data)
+            )
+        except DDSException as error:
+            raise DdsError(f"{topic}: {error.msg}") from error
+        self.readers.append(Reader(entity, topic, quality.depth, take))
+        return self.readers[-1]
+
+    def _topic(self, name: str, kind: str, service: bool) -> Topic[Any]:
+        if name not in self._topics:
+            self._topics[name] = Topic(self.entity, name, cyclone_type(kind, service=service))
+        return self._topics[name]
+
+    async def run(self) -> None:
+        """Deliver what arrives, until cancelled."""
+        loop = asyncio.get_running_loop()
+        waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
+        waiting.start()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._deliver())
+                tasks.create_task(self._say_mismatches())
+        finally:
+            self._ending = True
+            self._guard.set(True)
+            self._taken.set()
+            await asyncio.to_thread(waiting.join, _JOIN_WITHIN_S)
+
+    async def _deliver(self) -> None:
+        while True:
+            await self._arrived.wait()
+            self._arrived.clear()
+            for reader in self.readers:
+                reader.deliver()
+            self._taken.set()
+
+    async def _say_mismatches(self) -> None:
+        endpoints: tuple[Reader | Writer, ...] = (*self.readers, *self.writers)
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            for endpoint in endpoints:
+                endpoint.say_mismatch()
+
+    def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
+        """In a thread of its own: tell the loop of arrivals, one word at a time."""
+        waitset = WaitSet(self.entity)
+        waitset.attach(self._guard)
+        for reader in self.readers:
+            waitset.attach(reader.condition)
+        while not self._ending:
+            if waitset.wait(duration(seconds=_LOOK_EVERY_S)) > 0 and not self._ending:
+                self._taken.clear()
+                loop.call_soon_threadsafe(self._arrived.set)
+                self._taken.wait(_LOOK_EVERY_S)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An ordinary ROS 2 node: its topics and services by their ROS names, and its place in the graph
+(ros_discovery_info, rmw_dds_common)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+
+from motord.bus.ros2 import names
+from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.dds import Discovery, Participant, Quality, Reader, Writer
+from motord.bus.ros2.service import Service
+from motord.bus.ros2.types import type_hash
+
+_GRAPH_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+_GRAPH_QUALITY = Quality(depth=1, latched=True)
+
+_log = logging.getLogger(__name__)
+
+
+class Publisher:
+    def __init__(self, writer: Writer, kind: str) -> None:
+        self._writer = writer
+        self._kind = kind
+        self._failing = False
+
+    def publish(self, message: Any) -> None:
+        """What cannot be encoded, or is not taken, is lost; said once."""
+        try:
+            taken = self._writer.write(encode(self._kind, message))
+        except ValueError as error:
+            self._say(str(error))
+            return
+        if taken:
+            self._failing = False
+        else:
+            self._say("DDS does not take it")
+
+    def _say(self, text: str) -> None:
+        if not self._failing:
+            self._failing = True
+            _log.warning("%s: not published: %s", self._writer.name, text)
+
+
+class Node:
+    """Topics and services are made before `run`."""
+
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        domain_id: int,
+        discovery: Discovery,
+        interface: str | None = None,
+    ) -> None:
+        """Raises DdsError."""
+        self.name = name
+        self.namespace = namespace
+        self._participant = Participant(domain_id, discovery, interface)
+        self._readers: list[Reader] = []
+        self._writers: list[Writer] = []
+        self._services: list[Service] = []
+        self._running = False
+        self._graph = self._participant.writer(
+            names.GRAPH_TOPIC, _GRAPH_TYPE, _GRAPH_QUALITY, f"typehash={type_hash(_GRAPH_TYPE)};"
+        )
+
+    def full(self, name: str) -> str:
+        """A name with its namespace."""
+        return names.full_name(self.namespace, self.name, name)
+
+    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
+        """Of a type of `types.TYPES`. Raises DdsError."""
+        topic = names.topic(self.full(name))
+        writer = self._participant.writer(topic, kind, quality or Quality(), _typed(kind))
+        self._writers.append(writer)
+        return Publisher(writer, kind)
+
+    def subscribe(
+        self,
+        name: str,
+        kind: str,
+        take: Callable[[SimpleNamespace], None],
+        quality: Quality | None = None,
+    ) -> None:
+        """`take` is called for each message. Raises DdsError."""
+        topic = names.topic(self.full(name))
+
+        def taken(raw: bytes, _: Any) -> None:
+            try:
+                message = decode(kind, raw)
+            except ValueError as error:
+                _log.warning("%s: not understood: %s", topic, error)
+                return
+            take(message)
+
+        reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
+        self._readers.append(reader)
+
+    def serve(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int = 10,
+    ) -> None:
+        """A service, of pkg/srv/Name. `answer` does not raise. Raises DdsError."""
+        service = Service(self._participant, self.full(name), kind, answer, depth)
+        self._services.append(service)
+        self._readers.append(service.reader)
+        self._writers.append(service.writer)
+
+    async def run(self) -> None:
+        """Until cancelled. Of several who share the node, the first one does it for all."""
+        if self._running:
+            return
+        self._running = True
+        self._announce()
+        async with asyncio.TaskGroup() as tasks:
+            for service in self._services:
+                tasks.create_task(service.run())
+            tasks.create_task(self._participant.run())
+
+    def _announce(self) -> None:
+        node = SimpleNamespace(
+            node_namespace=self.namespace,
+            node_name=self.name,
+            reader_gid_seq=[_gid(reader.gid) for reader in self._readers],
+            writer_gid_seq=[_gid(writer.gid) for writer in self._writers],
+        )
+        info = SimpleNamespace(gid=_gid(self._participant.gid), node_entities_info_seq=[node])
+        self._graph.write(encode(_GRAPH_TYPE, info))
+
+
+def _gid(raw: bytes) -> SimpleNamespace:
+    return SimpleNamespace(data=raw)
+
+
+def _typed(kind: str) -> str:
+    return f"typehash={type_hash(kind)};"

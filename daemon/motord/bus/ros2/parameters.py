@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the node: the limits, which may be changed while the robot runs, and measures of
+the robot file, which may not. What may be is the daemon's decision, and so are the reasons."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+from motord.bus.ros2.node import Node
+from motord.client import ClientError
+from motord.config import Robot
+
+NOT_SET, DOUBLE = 0, 3
+"""rcl_interfaces/msg/ParameterType."""
+DEPTH = 1000
+"""rmw_qos_profile_parameters."""
+_LIMITS = "limits."
+_FIXED = ("track_m", "wheel_radius_m")
+_EMPTY: dict[str, Any] = {
+    "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+    "byte_array_value": (), "bool_array_value": (), "integer_array_value": (),
+    "double_array_value": (), "string_array_value": (),
+}  # fmt: skip
+Call = Callable[..., Awaitable[Any]]
+
+_log = logging.getLogger(__name__)
+
+
+class Parameters:
+    def __init__(self, robot: Robot, call: Call) -> None:
+        """`call` asks the daemon; it raises ClientError."""
+        self._call = call
+        self._fixed = {
+            f"base.{key}": {
+                "value": getattr(robot.base, key),
+                "unit": "m",
+                "description": "of the robot file",
+            }
+            for key in _FIXED
+        }
+
+    def serve(self, node: Node) -> None:
+        """The services that every ROS 2 node has for it. Raises DdsError."""
+        for name, answer in {
+            "ListParameters": self._list,
+            "GetParameters": self._get,
+            "GetParameterTypes": self._types,
+            "DescribeParameters": self._describe,
+            "SetParameters": self._set,
+            "SetParametersAtomically": self._set_together,
+        }.items():
+            node.serve(f"~/{_snake(name)}", f"rcl_interfaces/srv/{name}", answer, DEPTH)
+
+    async def _known(self) -> dict[str, dict[str, Any]]:
+        """By name; without the daemon's, when it does not answer."""
+        try:
+            listed: Mapping[str, dict[str, Any]] = await self._call("params.list")
+        except ClientError as error:
+            _log.warning("parameters: %s", error)
+            listed = {}
+        limits = {name: about for name, about in listed.items() if name.startswith(_LIMITS)}
+        return limits | self._fixed
+
+    async def _list(self, request: SimpleNamespace) -> SimpleNamespace:
+        names = [
+            name for name in await self._known() if _listed(name, request.prefixes, request.depth)
+        ]
+        prefixes = sorted({name.rpartition(".")[0] for name in names})
+        return SimpleNamespace(result=SimpleNamespace(names=names, prefixes=prefixes))
+
+    async def _get(self, request: SimpleNamespace) -> SimpleNamespace:
+        known = await self._known()
+        return SimpleNamespace(values=[_value(known.get(name)) for name in request.names])
+
+    async def _types(self, request: SimpleNamespace) -> SimpleNamespace:
+        known = await self._known()
+        types = [DOUBLE if name in known else NOT_SET for name in request.names]
+        return SimpleNamespace(types=types)
+
+    async def _describe(self, request: SimpleNamespace) -> SimpleNamespace:
+        known = await self._known()
+        found = [name for name in request.names if name in known]
+        return SimpleNamespace(
+            descriptors=[_descriptor(name, known[name], name in self._fixed) for name in found]
+        )
+
+    async def _set(self, request: SimpleNamespace) -> SimpleNamespace:
+        results = [await self._change([parameter]) for parameter in request.parameters]
+        return SimpleNamespace(results=results)
+
+    async def _set_together(self, request: SimpleNamespace) -> SimpleNamespace:
+        return SimpleNamespace(result=await self._change(request.parameters))
+
+    async def _change(self, parameters: Sequence[SimpleNamespace]) -> SimpleNamespace:
+        wanted: dict[str, float | None] = {}
+        for parameter in parameters:
+            if (reason := self._problem(parameter)) is not None:
+                return SimpleNamespace(successful=False, reason=reason)
+            value = parameter.value.double_value
+            wanted[parameter.name] = value if math.isfinite(value) else None
+        try:
+            await self._call("params.set", **wanted)
+        except ClientError as error:
+            return SimpleNamespace(successful=False, reason=str(error))
+        return SimpleNamespace(successful=True, reason="")
+
+    def _problem(self, parameter: SimpleNamespace) -> str | None:
+        """What the daemon need not be asked for."""
+        name, value = parameter.name, parameter.value
+        if name in self._fixed:
+            return f"{name} is the robot file's and cannot be changed while the daemon runs"
+        if not name.startswith(_LIMITS):
+            return f"no parameter {name!r}: they begin with {_LIMITS}"
+        if value.type != DOUBLE:
+            return f"{name} is a double (write 1.0, not 1)"
+        if math.isnan(value.double_value) or value.double_value == -math.inf:
+            return f"{name}: {value.double_value} is not a number to go by"
+        return None
+
+
+def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
+    """As rcl_interfaces/srv/ListParameters says it; depth 0 is any."""
+    for prefix in prefixes or ("",):
+        below = name.removeprefix(f"{prefix}.") if prefix else name
+        if prefix and below == name:
+            if name == prefix:
+                return True
+            continue
+        if depth == 0 or below.count(".") < depth:
+            return True
+    return False
+
+
+def _value(about: Mapping[str, Any] | None) -> SimpleNamespace:
+    """Of nothing: NOT_SET. JSON has no infinity: null is one."""
+    if about is None:
+        return SimpleNamespace(**_EMPTY | {"type": NOT_SET})
+    value = math.inf if about["value"] is None else about["value"]
+    return SimpleNamespace(**_EMPTY | {"type": DOUBLE, "double_value": value})
+
+
+def _descriptor(name: str, about: Mapping[str, Any], fixed: bool) -> SimpleNamespace:
+    ranges = []
+    if not fixed:
+        high = math.inf if about["maximum"] is None else about["maximum"]
+        ranges = [SimpleNamespace(from_value=about["minimum"], to_value=high, step=0.0)]
+    return SimpleNamespace(
+        name=name,
+        type=DOUBLE,
+        description=f"{about['description']} [{about['unit']}]",
+        additional_constraints="",
+        read_only=fixed,
+        dynamic_typing=False,
+        floating_point_range=ranges,
+        integer_range=(),
+    )
+
+
+def _snake(name: str) -> str:
+    """ListParameters: list_parameters"""
+    return "".join(f"_{char.lower()}" if char.isupper() else char for char in name)[1:]

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics as a ROS 2 node has them, and the robot's description for who shows it."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from motord.bus.ros2.dds import Quality
+from motord.bus.ros2.node import Publisher
+from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.urdf import urdf
+from motord.bus.topics import TOPICS
+from motord.config import Ros2Publish
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+URDF_BYTES_MAX = 1 << 20
+_NAMES = {"diagnostics": "/diagnostics"}
+"""Of all robots together: REP-107."""
+_QUALITIES = {"tf": Quality(depth=100)}
+"""As tf2_ros has it."""
+
+
+class Ros2Publisher:
+    def __init__(self, name: str, section: Ros2Publish, station: Station) -> None:
+        """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
+        self._description = _description(section, station)
+        self._node = node_of(station, section)
+        self._feed = station.feed(name, section.rates_hz())
+        self._publishers: dict[str, Publisher] = {
+            topic: self._node.publisher(
+                _NAMES.get(topic, topic), TOPICS[topic].type_name, _QUALITIES.get(topic)
+            )
+            for topic in section.topics
+        }
+        self._describing = self._node.publisher(
+            "robot_description", "std_msgs/msg/String", Quality(depth=1, latched=True)
+        )
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._node.run())
+            tasks.create_task(self._publish())
+
+    async def _publish(self) -> None:
+        self._describing.publish(SimpleNamespace(data=self._description))
+        async for sample in self._feed:
+            self._publishers[sample.topic.name].publish(sample.message)
+
+
+def _description(section: Ros2Publish, station: Station) -> str:
+    if section.urdf_file is None:
+        return urdf(station.robot)
+    path = station.beside_robot_file(section.urdf_file)
+    if path.stat().st_size > URDF_BYTES_MAX:
+        raise ValueError(f"{path}: more than {URDF_BYTES_MAX} bytes are no robot description")
+    return path.read_text(encoding="utf-8")

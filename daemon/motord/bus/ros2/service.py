@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS 2 service as rmw_cyclonedds has it: a topic of requests and one of replies, each beginning
+with who asks and the question's number. Clients on another DDS middleware carry these outside of
+the message, where the binding does not show them: they see the service and get no answer."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import struct
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+
+from cyclonedds.core import DDSException
+
+from motord.bus.ros2 import names
+from motord.bus.ros2.cdr import HEADER, decode, encode
+from motord.bus.ros2.dds import Participant, Quality
+from motord.bus.ros2.types import type_hash
+
+WAITING_MAX = 32
+"""Requests; more are not answered."""
+MATCHED_WITHIN_S = 1.0
+_MATCHED_EVERY_S = 0.01
+_WHO = struct.Struct("<Qq")
+_BODY = len(HEADER) + _WHO.size
+_numbers = itertools.count(1)
+
+_log = logging.getLogger(__name__)
+
+
+class Service:
+    def __init__(
+        self,
+        participant: Participant,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int,
+    ) -> None:
+        """Raises DdsError."""
+        self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
+        self._answer = answer
+        self._name = name
+        self._waiting: asyncio.Queue[tuple[bytes, SimpleNamespace, int]] = asyncio.Queue(
+            WAITING_MAX
+        )
+        quality, number = Quality(depth=depth), next(_numbers)
+        raw_id = participant.gid[:12] + number.to_bytes(4, "big")
+        service_id = ".".join(f"{byte:x}" for byte in raw_id)
+
+        def said(of: str) -> str:
+            return f"serviceid={service_id};typehash={type_hash(of)};"
+
+        self.writer = participant.writer(
+            names.reply(name), self._reply, quality, said(self._reply), service=True
+        )
+        self.reader = participant.reader(
+            names.request(name), self._request, quality, said(self._request), self._take,
+            service=True,
+        )  # fmt: skip
+
+    def _take(self, raw: bytes, info: Any) -> None:
+        try:
+            # The header is 16 bytes long: what follows is aligned as if it were not there.
+            request = decode(self._request, HEADER + raw[_BODY:])
+        except ValueError as error:
+            _log.warning("service %s: not understood: %s", self._name, error)
+            return
+        try:
+            self._waiting.put_nowait((raw[len(HEADER) : _BODY], request, info.publication_handle))
+        except asyncio.QueueFull:
+            _log.warning("service %s: %d requests wait, one is lost", self._name, WAITING_MAX)
+
+    async def run(self) -> None:
+        """Answer one after the other, until cancelled."""
+        while True:
+            who, request, client = await self._waiting.get()
+            reply = encode(self._reply, await self._answer(request))
+            await self._matched(client)
+            self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])
+
+    async def _matched(self, client: int) -> None:
+        """Until the client hears replies: one that was just made may not yet. A client that says no
+        name, or goes, is answered at once."""
+        name = self._client_id(client)
+        if name is None:
+            return
+        try:
+            async with asyncio.timeout(MATCHED_WITHIN_S):
+                while name not in self._hearing():  # noqa: ASYNC110  DDS has no event for it
+                    await asyncio.sleep(_MATCHED_EVERY_S)
+        except TimeoutError:
+            _log.warning("service %s: the client does not hear replies", self._name)
+
+    def _client_id(self, handle: int) -> bytes | None:
+        try:
+            found = self.reader.entity.get_matched_publication_data(handle)
+        except DDSException:
+            return None
+        return None if found is None else _client_of(found.qos)
+
+    def _hearing(self) -> set[bytes | None]:
+        heard: set[bytes | None] = set()
+        for handle in self.writer.entity.get_matched_subscriptions():
+            try:
+                found = self.writer.entity.get_matched_subscription_data(handle)
+            except DDSException:
+                continue  # it has just gone
+            if found is not None:
+                heard.add(_client_of(found.qos))
+        return heard
+
+
+def _client_of(qos: Any) -> bytes | None:
+    """`clientid` in an endpoint's user data."""
+    for policy in qos:
+        if getattr(policy, "__scope__", "") == "Userdata":
+            for pair in policy.data.split(b";"):
+                key, _, value = pair.partition(b"=")
+                if key == b"clientid":
+                    return bytes(value)
+    return None

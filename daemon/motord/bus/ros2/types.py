@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 types as data, and the hash by which both ends of a topic know that they mean the same
+(REP-2011, RIHS01: SHA-256 of the type's description as JSON, comments and defaults left out)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+from motord.bus.ros2.definitions import COMMON, GRAPH, OWN, SERVICES
+
+# type_description_interfaces/msg/FieldType
+_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "char": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+}
+_NESTED, _BOUNDED_STRING = 1, 21
+_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
+PLACEHOLDER = "structure_needs_at_least_one_member"
+"""The field of a type that has none: rosidl's."""
+_FIELD = re.compile(r"([\w/]+)(?:<=(\d+))?(?:\[(<=)?(\d*)\])? (\w+)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """One field. `count`: None is a single value, 0 any number of them, else at most or exactly so
+    many by `bounded`."""
+
+    name: str
+    kind: str
+    """A primitive, or the full name of a type."""
+    count: int | None = None
+    bounded: bool = False
+    chars_max: int = 0
+    """Of a string; 0: any."""
+
+    @property
+    def primitive(self) -> bool:
+        """Not a type of its own."""
+        return self.kind in _IDS
+
+    @property
+    def sequence(self) -> bool:
+        """Its length is part of the message."""
+        return self.count is not None and (self.count == 0 or self.bounded)
+
+
+def _parsed(text: str) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    for block in text.split("=== ")[1:]:
+        name, *lines = block.strip().splitlines()
+        fields = tuple(_field(line, name.split("/")[0]) for line in lines)
+        yield name, fields or (Field(name=PLACEHOLDER, kind="uint8"),)
+
+
+def _field(line: str, package: str) -> Field:
+    match = _FIELD.fullmatch(line)
+    assert match, line
+    kind, chars_max, bounded, count, name = match.groups()
+    if kind not in _IDS:
+        package, _, kind = f"{package}/{kind}".rpartition("/")
+        kind = f"{package.split('/')[-1]}/msg/{kind}"
+    return Field(
+        name=name,
+        kind=kind,
+        count=None if count is None else int(count or 0),
+        bounded=bounded is not None,
+        chars_max=int(chars_max or 0),
+    )
+
+
+TYPES = MappingProxyType(dict(_parsed(COMMON + OWN + SERVICES + GRAPH)))
+"""Fields by the type's name."""
+
+
+def definition(name: str) -> str:
+    """The type and all that it is made of, in .msg notation, as MCAP and Foxglove want it."""
+    own, *others = (
+        (other, "".join(f"{_line(field)}\n" for field in TYPES[other]))
+        for other in (name, *_made_of(name))
+    )
+    separator = "=" * 80
+    return own[1] + "".join(
+        f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{text}" for other, text in others
+    )
+
+
+def _line(field: Field) -> str:
+    bound = f"<={field.chars_max}" if field.chars_max else ""
+    count = "" if field.count is None else f"[{'<=' * field.bounded}{field.count or ''}]"
+    return f"{field.kind.replace('/msg/', '/')}{bound}{count} {field.name}"
+
+
+def _made_of(name: str) -> list[str]:
+    """Every type that it needs, sorted."""
+    found: set[str] = set()
+    todo = [name]
+    while todo:
+        for field in TYPES[todo.pop()]:
+            if not field.primitive and field.kind not in found:
+                found.add(field.kind)
+                todo.append(field.kind)
+    return sorted(found)
+
+
+@cache
+def type_hash(name: str) -> str:
+    """`RIHS01_` and 64 hexadecimal digits. Raises KeyError for a type that is not known."""
+    description = {
+        "type_description": _described(name),
+        "referenced_type_descriptions": [_described(other) for other in _made_of(name)],
+    }
+    text = json.dumps(description, separators=(", ", ": "))
+    return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _described(name: str) -> dict[str, Any]:
+    fields = [{"name": field.name, "type": _type_of(field)} for field in TYPES[name]]
+    return {"type_name": name, "fields": fields}
+
+
+def _type_of(field: Field) -> dict[str, Any]:
+    number = _IDS.get(field.kind, _NESTED)
+    if field.chars_max:
+        number = _BOUNDED_STRING
+    if field.sequence:
+        number += _BOUNDED_SEQUENCE if field.bounded else _SEQUENCE
+    elif field.count is not None:
+        number += _ARRAY
+    return {
+        "type_id": number,
+        "capacity": field.count or 0,
+        "string_capacity": field.chars_max,
+        "nested_type_name": "" if field.primitive else field.kind,
+    }

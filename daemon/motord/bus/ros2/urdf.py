@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot description (URDF) from the robot file: where the wheels are and how they turn is true;
+how wide a wheel is and what the base looks like is only for the eye. base_link is on the ground, in
+the middle between the wheels, as the odometry has it."""
+
+from __future__ import annotations
+
+import math
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from motord.config import Joint, Robot
+
+WHEEL_WIDTH = 0.4
+"""By its radius."""
+SPACING = 2.2
+"""Between wheels of one side, by the radius: the robot file does not say it."""
+
+
+def urdf(robot: Robot) -> str:
+    """One link and one continuous joint for each wheel, named as in joint_states."""
+    root = Element("robot", name=robot.robot.name)
+    radius_m, track_m = robot.base.wheel_radius_m, robot.base.track_m
+    base = SubElement(root, "link", name="base_link")
+    _box(base, track_m, track_m - 2.0 * WHEEL_WIDTH * radius_m, radius_m)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        wheels = {name: joint for name, joint in robot.joint.items() if joint.side == side}
+        first_m = SPACING * radius_m * (len(wheels) - 1) / 2.0
+        for number, (name, joint) in enumerate(wheels.items()):
+            x_m = first_m - SPACING * radius_m * number
+            _wheel(root, name, joint, radius_m, (x_m, sign * track_m / 2.0))
+    return tostring(root, encoding="unicode")
+
+
+def _box(link: Element, length_m: float, width_m: float, wheel_radius_m: float) -> None:
+    visual = SubElement(link, "visual")
+    SubElement(visual, "origin", xyz=_numbers(0.0, 0.0, 1.5 * wheel_radius_m), rpy="0 0 0")
+    geometry = SubElement(visual, "geometry")
+    SubElement(geometry, "box", size=_numbers(length_m, max(width_m, 0.01), wheel_radius_m))
+
+
+def _wheel(
+    root: Element, name: str, joint: Joint, base_radius_m: float, place_m: tuple[float, float]
+) -> None:
+    radius_m = joint.wheel_radius_m or base_radius_m
+    link = f"{name}_wheel"
+    made = SubElement(root, "joint", name=name, type="continuous")
+    SubElement(made, "parent", link="base_link")
+    SubElement(made, "child", link=link)
+    SubElement(made, "origin", xyz=_numbers(*place_m, radius_m), rpy="0 0 0")
+    SubElement(made, "axis", xyz="0 1 0")
+    visual = SubElement(SubElement(root, "link", name=link), "visual")
+    SubElement(visual, "origin", xyz="0 0 0", rpy=_numbers(math.pi / 2.0, 0.0, 0.0))
+    geometry = SubElement(visual, "geometry")
+    length = f"{WHEEL_WIDTH * radius_m:.6g}"
+    SubElement(geometry, "cylinder", radius=f"{radius_m:.6g}", length=length)
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(f"{value:.6g}" for value in values)

@@ -1,0 +1,174 @@
+// SPDX-License-Identifier: Apache-2.0
+// A participant on eProsima Fast DDS, with its types written by hand on Fast CDR. It shares nothing with motord.
+//   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
+//   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
+// c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
+#include <array>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <fastcdr/Cdr.h>
+#include <fastcdr/FastBuffer.h>
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/TopicDataType.hpp>
+#include <fastdds/dds/topic/TypeSupport.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+#include <fastrtps/utils/IPLocator.h>
+#include <memory>
+#include <string>
+#include <thread>
+
+using namespace eprosima::fastdds::dds;
+using eprosima::fastcdr::Cdr;
+using eprosima::fastcdr::FastBuffer;
+using eprosima::fastrtps::rtps::InstanceHandle_t;
+using eprosima::fastrtps::rtps::SerializedPayload_t;
+
+struct Header {
+    int32_t sec = 0;
+    uint32_t nanosec = 0;
+    std::string frame_id;
+};
+
+struct Odometry {
+    Header header;
+    std::string child_frame_id;
+    std::array<double, 7> pose{};
+    std::array<double, 36> pose_covariance{};
+    std::array<double, 6> twist{};
+    std::array<double, 36> twist_covariance{};
+    static const char *name() { return "nav_msgs::msg::dds_::Odometry_"; }
+};
+
+struct TwistStamped {
+    Header header;
+    std::array<double, 6> twist{};
+    static const char *name() { return "geometry_msgs::msg::dds_::TwistStamped_"; }
+};
+
+// `Archive` is a Cdr that writes or reads.
+template <typename Field> static void pass(Cdr &cdr, Field &field, bool writing) { writing ? cdr << field : cdr >> field; }
+static void pass(Cdr &cdr, Header &header, bool writing)
+{
+    pass(cdr, header.sec, writing);
+    pass(cdr, header.nanosec, writing);
+    pass(cdr, header.frame_id, writing);
+}
+static void pass(Cdr &cdr, Odometry &odometry, bool writing)
+{
+    pass(cdr, odometry.header, writing);
+    pass(cdr, odometry.child_frame_id, writing);
+    pass(cdr, odometry.pose, writing);
+    pass(cdr, odometry.pose_covariance, writing);
+    pass(cdr, odometry.twist, writing);
+    pass(cdr, odometry.twist_covariance, writing);
+}
+static void pass(Cdr &cdr, TwistStamped &command, bool writing)
+{
+    pass(cdr, command.header, writing);
+    pass(cdr, command.twist, writing);
+}
+
+template <typename Message> class Type : public TopicDataType {
+  public:
+    Type()
+    {
+        setName(Message::name());
+        m_typeSize = 1024;
+        m_isGetKeyDefined = false;
+    }
+    bool serialize(void *data, SerializedPayload_t *payload) override
+    {
+        FastBuffer buffer(reinterpret_cast<char *>(payload->data), payload->max_size);
+        Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
+        payload->encapsulation = CDR_LE;
+        cdr.serialize_encapsulation();
+        pass(cdr, *static_cast<Message *>(data), true);
+        payload->length = static_cast<uint32_t>(cdr.getSerializedDataLength());
+        return true;
+    }
+    bool deserialize(SerializedPayload_t *payload, void *data) override
+    {
+        FastBuffer buffer(reinterpret_cast<char *>(payload->data), payload->length);
+        Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
+        cdr.read_encapsulation();
+        pass(cdr, *static_cast<Message *>(data), false);
+        return true;
+    }
+    std::function<uint32_t()> getSerializedSizeProvider(void *) override { return [this] { return m_typeSize; }; }
+    void *createData() override { return new Message; }
+    void deleteData(void *data) override { delete static_cast<Message *>(data); }
+    bool getKey(void *, InstanceHandle_t *, bool) override { return false; }
+};
+
+// Of this machine alone, and of the first four participants on it.
+static DomainParticipant *participant(unsigned domain)
+{
+    auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
+    transport->interfaceWhiteList.push_back("127.0.0.1");
+    DomainParticipantQos qos;
+    qos.transport().use_builtin_transports = false;
+    qos.transport().user_transports.push_back(transport);
+    eprosima::fastrtps::rtps::Locator_t here;
+    eprosima::fastrtps::rtps::IPLocator::setIPv4(here, "127.0.0.1");
+    qos.wire_protocol().builtin.initialPeersList.push_back(here);
+    return DomainParticipantFactory::get_instance()->create_participant(domain, qos);
+}
+
+template <typename Message> static Topic *topic(DomainParticipant *of, const char *name)
+{
+    TypeSupport type(new Type<Message>);
+    type.register_type(of);
+    return of->create_topic(name, Message::name(), TOPIC_QOS_DEFAULT);
+}
+
+static int hear(DomainParticipant *of, const char *name)
+{
+    DataReaderQos qos;
+    qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    DataReader *reader = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic<Odometry>(of, name), qos);
+    for (Odometry odometry;;) {
+        SampleInfo info;
+        if (!reader->wait_for_unread_message({1, 0}))
+            continue;
+        while (reader->take_next_sample(&odometry, &info) == ReturnCode_t::RETCODE_OK && info.valid_data) {
+            printf("%.6f %.6f %s %s\n", odometry.pose[0], odometry.twist[0], odometry.header.frame_id.c_str(),
+                   odometry.child_frame_id.c_str());
+            fflush(stdout);
+        }
+    }
+}
+
+static int drive(DomainParticipant *of, const char *name, double linear_m_s, double angular_rad_s)
+{
+    DataWriterQos qos;
+    qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    DataWriter *writer = of->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic<TwistStamped>(of, name), qos);
+    for (;;) {
+        TwistStamped command;
+        auto now_ns = std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
+        command.header.sec = static_cast<int32_t>(now_ns / 1000000000);
+        command.header.nanosec = static_cast<uint32_t>(now_ns % 1000000000);
+        command.twist = {linear_m_s, 0, 0, 0, 0, angular_rad_s};
+        writer->write(&command);
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+}
+
+int main(int count, char **words)
+{
+    if (count < 4)
+        return 2;
+    DomainParticipant *own = participant(static_cast<unsigned>(atoi(words[1])));
+    if (own == nullptr)
+        return 1;
+    if (std::string(words[2]) == "odom")
+        return hear(own, words[3]);
+    return count < 6 ? 2 : drive(own, words[3], atof(words[4]), atof(words[5]));
+}

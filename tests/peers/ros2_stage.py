@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A daemon among ROS 2 nodes, and programs of another make that meet it there."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from tests.sim.daemon_stage import PATIENT, running, wait_until
+
+PEER = Path(__file__).with_name("ros2_peer.py")
+DOMAIN = 100 + os.getpid() % 100  # several suites on one machine do not meet
+NAMESPACE = "/r2"
+LEASE_S = 1.0
+
+
+@contextlib.contextmanager
+def ros2_stage(folder):
+    """A daemon that publishes to ROS 2 and obeys it."""
+    settings = (
+        "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
+        f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
+        "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
+        f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
+        f"safety.command_timeout_s={LEASE_S}", *PATIENT,
+        "joint.left.tries=10", "joint.right.tries=10",
+    )  # fmt: skip
+    with running(folder, *settings) as stage:
+        stage.wait_for("idle")
+        wait_until(lambda: inputs(stage).get("ros2", {}).get("lease"), "a lease")
+        yield stage
+
+
+def inputs(stage):
+    return (stage.robot.status()["bus"] or {}).get("inputs", {})
+
+
+class Peer:
+    """What it says, line by line."""
+
+    def __init__(self, command, decode):
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self._decode = decode
+        self.heard = []
+        self._reading = threading.Thread(target=self._read)
+        self._reading.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.heard.append(self._decode(line))
+
+    def find(self, fits, what):
+        return wait_until(lambda: next(filter(fits, list(self.heard)), None), what)
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        self._reading.join()
+        self.process.stdout.close()
+
+
+@contextlib.contextmanager
+def peer(*words, program=(sys.executable, str(PEER)), decode=json.loads):
+    made = Peer([*program, str(DOMAIN), *map(str, words)], decode)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def called(name, kind="Trigger", **values):
+    with peer("call", f"{NAMESPACE}/motord/{name}", kind, json.dumps(values)) as client:
+        return client.find(lambda _: True, f"an answer of {name}")
+
+
+def nobody_commands(stage):
+    wait_until(lambda: not stage.robot.status()["leases"], "the command's end")

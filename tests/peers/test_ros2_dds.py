@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
+
+import signal
+
+import pytest
+from tests.peers.ros2_stage import (
+    LEASE_S,
+    NAMESPACE,
+    called,
+    inputs,
+    nobody_commands,
+    peer,
+    ros2_stage,
+)
+from tests.sim.daemon_stage import wait_until
+
+from motord.bus.ros2.types import type_hash
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with ros2_stage(tmp_path_factory.mktemp("ros2")) as stage:
+        yield stage
+
+
+@pytest.fixture
+def armed(stage):
+    assert called("arm")["success"]
+    yield stage
+    nobody_commands(stage)
+    assert called("stop")["success"]
+    stage.wait_for("armed")
+    assert called("disarm")["success"]
+    stage.wait_for("idle")
+
+
+def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
+    with (
+        peer("topic", f"rt{NAMESPACE}/odom", "Odometry") as ear,
+        peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
+    ):
+        moved = ear.find(lambda sample: sample["pose"]["pose"]["position"]["x"] > 0.1, "a way")
+    assert moved["header"]["frame_id"] == "odom"
+    assert moved["child_frame_id"] == "base_link"
+    assert moved["twist"]["twist"]["linear"]["x"] > 0.0
+    commanding = armed.robot.status()["commands"]
+    assert commanding["accepted"] > 0
+
+
+def test_the_robot_stops_when_the_other_node_goes(armed):
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        armed.wait_for("moving")
+    wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+    armed.wait_for("armed")
+
+
+def test_a_command_moves_nothing_that_is_not_armed(stage):
+    accepted = inputs(stage)["ros2"]["sent"]
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
+        assert stage.state() == "idle"
+    nobody_commands(stage)
+
+
+def test_services_say_what_the_daemon_says(stage):
+    stage.wait_for("idle")
+    answer = called("disarm")
+    assert answer["success"]
+    assert answer["message"] == "idle"
+    assert called("estop")["success"]
+    stage.wait_for("estop")
+    refused = called("arm")
+    assert not refused["success"]
+    assert "emergency stop" in refused["message"]
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_a_topic_stops_as_the_service_does(stage):
+    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close"):
+        stage.wait_for("estop")
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
+    with peer("topic", f"rt{NAMESPACE}/robot_description", "String", "late") as ear:
+        told = ear.find(lambda _: True, "the description")
+    assert told["data"].startswith("<robot name=")
+    with peer("topic", f"rt{NAMESPACE}/joint_states", "JointState") as ear:
+        names = ear.find(lambda _: True, "joints")["name"]
+    assert names
+    assert all(f'<joint name="{name}" type="continuous"' in told["data"] for name in names)
+
+
+def test_the_graph_shows_one_node_with_all_that_it_has(stage):
+    with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
+        seen = ear.find(lambda _: True, "the graph")
+    (node,) = seen["node_entities_info_seq"]
+    assert (node["node_namespace"], node["node_name"]) == (NAMESPACE, "motord")
+    assert len(node["writer_gid_seq"]) > 10
+    assert len(node["reader_gid_seq"]) > 5
+
+
+def test_every_endpoint_shows_its_type_and_its_hash(stage):
+    with peer("endpoints") as eye:
+        odom = eye.find(lambda found: found["topic"] == f"rt{NAMESPACE}/odom", "odom")
+        arm = eye.find(lambda found: found["topic"].endswith("motord/armRequest"), "arm")
+    assert odom["type"] == "nav_msgs::msg::dds_::Odometry_"
+    assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
+    assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"
+    assert arm["user_data"].startswith("serviceid=")
+
+
+def parameter(name, value, kind=3):
+    return {"name": name, "value": {"type": kind, "double_value": value}}
+
+
+def test_a_limit_is_a_parameter_and_is_changed(stage):
+    name = "limits.linear_m_s"
+    (before,) = called("get_parameters", "GetParameters", names=[name])["values"]
+    assert (before["type"], before["double_value"]) == (3, 1.0)
+    (answer,) = called("set_parameters", "SetParameters", parameters=[parameter(name, 0.8)])[
+        "results"
+    ]
+    assert answer == {"successful": True, "reason": ""}
+    assert stage.robot.call("params.get", names=[name]) == {name: 0.8}
+    called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
+
+
+def test_a_parameter_is_refused_with_the_reason(stage):
+    asked = [
+        parameter("limits.linear_m_s", 1e9),
+        parameter("limits.linear_m_s", 0.5, kind=2),
+        parameter("base.track_m", 0.5),
+        parameter("limits.nonsense", 0.5),
+    ]
+    results = called("set_parameters", "SetParameters", parameters=asked)["results"]
+    assert not any(result["successful"] for result in results)
+    large, integer, fixed, unknown = (result["reason"] for result in results)
+    assert "50" in large
+    assert "double" in integer
+    assert "robot file" in fixed
+    assert "no parameter" in unknown
+
+
+def test_a_managed_node_is_armed_and_disarmed_by_its_transitions(stage):
+    assert called("get_state", "GetState")["current_state"] == {"id": 2, "label": "inactive"}
+    assert called("change_state", "ChangeState", transition={"id": 3, "label": ""})["success"]
+    stage.wait_for("armed")
+    assert not called("change_state", "ChangeState", transition={"id": 1, "label": ""})["success"]
+    assert called("change_state", "ChangeState", transition={"id": 0, "label": "deactivate"})[
+        "success"
+    ]
+    stage.wait_for("idle")
+
+
+def test_no_transition_leads_out_of_an_emergency_stop(stage):
+    assert called("estop")["success"]
+    stage.wait_for("estop")
+    wait_until(
+        lambda: called("get_state", "GetState")["current_state"]["label"] == "errorprocessing",
+        "the state of an error",
+    )
+    for number in (1, 2, 3, 4):
+        assert not called("change_state", "ChangeState", transition={"id": number, "label": ""})[
+            "success"
+        ]
+    assert stage.state() == "estop"
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def sent(stage):
+    return inputs(stage)["ros2"]["sent"]
+
+
+def refused(stage):
+    return inputs(stage)["ros2"]["refused"]
+
+
+@pytest.mark.parametrize("speed_m_s", ["nan", "inf", "-inf"])
+def test_what_is_no_number_moves_nothing(armed, speed_m_s):
+    before, x_m = sent(armed), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0):
+        wait_until(lambda: sent(armed) > before + 10, "commands")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_old_commands_move_nothing(armed):
+    x_m = armed.sim.truth().x_m
+    before = armed.robot.status()["commands"]["refused"]["age"]
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0, LEASE_S + 1.0):
+        wait_until(
+            lambda: armed.robot.status()["commands"]["refused"]["age"] > before + 10, "refusals"
+        )
+    assert armed.sim.truth().x_m == x_m
+
+
+@pytest.mark.parametrize("age_s", ["zero", "-3600"])
+def test_commands_of_no_known_time_are_refused_at_once(armed, age_s):
+    before, x_m = refused(armed), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0, age_s):
+        wait_until(lambda: refused(armed) > before + 10, "refusals")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
+    with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
+        wait_until(
+            lambda: f"rt{NAMESPACE}/odom: a reader is not served" in stage.said(),
+            "a word on durability",
+        )
+    assert "durability" in stage.said()
+
+
+def test_a_reader_that_hangs_costs_the_others_nothing(stage):
+    topic = ("topic", f"rt{NAMESPACE}/odom", "Odometry")
+    with peer(*topic) as hung, peer(*topic) as ear:
+        hung.find(lambda _: True, "a sample")
+        hung.process.send_signal(signal.SIGSTOP)
+        ear.find(lambda _: True, "a sample")
+        before = len(ear.heard)
+        wait_until(lambda: len(ear.heard) > before + 100, "samples")
+    assert stage.state() == "idle"

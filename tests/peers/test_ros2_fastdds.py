@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 topics against another DDS implementation: eProsima Fast DDS, in C++."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from tests.peers.ros2_stage import NAMESPACE, called, nobody_commands, peer, ros2_stage
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+
+SOURCE = Path(__file__).with_name("fastdds_peer.cpp")
+HEADERS = Path("/usr/include/fastrtps")
+BUILD_WITHIN_S = 300.0
+COMPILER = shutil.which("c++")
+
+pytestmark = [
+    pytest.mark.skipif(
+        not (COMPILER and HEADERS.is_dir()), reason="apt install g++ libfastrtps-dev libfastcdr-dev"
+    ),
+    pytest.mark.timeout(BUILD_WITHIN_S + 120.0),
+]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    made = tmp_path_factory.mktemp("fastdds") / "fastdds_peer"
+    command = [COMPILER, "-std=c++17", "-Wall", str(SOURCE), "-o", str(made)]
+    libraries = ["-lfastrtps", "-lfastcdr"]
+    subprocess.run([*command, *libraries], check=True, timeout=BUILD_WITHIN_S)
+    return made
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with ros2_stage(tmp_path_factory.mktemp("ros2")) as stage:
+        yield stage
+
+
+def decode(line):
+    x, v, frame, child = line.split()
+    return {"x_m": float(x), "linear_m_s": float(v), "frames": (frame, child)}
+
+
+def test_fast_dds_reads_odometry_and_drives_the_robot(program, stage):
+    def fast(*words):
+        return peer(*words, program=(str(program),), decode=decode)
+
+    assert called("arm")["success"]
+    with (
+        fast("odom", f"rt{NAMESPACE}/odom") as ear,
+        fast("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0),
+    ):
+        moved = ear.find(lambda told: told["x_m"] > 0.1, "a way")
+    assert moved["frames"] == ("odom", "base_link")
+    assert moved["linear_m_s"] > 0.0
+    nobody_commands(stage)
+    stage.wait_for("armed")

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 types: their hashes, and their definitions as others read them."""
+
+import pytest
+
+from motord.bus.ros2.types import TYPES, definition, type_hash
+from motord.bus.topics import TOPICS
+
+rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
+
+# As `ros2 topic info -v` shows them.
+SEEN = {
+    "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "geometry_msgs/msg/Twist": "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    "nav_msgs/msg/Odometry": "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    "tf2_msgs/msg/TFMessage": "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+}
+STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
+# The other implementation counts `char` as a type of its own, rosidl as uint8.
+WITH_CHAR = ("rmw_dds_common", "service_msgs")
+COMPARED = sorted(
+    name for name in TYPES if name in STORE.fielddefs and not name.startswith(WITH_CHAR)
+)
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_a_hash_is_the_one_that_ros_2_shows(name):
+    assert type_hash(name) == f"RIHS01_{SEEN[name]}"
+
+
+@pytest.mark.parametrize("name", COMPARED)
+def test_a_hash_is_the_one_of_another_implementation(name):
+    assert type_hash(name) == STORE.hash_rihs01(name)
+
+
+@pytest.mark.parametrize("name", sorted(name for name in TYPES if "/msg/" in name))
+def test_a_definition_is_read_by_another_parser_as_the_same_type(name):
+    store = rosbags.get_typestore(rosbags.Stores.EMPTY)
+    store.register(rosbags.get_types_from_msg(definition(name), name))
+    assert [field for field, _ in store.fielddefs[name][1]] == [f.name for f in TYPES[name]]
+    if name in COMPARED or name.startswith("motord_msgs"):
+        assert store.hash_rihs01(name) == type_hash(name)
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_published_message_has_the_fields_of_its_type_in_their_order(topic):
+    fields = TOPICS[topic].message.__dataclass_fields__
+    assert list(fields) == [field.name for field in TYPES[TOPICS[topic].type_name]]
