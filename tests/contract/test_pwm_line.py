@@ -73,6 +73,7 @@ async def armed(rig):
             await rig.ready()
             with contextlib.suppress(HalError):
                 await rig.line.arm()
+            await asyncio.sleep(0.01)
 
 
 REST = [0, 0, 0, PERIOD_NS]

@@ -26,7 +26,7 @@ Wanted = dict[int, tuple[float, float]]
 STOPPING_WITHIN_S = 1.0
 """After a quick stop the brake stays on until the wheel is at rest, so long at most."""
 REST_VELOCITY_RAD_S = 0.1
-QUIET_ALLOWANCE_S = 0.05
+QUIET_ALLOWANCE_S = 0.12
 """On top of the feedback that may be lost: the event loop, or an adapter, may be late."""
 START_GRACE_S = 2.5
 """An Arduino restarts when its port is opened, and its boot loader waits for two seconds."""

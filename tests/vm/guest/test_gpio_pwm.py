@@ -19,6 +19,7 @@ from loop_side import GENEROUS_S, running, until
 from motord_hal.drives.load import find_profile, list_profiles
 from motord_hal.errors import DriveFault, HalError, PortError
 from motord_hal.gpio.lines import Wanted, request_outputs
+from motord_hal.lines import halt_line
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -55,6 +56,7 @@ async def armed(line):
             await line.ready()
             with contextlib.suppress(HalError):
                 await line.line.arm()
+            await asyncio.sleep(0.01)
 
 
 async def reaches(line, condition, what):
@@ -259,7 +261,7 @@ asyncio.run(main())
 """
 
 
-def test_what_kill_9_leaves_behind_is_known_and_the_next_start_ends_it(rig):
+def test_what_kill_9_leaves_behind_is_known_and_stop_all_ends_it(rig):
     """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here, so the
     bridge's enables go low; not every chip does that."""
     code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
@@ -270,10 +272,7 @@ def test_what_kill_9_leaves_behind_is_known_and_the_next_start_ends_it(rig):
     assert rig.level("pwm0") == pytest.approx(0.5, abs=NEAR)
     wait_until(lambda: rig.level("PIN0") == 0.0, "the enables fall back to their pull")
 
-    async def start_again():
-        async with running(spec_of(rig, "bts7960")) as line:
-            await line.ready()
-            await until(are(rig, "bts7960", "coast"))
-
     with contextlib.closing(asyncio.new_event_loop()) as loop:
-        loop.run_until_complete(start_again())
+        assert loop.run_until_complete(halt_line(spec_of(rig, "bts7960"))) == []
+    assert are(rig, "bts7960", "coast")()
+    assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
