@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from importlib import import_module
 from types import MappingProxyType
 from typing import cast
 
 from motord_hal.errors import HalError
-from motord_hal.ports import Line, LineSpec, Listener
+from motord_hal.ports import DriveState, Line, LineSpec, Listener
 from motord_hal.rt import Exchange
 
 Halt = Callable[[LineSpec], Awaitable[list[str]]]
@@ -43,7 +44,10 @@ HALTS = MappingProxyType(
         "can": "motord_hal.can.halt:halt_line",
     }
 )
-"""By kind: what stops the drives of a line that no daemon runs."""
+"""By kind: what stops the drives of a line that no daemon runs. Other kinds do it by running."""
+READY_WITHIN_S = 2.5
+ZEROS_FOR_S = 0.5
+LOOK_EVERY_S = 0.02
 
 
 def engine_of(spec: LineSpec) -> str:
@@ -73,7 +77,27 @@ async def halt_line(spec: LineSpec) -> list[str]:
     acknowledged, in words. Raises HalError where the line cannot be had at all."""
     place = HALTS.get(spec.kind)
     if place is None:
-        raise HalError(f"{spec.name}: lines of kind {spec.kind} cannot be stopped from outside")
+        return await _halt_by_running(spec)
     module, _, name = place.partition(":")
     halt = cast("Halt", getattr(import_module(module), name))
     return await halt(spec)
+
+
+async def _halt_by_running(spec: LineSpec) -> list[str]:
+    """The line itself, without set-points: it sends zeros from its first cycle on, and at its end
+    it stops its drives and takes their power."""
+    line = open_line(spec, Exchange.private(), lambda _: None)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(line.run())
+        for _ in range(round(READY_WITHIN_S / LOOK_EVERY_S)):
+            if set(line.drive_states.values()) == {DriveState.READY}:
+                break
+            await asyncio.sleep(LOOK_EVERY_S)
+        await asyncio.sleep(ZEROS_FOR_S)
+        states = line.drive_states
+        running.cancel()
+    return [
+        f"{joint} is {state.value}: it was told to stop, and may not have heard it"
+        for joint, state in states.items()
+        if state is not DriveState.READY
+    ]
