@@ -3,24 +3,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from motord.config.bus_rules import BUS_RULES
 from motord.config.drive_rules import DRIVE_RULES
 from motord.config.finding import Finding
 from motord.config.line_rules import LINE_RULES
-from motord.config.model import Robot
+from motord.config.model import Joint, Robot
 from motord.config.problems import nearest
 from motord.config.robot_rules import ROBOT_RULES
 from motord.config.wheels import Profiles, profile_of
 from motord_hal.drives.load import list_profiles
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.errors import ProfileError
+from motord_hal.modbus.codec import UNIT_MAX
 
-_REFERENCES = (("line",), ("drive",), ("channel",))
+_REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
 
 
 def findings(robot: Robot) -> list[Finding]:
     """Everything that does not fit together. Rules that need drives are asked about the joints that
-    have a line, a drive and a channel."""
+    have a line, a drive, an address and a channel."""
     found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
@@ -55,4 +58,12 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
             has = ", ".join(map(str, channels))
             text = f'drive "{joint.drive}" has no channel {joint.channel} (it has {has})'
             wrong.append(Finding((("joint", name, "channel"), path), text))
+        wrong += _address(name, joint, profiles[joint.drive])
     return profiles, wrong
+
+
+def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding]:
+    low, high = (profile.can.node_min, profile.can.node_max) if profile.can else (1, UNIT_MAX)
+    if not low <= joint.unit <= high:
+        text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
+        yield Finding((("joint", name, "unit"), ("joint", name, "drive")), text)

@@ -22,7 +22,6 @@ from motord.config.wheels import (
 )
 from motord.config.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
-from motord_hal.modbus.codec import UNIT_MAX
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
 _SPEAKS = {
@@ -60,16 +59,6 @@ def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         if _SPEAKS.get(kind, "modbus-rtu") != protocol:
             text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
             yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
-
-
-def _address(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        table = profiles[joint.drive].can
-        low, high = (table.node_min, table.node_max) if table else (1, UNIT_MAX)
-        if not low <= joint.unit <= high:
-            path = ("joint", name, "unit")
-            text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
-            yield Finding((path, ("joint", name, "drive")), text)
 
 
 def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
@@ -276,7 +265,6 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _one_joint_a_channel,
     _protocol,
-    _address,
     _mounting,
     _velocity,
     _duty,
