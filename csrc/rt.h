@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rt.h: api.h and api_line.h for the C compiler; they have no preprocessor line, because cffi reads them too. */
+ * rt.h: the api*.h for the C compiler; they have no preprocessor line, because cffi reads them too. */
 #ifndef MOTORD_RT_H
 #define MOTORD_RT_H
 
@@ -10,5 +10,6 @@
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"
+#include "api_bridge.h"
 
 #endif

@@ -39,10 +39,15 @@ _log = logging.getLogger(__name__)
 
 
 async def run(
-    robot: Robot, path: Path | None = None, on_ready: Callable[[Path], None] = lambda _: None
+    robot: Robot,
+    path: Path | None = None,
+    on_ready: Callable[[Path], None] = lambda _: None,
+    *,
+    starts_bus: bool = True,
 ) -> None:
     """The daemon, until a signal asks it to end: starts disarmed, ends at rest and disarmed.
-    `on_ready` is called once, with the socket's path, when it listens.
+    `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
+    started where the robot file has something for it; else somebody else does that.
 
     Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
     PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
@@ -53,7 +58,7 @@ async def run(
     ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
     feeds = {key: Samples(name, section.rate_hz) for key, section in ours.items()}
     publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
-    bus = BusSupervisor(robot, path) if robot.has_bus else None
+    bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
     with (
         _signals() as (end, hurry),
         listening(path) as listener,

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the log goes: stderr. Under systemd each line says its priority, as sd-daemon(3) has it,
-and leaves the time to the journal.
+"""Where the log goes: to the journal, with fields to search by, where stderr is the journal's; else
+to stderr.
 
 Who reads it may stop reading, and then a write blocks. The robot does not wait for that: a thread
 of its own writes, and what does not find room in its queue is lost.
+
+Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL.md.
 """
 
 from __future__ import annotations
@@ -12,78 +14,133 @@ import atexit
 import logging
 import os
 import queue
+import socket
+import struct
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 
-_PRIORITIES = (
-    (logging.ERROR, "<3>"),
-    (logging.WARNING, "<4>"),
-    (logging.INFO, "<6>"),
-    (logging.DEBUG, "<7>"),
-)
+JOURNAL = Path("/run/systemd/journal/socket")
+_FIELDS = "motord_fields"
+_PRIORITIES = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+_DEBUG = 7
 _LINES_MAX = 1000
 _LAST_WORDS_S = 0.5
 """At the end, for what is still in the queue."""
 
 
-class _JournalFormatter(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        mark = next((mark for level, mark in _PRIORITIES if record.levelno >= level), "<7>")
-        return "\n".join(mark + line for line in super().format(record).splitlines())
+def about(
+    *, line: str = "", joints: Iterable[str] = (), event: str = "", faults: Iterable[str] = ()
+) -> dict[str, object]:
+    """`extra` of a log record: what it is about. In the journal it becomes MOTORD_LINE,
+    MOTORD_EVENT, and a MOTORD_JOINT or MOTORD_FAULT for each."""
+    fields = [("MOTORD_LINE", line), ("MOTORD_EVENT", event)]
+    fields += [("MOTORD_JOINT", joint) for joint in joints]
+    fields += [("MOTORD_FAULT", fault) for fault in faults]
+    return {_FIELDS: [(name, value) for name, value in fields if value]}
 
 
 class _Writer(logging.Handler):
-    """Formats at once, writes when it can."""
+    """Formats at once, writes lines to stderr when it can."""
 
     def __init__(self, fd: int) -> None:
         super().__init__()
         self._fd = fd
-        self._lines: queue.Queue[bytes | None] = queue.Queue(_LINES_MAX)
+        self._queue: queue.Queue[bytes | None] = queue.Queue(_LINES_MAX)
         self._lost = 0
         # a daemon thread: one that is stuck in its write does not keep the process
-        self._thread = threading.Thread(target=self._write, name="motord-log", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="motord-log", daemon=True)
         self._thread.start()
         atexit.register(self._end)
 
+    def encode(self, record: logging.LogRecord) -> bytes:
+        return self.format(record).encode(errors="backslashreplace") + b"\n"
+
+    def write(self, entry: bytes) -> None:
+        """Raises OSError where nobody can ever read it."""
+        while entry:
+            entry = entry[os.write(self._fd, entry) :]
+
+    def note(self, lost: int) -> bytes:
+        return b"(%d lines of the log were lost before this one)\n" % lost
+
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            self._lines.put_nowait(self.format(record).encode(errors="backslashreplace") + b"\n")
+            self._queue.put_nowait(self.encode(record))
         except queue.Full:
             self._lost += 1
         except (TypeError, ValueError):  # words and values that do not fit: never the robot's end
             self.handleError(record)
 
-    def _write(self) -> None:
-        while (line := self._lines.get()) is not None:
+    def _work(self) -> None:
+        while (entry := self._queue.get()) is not None:
             lost, self._lost = self._lost, 0
-            note = b"(%d lines of the log were lost before this one)\n" % lost if lost else b""
             try:
-                _write_all(self._fd, note + line)
-            except OSError:  # nobody can ever read it
+                if lost:
+                    self.write(self.note(lost))
+                self.write(entry)
+            except OSError:
                 return
 
     def _end(self) -> None:
         try:
-            self._lines.put_nowait(None)
+            self._queue.put_nowait(None)
         except queue.Full:
             return
         self._thread.join(_LAST_WORDS_S)
 
 
-def _write_all(fd: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(fd, data) :]
+class _JournalWriter(_Writer):
+    """Sends entries, one a datagram. While the journal is away, what is said is lost."""
+
+    def __init__(self, fd: int, path: Path) -> None:
+        self._path = str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        super().__init__(fd)
+
+    def encode(self, record: logging.LogRecord) -> bytes:
+        priority = next((p for level, p in _PRIORITIES if record.levelno >= level), _DEBUG)
+        return _entry(self.format(record), priority, getattr(record, _FIELDS, ()))
+
+    def write(self, entry: bytes) -> None:
+        try:
+            self._socket.sendto(entry, self._path)
+        except OSError:  # it is being restarted, or the entry is too long for it
+            self._lost += 1
+
+    def note(self, lost: int) -> bytes:
+        return _entry(f"{lost} lines of the log were lost before this one", 4, ())
 
 
-def set_up(environ: Mapping[str, str] = os.environ) -> None:
+def _entry(message: str, priority: int, fields: Iterable[tuple[str, str]]) -> bytes:
+    named = (("MESSAGE", message), ("PRIORITY", str(priority)), ("SYSLOG_IDENTIFIER", "motord"))
+    return b"".join(_field(name, value) for name, value in (*named, *fields))
+
+
+def _field(name: str, value: str) -> bytes:
+    """A value of several lines is told by its length."""
+    data = value.encode(errors="backslashreplace")
+    if b"\n" not in data:
+        return b"%s=%s\n" % (name.encode(), data)
+    return b"%s\n%s%s\n" % (name.encode(), struct.pack("<Q", len(data)), data)
+
+
+def _is_journal(fd: int, environ: Mapping[str, str]) -> bool:
+    """Also a child that has its stderr elsewhere inherits the variable: device and inode tell."""
+    info = os.fstat(fd)
+    return environ.get("JOURNAL_STREAM") == f"{info.st_dev}:{info.st_ino}"
+
+
+def set_up(environ: Mapping[str, str] = os.environ, journal: Path = JOURNAL) -> None:
     """Once, by the daemon's entry point."""
+    handler: logging.Handler
     if sys.stderr is None:  # closed by who started us: its number may be another file's by now
-        logging.basicConfig(level=logging.INFO, handlers=[logging.NullHandler()], force=True)
-        return
-    handler = _Writer(sys.stderr.fileno())
-    if "JOURNAL_STREAM" in environ:
-        handler.setFormatter(_JournalFormatter("%(message)s"))
+        handler = logging.NullHandler()
+    elif _is_journal(sys.stderr.fileno(), environ):
+        handler = _JournalWriter(sys.stderr.fileno(), journal)
+        handler.setFormatter(logging.Formatter("%(message)s"))
     else:
+        handler = _Writer(sys.stderr.fileno())
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)

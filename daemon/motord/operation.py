@@ -19,6 +19,7 @@ from motord.assembly import base_limits
 from motord.commands import LeaseGrant
 from motord.config import Limits, Robot
 from motord.leases import Lease, Leases, NoLease
+from motord.log import about
 from motord.machine import Event, Facts, Refusal, State, step
 from motord.rpc import Refused
 from motord.rt import Control, Loop
@@ -229,7 +230,7 @@ class Operation:
     def _latch(self, event: Event, why: list[str]) -> None:
         if self.state not in _LATCHED:
             self.why = tuple(why)
-            _log.warning("fault: %s", "; ".join(why))
+            _log.warning("fault: %s", "; ".join(why), extra=about(event="fault", faults=why))
         self.take(event)
 
     def look(self) -> None:
@@ -269,7 +270,9 @@ class Operation:
 
     def on_line_event(self, event: LineEvent) -> None:
         """Said once by the line, so once in the log; a loss while under power is a fault."""
-        _log.log(logging.WARNING if event.kind in _WORRYING else logging.INFO, "%s", event.text)
+        level = logging.WARNING if event.kind in _WORRYING else logging.INFO
+        said_of = about(line=event.line, joints=event.joints, event=event.kind)
+        _log.log(level, "%s", event.text, extra=said_of)
         if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
             self.fault(event.text)
 

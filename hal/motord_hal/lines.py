@@ -23,6 +23,7 @@ KINDS = MappingProxyType(
         ("can", "asyncio"): "motord_hal.can.line:CanLine",
         ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
         ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
+        ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }

@@ -9,7 +9,7 @@ import threading
 
 from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.sim.can_port import free_address
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
@@ -19,7 +19,14 @@ ARRIVAL_DEADLINE_S = 10.0
 """For bytes to pass the kernel's side of a pty: at once, or the test fails."""
 CHARACTER_S = 10 / 115200
 WATCHDOG_S = 0.5
-KINDS = {"modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "mcu-frame": "mcu"}
+KINDS = {
+    "modbus-rtu": "modbus-rtu",
+    "ddsm": "ddsm",
+    "mcu-frame": "mcu",
+    "ascii": "ascii",
+    "roboclaw": "roboclaw",
+    "can": "can",
+}
 GEAR = 2.0
 
 
@@ -53,6 +60,14 @@ def can_address(folder):
     return free_address()
 
 
+TEXT = TextSpec(
+    setpoints="{left:.4f},{right:.4f}\n",
+    feedback="{left_count:d} {left_rad_s} {right_count:d} {right_rad_s} {voltage_v}\r\n",
+    wheels={"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.1)},
+    track_m=0.5,
+)
+
+
 def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
     return LineSpec(
         index=0,
@@ -67,6 +82,7 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
         engine="rt" if profile.protocol == "ddsm" else "asyncio",
         priority=0,
         joints=joints_of(profile, gear_ratio),
+        text=TEXT if profile.protocol == "ascii" else None,
         watchdog_s=watchdog_s,
     )
 

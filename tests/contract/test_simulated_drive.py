@@ -134,7 +134,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await until(lambda: all(feedback(rig, joint).stamp_ns for joint in joints), "first counts")
     before = {joint.name: feedback(rig, joint).count for joint in joints}
     await set_off(rig, sim)
-    rig.loop.velocity_rad_s = {}
+    rig.loop.velocity_rad_s, rig.loop.duty = {}, {}
     await rest(sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 3, "the counts at rest are in")
@@ -167,6 +167,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     assert rig.states() == {DriveState.READY}
 
 
+@pytest.mark.parametrize("profile", profiles_that(lambda p: p.faults), indirect=True)
 async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
@@ -227,7 +228,11 @@ async def test_every_silent_interval_is_kept(rig, sim):
     assert sim.stats()["lines"]["bus"]["bad_crc"] == 0
 
 
-@pytest.mark.parametrize("profile", SERIAL, indirect=True)
+def has_check_sums(profile):
+    return profile.protocol not in ("ascii", "can")
+
+
+@pytest.mark.parametrize("profile", profiles_that(has_check_sums), indirect=True)
 async def test_a_bad_wire_never_bends_what_the_drive_says(profile, tmp_path):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:

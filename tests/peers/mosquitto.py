@@ -91,3 +91,27 @@ def stamp(age_s=0.0):
     """The header of a command that was given so long ago."""
     sec, rest = divmod(time.time() - age_s, 1.0)
     return {"stamp": {"sec": int(sec), "nanosec": int(rest * 1e9)}, "frame_id": ""}
+
+
+def certified(folder):
+    """An authority, and a certificate for localhost by it."""
+
+    def openssl(*words):
+        subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
+
+    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+    openssl("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test CA",
+            "-days", "2")  # fmt: skip
+    openssl("req", *key, "-keyout", "host.key", "-out", "host.csr", "-subj", "/CN=localhost")
+    (folder / "names").write_text("subjectAltName=DNS:localhost\n", encoding="ascii")
+    openssl("x509", "-req", "-in", "host.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-days", "2",
+            "-CAcreateserial", "-out", "host.pem", "-extfile", "names")  # fmt: skip
+
+
+def with_password(folder):
+    """A user of the broker, and the file with the password."""
+    (folder / "password").write_text("secret\n", encoding="ascii")
+    (folder / "password").chmod(0o600)
+    subprocess.run(
+        ["mosquitto_passwd", "-b", "-c", str(folder / "users"), "r2", "secret"], check=True
+    )

@@ -3,7 +3,7 @@
 library itself. It shares nothing with motord.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
-    ros2_peer.py DOMAIN drive NAME V W           20 TwistStamped a second
+    ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
     ros2_peer.py DOMAIN twist NAME V W           20 Twist a second
     ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
@@ -309,10 +309,11 @@ def twist(participant, name, linear_m_s, angular_rad_s):
     _publish(participant, name, Twist, lambda: _twist(linear_m_s, angular_rad_s))
 
 
-def drive(participant, name, linear_m_s, angular_rad_s):
+def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):
     def make():
-        now = Time(*divmod(time.time_ns(), 1_000_000_000))
-        return TwistStamped(Header(now, ""), _twist(linear_m_s, angular_rad_s))
+        stamp_ns = 0 if age_s == "zero" else time.time_ns() - round(float(age_s) * 1e9)
+        stamp = Time(*divmod(stamp_ns, 1_000_000_000))
+        return TwistStamped(Header(stamp, ""), _twist(linear_m_s, angular_rad_s))
 
     _publish(participant, name, TwistStamped, make)
 

@@ -26,7 +26,7 @@ def ros2_stage(folder):
         "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
         f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
         f"safety.command_timeout_s={LEASE_S}", *PATIENT,
-        "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
+        "joint.left.tries=10", "joint.right.tries=10",
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")

@@ -1,8 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
 
+import signal
+
 import pytest
-from tests.peers.ros2_stage import NAMESPACE, called, inputs, nobody_commands, peer, ros2_stage
+from tests.peers.ros2_stage import (
+    LEASE_S,
+    NAMESPACE,
+    called,
+    inputs,
+    nobody_commands,
+    peer,
+    ros2_stage,
+)
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.ros2.types import type_hash
@@ -56,6 +66,7 @@ def test_a_command_moves_nothing_that_is_not_armed(stage):
 
 
 def test_services_say_what_the_daemon_says(stage):
+    stage.wait_for("idle")
     answer = called("disarm")
     assert answer["success"]
     assert answer["message"] == "idle"
@@ -161,3 +172,57 @@ def test_no_transition_leads_out_of_an_emergency_stop(stage):
     assert stage.state() == "estop"
     assert called("reset")["success"]
     stage.wait_for("idle")
+
+
+def sent(stage):
+    return inputs(stage)["ros2"]["sent"]
+
+
+def refused(stage):
+    return inputs(stage)["ros2"]["refused"]
+
+
+@pytest.mark.parametrize("speed_m_s", ["nan", "inf", "-inf"])
+def test_what_is_no_number_moves_nothing(armed, speed_m_s):
+    before, x_m = sent(armed), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0):
+        wait_until(lambda: sent(armed) > before + 10, "commands")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_old_commands_move_nothing(armed):
+    x_m = armed.sim.truth().x_m
+    before = armed.robot.status()["commands"]["refused"]["age"]
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0, LEASE_S + 1.0):
+        wait_until(
+            lambda: armed.robot.status()["commands"]["refused"]["age"] > before + 10, "refusals"
+        )
+    assert armed.sim.truth().x_m == x_m
+
+
+@pytest.mark.parametrize("age_s", ["zero", "-3600"])
+def test_commands_of_no_known_time_are_refused_at_once(armed, age_s):
+    before, x_m = refused(armed), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0, age_s):
+        wait_until(lambda: refused(armed) > before + 10, "refusals")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
+    with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
+        wait_until(
+            lambda: f"rt{NAMESPACE}/odom: a reader is not served" in stage.said(),
+            "a word on durability",
+        )
+    assert "durability" in stage.said()
+
+
+def test_a_reader_that_hangs_costs_the_others_nothing(stage):
+    topic = ("topic", f"rt{NAMESPACE}/odom", "Odometry")
+    with peer(*topic) as hung, peer(*topic) as ear:
+        hung.find(lambda _: True, "a sample")
+        hung.process.send_signal(signal.SIGSTOP)
+        ear.find(lambda _: True, "a sample")
+        before = len(ear.heard)
+        wait_until(lambda: len(ear.heard) > before + 100, "samples")
+    assert stage.state() == "idle"

@@ -5,12 +5,14 @@ nothing."""
 import asyncio
 import contextlib
 import json
+import shutil
+import ssl
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from tests.peers.mosquitto import free_port
+from tests.peers.mosquitto import certified, free_port
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
@@ -100,8 +102,9 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
     ("request_", "words"),
     [
         ({"op": "publish", "topic": "/cmd_vel", "msg": TWIST}, "only tells"),
-        ({"op": "subscribe", "topic": "/odour"}, "no topic /odour"),
+        ({"op": "subscribe", "topic": "/odour"}, "no topic 'odour'"),
         ({"op": "fragment"}, "not served"),
+        ({"op": [[[]]], "id": [[[]]]}, "not served"),
         ("{", "JSON object"),
         ("[" * 60000, "JSON object"),
         ([1], "JSON object"),
@@ -119,6 +122,12 @@ async def test_a_service_of_a_server_that_only_tells_does_nothing(stage, ports):
     answer = await exchanged(ports[1], request, until=lambda one: one["op"] == "service_response")
     assert (answer["result"], answer["id"]) == (False, "1")
     assert stage.state() != "armed"
+
+
+@pytest.mark.parametrize("throttle", [10**400, -1, "1", None, [[]]])
+async def test_a_throttle_that_is_none_is_none(stage, ports, throttle):
+    request = {"op": "subscribe", "topic": "/tf", "throttle_rate": throttle}
+    assert (await exchanged(ports[1], request, until=lambda one: True))["topic"] == "/tf"
 
 
 @pytest.mark.parametrize(
@@ -161,3 +170,34 @@ async def test_a_reader_that_stops_reading_costs_samples_and_nobody_else_anythin
         with contextlib.suppress(OSError):
             await stuck.wait_closed()
     assert stage.robot.status()["loop"]["ticks"] > ticks
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
+async def test_by_tls_with_the_certificate_of_the_robot_file(tmp_path):
+    certified(tmp_path)
+    port = free_port()
+    settings = ("publish.tell.kind=rosbridge", f"publish.tell.port={port}",
+                f"publish.tell.cert_file={tmp_path}/host.pem",
+                f"publish.tell.key_file={tmp_path}/host.key")  # fmt: skip
+    context = ssl.create_default_context(cafile=tmp_path / "ca.pem")
+    with running(tmp_path, *settings, simulated=False) as stage:
+        wait_until(lambda: bus(stage).get("publishers"), "the server's process")
+        url = f"wss://localhost:{port}"
+        async with asyncio.timeout(DEADLINE_S), connect_again(url, context) as it:
+            await it.send(json.dumps({"op": "subscribe", "topic": "/diagnostics"}))
+            assert json.loads(await it.recv())["topic"] == "/diagnostics"
+
+
+@contextlib.asynccontextmanager
+async def connect_again(url, context):
+    """Until it listens."""
+    while True:
+        try:
+            client = await connect(url, ssl=context)
+            break
+        except ConnectionRefusedError:
+            await asyncio.sleep(0.05)
+    try:
+        yield client
+    finally:
+        await client.close()

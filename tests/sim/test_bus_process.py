@@ -4,15 +4,18 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
 
-FOREVER = "safety.command_timeout_s=5.0"
+FORK_FAULTS = 600
+"""What one fork of the daemon would cost the loop: docs/architecture.md."""
 
 
 def free_port():
@@ -109,12 +112,13 @@ def test_it_has_no_privileges_and_less_than_all_memory(stage):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
 def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
     before, restarts = living(stage), bus(stage)["restarts"]
-    counted = ticks(stage)
+    counted, faults = ticks(stage), stage.robot.status()["loop"]["page_faults"]
     os.kill(before, number)
     assert living(stage, but=before) != before
     assert bus(stage)["restarts"] == restarts + 1
     assert stage.state() == "idle"
     assert ticks(stage) > counted
+    assert stage.robot.status()["loop"]["page_faults"] - faults < FORK_FAULTS / 2
     assert number.name in stage.said(), stage.said()
     full(port)
 
@@ -127,12 +131,63 @@ def test_a_process_that_hangs_is_replaced(stage, port):
     assert stage.state() == "idle"
 
 
+LEAK = """
+import asyncio
+
+class Leak:
+    def __init__(self, name, section, station):
+        self.bytes_a_second = section.options["bytes_a_second"]
+
+    async def run(self):
+        kept = []
+        while True:
+            kept.append(bytes(range(256)) * (self.bytes_a_second // 25600))
+            await asyncio.sleep(0.01)
+"""
+
+
+def test_a_leak_in_it_ends_at_its_own_limit_and_costs_the_robot_nothing(tmp_path):
+    (tmp_path / "leaking.py").write_text(LEAK, encoding="ascii")
+    info = tmp_path / "leaking-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: leaking\nVersion: 1.0\n", encoding="ascii")
+    points = "[motord.publishers]\nleak = leaking:Leak\n"
+    (info / "entry_points.txt").write_text(points, encoding="ascii")
+    settings = ("publish.bad.kind=other", "publish.bad.adapter=leak",
+                "publish.bad.options.bytes_a_second=512000000")  # fmt: skip
+    with running(tmp_path, *settings, environ={"PYTHONPATH": str(tmp_path)}) as stage:
+        stage.wait_for("idle")
+        ticks_before = ticks(stage)
+        wait_until(lambda: bus(stage)["restarts"] >= 1, stage.said)
+        assert "MemoryError" in stage.said()
+        assert stage.state() == "idle"
+        assert ticks(stage) > ticks_before
+
+
 def test_it_ends_with_its_daemon(tmp_path):
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={free_port()}")
     with running(tmp_path, *settings) as stage:
         pid = living(stage)
         assert stage.end(signal.SIGKILL) == -signal.SIGKILL
         wait_until(lambda: not Path(f"/proc/{pid}").exists(), "motord-bus gone")
+
+
+def test_somebody_else_may_start_it(tmp_path):
+    port = free_port()
+    settings = ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
+    with running(tmp_path, *settings, options=("--no-bus",)) as stage:
+        name = stage.robot.status()["robot"]
+        assert bus(stage) is None
+        words = [part for row in (f"robot.name={name}", *settings) for part in ("--set", row)]
+        with subprocess.Popen(
+            [sys.executable, "-m", "motord.bus", str(ROBOT), *words, "--socket", str(stage.socket)]
+        ) as process:
+            try:
+                assert full(port)["motord_up",] == 1.0
+                process.terminate()
+                assert process.wait(DEADLINE_S) == 0
+            finally:
+                process.kill()
 
 
 def test_a_robot_without_networked_buses_does_not_start_it(tmp_path):

@@ -4,7 +4,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import json
 import math
 import os
 import subprocess
@@ -13,10 +12,10 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
-from motord.bus import message_types
-from motord.bus.json_form import plain
-from motord.bus.json_schema import schema_of
 from motord.bus.publish.mcap import McapRecorder
 from motord.bus.station import Station
 from motord.bus.topics import TOPICS, View
@@ -52,11 +51,11 @@ class Stage:
     def files(self):
         return sorted(self.folder.glob("*.mcap"))
 
-    async def until(self, condition, **changes):
+    async def until(self, condition, status=None, **changes):
         """Feed it until the condition holds."""
         async with asyncio.timeout(DEADLINE_S):
             while not condition():
-                self.station.view = View(snapshot=snapshot(**changes))
+                self.station.view = View(snapshot=snapshot(**changes), status=status)
                 self.feed.offer(self.station.view)
                 await asyncio.sleep(0.005)
 
@@ -74,8 +73,10 @@ async def recording(folder, **settings):
 def read(path):
     with path.open("rb") as file:
         return [
-            (channel.topic, schema.name, message.log_time, json.loads(message.data))
-            for schema, channel, message in make_reader(file).iter_messages()
+            (channel.topic, schema.name, message.log_time, decoded)
+            for schema, channel, message, decoded in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
         ]
 
 
@@ -90,9 +91,9 @@ async def test_what_was_fed_is_read_by_the_reader_of_mcap(tmp_path):
         ("/motor_status", "motord_msgs/msg/MotorStatus"),
     }
     odometry = [row for row in rows if row[0] == "/odom"]
-    assert all(row[3]["pose"]["pose"]["position"]["x"] == 1.25 for row in odometry)
-    stamp = odometry[0][3]["header"]["stamp"]
-    assert odometry[0][2] == stamp["sec"] * 10**9 + stamp["nanosec"]
+    assert all(row[3].pose.pose.position.x == 1.25 for row in odometry)
+    stamp = odometry[0][3].header.stamp
+    assert odometry[0][2] == stamp.sec * 10**9 + stamp.nanosec
     assert abs(odometry[0][2] - time.time_ns()) < 60e9
 
 
@@ -156,39 +157,41 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
         await stage.until(lambda: stage.recorder._recording is None, faults=("drive", "estop"))
     (path,) = stage.files()
     assert path.name.endswith("-drive-estop.mcap")
-    faults = [row[3]["faults"] for row in read(path)]
+    faults = [list(row[3].faults) for row in read(path)]
     assert [] in faults
     assert faults[-1] == ["drive", "estop"]
 
 
-@pytest.mark.parametrize("topic", TOPICS.values(), ids=TOPICS)
-def test_the_schema_of_a_topic_is_that_of_its_messages(topic):
-    status = {"loop": {
-        "rate_hz": 1.0, "policy": "SCHED_OTHER", "ticks": 1, "overruns": 0, "page_faults": 0,
-        "lateness_us": dict.fromkeys(("p50", "p99", "p99_9", "max"), math.nan),
-        "step_ns": dict.fromkeys(("p50", "p99", "p99_9", "max"), 1.0),
-    }, "leases": []}  # fmt: skip
-    body = Station(load_robot(DEMO), Path("no.sock")).body
-    message = topic.build(View(snapshot=snapshot(), status=status), body, 0)
-    assert type(message) is topic.message
-    _fits(plain(message), schema_of(topic.message))
+STATUS = {"loop": {
+    "rate_hz": 1.0, "policy": "SCHED_OTHER", "ticks": 1, "overruns": 0, "page_faults": 0,
+    "lateness_us": dict.fromkeys(("p50", "p99", "p99_9", "max"), math.nan),
+    "step_ns": dict.fromkeys(("p50", "p99", "p99_9", "max"), 1.0),
+}, "leases": []}  # fmt: skip
 
 
-def _fits(value, schema):
-    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int,
-             "number": (int, float), "null": type(None)}  # fmt: skip
-    said = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
-    assert any(isinstance(value, kinds[kind]) for kind in said), (value, schema)
-    if isinstance(value, dict):
-        assert list(value) == schema["required"] == list(schema["properties"])
-        for name, item in value.items():
-            _fits(item, schema["properties"][name])
-    if isinstance(value, list):
-        for item in value:
-            _fits(item, schema["items"])
+async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
+    async with recording(tmp_path) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
+    (path,) = stage.files()
+    seen = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for schema, channel, _, message in reader.iter_decoded_messages():
+            seen[channel.topic] = (schema.name, message)
+    assert {topic: name for topic, (name, _) in seen.items()} == {
+        f"/{topic.name}": topic.type_name for topic in TOPICS.values()
+    }
+    assert seen["/joint_states"][1].name == ["left", "right"]
+    assert seen["/motor_status"][1].state == "idle"
 
 
-def test_what_messages_are_not_made_of_has_no_schema():
-    assert schema_of(message_types.Level) == {"type": "integer"}
-    with pytest.raises(TypeError, match="made of"):
-        schema_of(dict)
+async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
+    async with recording(tmp_path, topics=("odom",)) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 5, x_m=1.25)
+    (path,) = stage.files()
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        (connection,) = reader.connections
+        found = [reader.deserialize(raw, connection.msgtype) for _, _, raw in reader.messages()]
+    assert len(found) == stage.feed.taken
+    assert {message.pose.pose.position.x for message in found} == {1.25}

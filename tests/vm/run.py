@@ -18,7 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 BUILD = ROOT / "build" / "vm"
-BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "480"))
+BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "540"))
 ADAPTER_SERIAL = "A10K3XYZ"
 STATUS = "guest: status "
 DISK_MB = 120
@@ -45,8 +45,6 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
     shutil.copytree(ROOT / "config", content / "config")
-    (content / "tests/sim").mkdir()
-    shutil.copy(ROOT / "tests/sim/daemon_stage.py", content / "tests/sim")
     shutil.copy(package, content / "motord.deb")
     (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")
     subprocess.run(
@@ -62,7 +60,7 @@ def qemu(disk: Path, folder: Path) -> list[str]:
     cable, monitor = folder / "cable", folder / "monitor"
     append = "console=ttyS0 quiet loglevel=4 audit=0 mitigations=off"
     return [
-        "qemu-system-x86_64", "-accel", os.environ.get("MOTORD_VM_ACCEL", "tcg,thread=multi"),
+        "qemu-system-x86_64", "-accel", "tcg,thread=multi",
         "-cpu", "max", "-smp", "2", "-m", "1024", "-nodefaults", "-display", "none", "-no-reboot",
         "-kernel", str(BUILD / "vmlinuz"), "-initrd", str(BUILD / "initrd.gz"),
         "-append", append,

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 # Tables of strings: a robot loads only the buses that it has.
 PUBLISHERS = MappingProxyType(
     {
+        "foxglove": "motord.bus.publish.foxglove:FoxgloveServer",
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
         "ros2": "motord.bus.ros2.publisher:Ros2Publisher",

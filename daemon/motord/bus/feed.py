@@ -19,6 +19,13 @@ class Sample:
     topic: Topic
     message: Any
 
+    @property
+    def stamp_ns(self) -> int:
+        """The sample's own moment, as wall time."""
+        transforms = getattr(self.message, "transforms", None)
+        stamp = (transforms[0] if transforms else self.message).header.stamp
+        return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+
 
 class Feed:
     """A box for one view of each topic. Who fills it never waits; who is slow loses samples."""

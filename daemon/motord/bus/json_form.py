@@ -25,7 +25,18 @@ def plain(value: Any) -> Any:
 
 def encode(message: Any) -> bytes:
     """One JSON object, without a line end."""
-    return json.dumps(plain(message), allow_nan=False, separators=(",", ":")).encode()
+    try:
+        return _ENCODER.encode(message).encode()
+    except ValueError:  # a number that JSON does not have
+        return _ENCODER.encode(plain(message)).encode()
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    """One level of a message; the encoder asks for the next."""
+    return {name: getattr(record, name) for name in record.__dataclass_fields__}
+
+
+_ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_fields)
 
 
 def decode(raw: str | bytes) -> Any:

@@ -14,10 +14,11 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 
 from motord.bus import json_form
-from motord.bus.inputs.desk import Desk, NotTaken
+from motord.bus.inputs.desk import Desk, NotTaken, short, tag
 from motord.bus.topics import TOPICS
 
 CALLS_MAX = 16
+THROTTLE_MAX_MS = 3_600_000
 CMD_VEL = "cmd_vel"
 _TRIGGER = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
 """Services of type std_srvs/srv/Trigger."""
@@ -94,15 +95,17 @@ class RosbridgeClient:
             case "advertise" | "unadvertise" | "status" | "set_level":
                 pass  # nothing follows from it
             case other:
-                await self._say("error", f"op {other!r} is not served", request.get("id"))
+                await self._say("error", f"op {short(other)} is not served", request.get("id"))
 
     async def _subscribe(self, topic: str, request: Mapping[str, Any]) -> None:
         if topic not in self._rates_hz:
             known = ", ".join(f"/{name}" for name in self._rates_hz)
-            await self._say("error", f"no topic /{topic}; there are: {known}", request.get("id"))
+            await self._say(
+                "error", f"no topic {short(topic)}; there are: {known}", request.get("id")
+            )
             return
         throttle_ms = request.get("throttle_rate", 0)
-        if not isinstance(throttle_ms, int | float) or not 0 <= throttle_ms < math.inf:
+        if not isinstance(throttle_ms, int | float) or not 0 <= throttle_ms <= THROTTLE_MAX_MS:
             throttle_ms = 0
         self._every_s[topic] = throttle_ms / 1e3
 
@@ -110,7 +113,7 @@ class RosbridgeClient:
         if self._desk is None:
             await self._say("error", "this server only tells: nothing can be published here")
         elif topic != CMD_VEL:
-            await self._say("error", f"/{topic} is not taken; there is: /{CMD_VEL}")
+            await self._say("error", f"{short(topic)} is not taken; there is: /{CMD_VEL}")
         else:
             try:
                 self._desk.drive(message)
@@ -126,7 +129,7 @@ class RosbridgeClient:
             answer = {"values": str(error), "result": False}
         finally:
             self._calls -= 1
-        service, number = request.get("service"), request.get("id")
+        service, number = tag(request.get("service")), tag(request.get("id"))
         head = {"op": "service_response", "service": service, "id": number}
         await self._send(head | answer)
 
@@ -142,7 +145,7 @@ class RosbridgeClient:
         if self._desk is None:
             raise NotTaken("this server only tells: no service of it moves the robot")
         if service not in _TRIGGER:
-            raise NotTaken(f"no service /{service}; there are: {', '.join(self._services())}")
+            raise NotTaken(f"no service {short(service)}; there are: {', '.join(self._services())}")
         try:
             done = await self._desk.act(service)
         except NotTaken as error:
@@ -155,7 +158,7 @@ class RosbridgeClient:
             yield from (f"/{name}" for name in _TRIGGER)
 
     async def _say(self, level: str, text: str, number: object = None) -> None:
-        await self._send({"op": "status", "level": level, "msg": text, "id": number})
+        await self._send({"op": "status", "level": level, "msg": text, "id": tag(number)})
 
     async def _send(self, message: dict[str, Any]) -> None:
         await self._connection.send(json.dumps(json_form.plain(message), allow_nan=False))

@@ -36,8 +36,16 @@ from motord_hal.errors import ProfileError
     type=click.Path(path_type=Path, dir_okay=False),
     help="Local socket; /run/motord/ROBOT.sock or the user's own folder otherwise.",
 )
+@click.option(
+    "--bus/--no-bus",
+    default=True,
+    show_default=True,
+    help="Start motord-bus for the networked buses of the file, or leave that to somebody else.",
+)
 @json_option
-def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None, as_json: bool) -> None:
+def run(
+    robot_file: Path, overrides: tuple[str, ...], path: Path | None, bus: bool, as_json: bool
+) -> None:
     """The daemon, in the foreground; the log goes to stderr.
 
     Starts disarmed: motord arm lets the robot move. SIGINT and SIGTERM bring it to rest, take the
@@ -60,7 +68,8 @@ def run(robot_file: Path, overrides: tuple[str, ...], path: Path | None, as_json
         )
 
     try:
-        asyncio.run(run_daemon(robot, path, say_ready if as_json else lambda _: None))
+        on_ready = say_ready if as_json else lambda _: None
+        asyncio.run(run_daemon(robot, path, on_ready, starts_bus=bus))
     except (ConfigRefused, ProfileError, LookupError) as error:
         raise Failure(str(error), Exit.USAGE) from error
     except (PageInUse, SocketInUse) as error:

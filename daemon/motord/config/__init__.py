@@ -4,6 +4,7 @@
 from motord.config.bus_sections import (
     BusInput,
     BusPublish,
+    FoxglovePublish,
     JoystickInput,
     McapPublish,
     MqttBroker,
@@ -84,6 +85,7 @@ __all__ = [
     "RosbridgePublish",
     "RosbridgeInput",
     "JoystickInput",
+    "FoxglovePublish",
     "MqttBroker",
     "McapPublish",
     "MqttPublish",

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
+    FoxglovePublish,
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
@@ -15,14 +17,23 @@ from motord.config.bus_sections import (
     Ros2Node,
     RosbridgeInput,
     RosbridgeServer,
-    ZenohInput,
-    ZenohNode,
 )
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
+from motord.config.zenoh_rules import ZENOH_RULES
 
 LEASE_COMMANDS = 2
+_PACKAGES = {
+    "ros2": "cyclonedds",
+    "ros2-zenoh": "zenoh",
+    "mqtt": "aiomqtt",
+    "mcap": "mcap",
+    "foxglove": "foxglove",
+    "rosbridge": "websockets",
+    "joystick": "evdev",
+}
+AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -66,10 +77,10 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                     yield Finding((path,), "this topic is not published (topics)")
 
 
-def _servers(robot: Robot) -> Iterator[tuple[Path, PrometheusPublish | RosbridgeServer]]:
+def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, PrometheusPublish | RosbridgeServer):
+            if isinstance(section, AnyServer):
                 yield (table, name), section
 
 
@@ -84,11 +95,11 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, RosbridgeServer):
+        if isinstance(section, FoxglovePublish | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
@@ -136,41 +147,13 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*before, key)), text)
 
 
-def _zenoh_nodes(robot: Robot) -> Iterator[tuple[Path, ZenohNode]]:
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
-            if isinstance(section, ZenohNode):
-                yield (table, name), section
-
-
-def _zenoh_commands_are_meant(robot: Robot) -> Iterator[Finding]:
-    for path, section in _zenoh_nodes(robot):
-        if not isinstance(section, ZenohInput):
-            continue
-        if not section.trust_router:
-            text = "all whom the router lets in could move the robot: trust_router = true, if meant"
-            yield Finding(((*path, "trust_router"), (*path, "router")), text)
-        if section.router_host not in LOOPBACK and not section.encrypted:
-            text = f"commands by {section.router_host} would cross the network unprotected: tls/"
-            yield Finding(((*path, "router"),), text)
-
-
-def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
-    routers: dict[tuple[str, str, int], tuple[Path, ZenohNode]] = {}
-    keys = ("router", "ca_file", "cert_file", "key_file")
-    for path, section in _zenoh_nodes(robot):
-        if (section.cert_file is None) != (section.key_file is None):
-            key = "key_file" if section.key_file is None else "cert_file"
-            yield Finding(((*path, key),), "cert_file and key_file go together")
-        for key in keys[1:]:
-            if getattr(section, key) is not None and not section.encrypted:
-                yield Finding(((*path, key), (*path, "router")), "is of no use without tls/")
-        node = (section.node_name, section.namespace, section.domain_id)
-        before, first = routers.setdefault(node, (path, section))
-        for key in keys:
-            if getattr(section, key) != getattr(first, key):
-                text = f"a node has one router: {'.'.join(map(str, before))} says another"
-                yield Finding(((*path, key), (*before, key)), text)
+            package = _PACKAGES.get(section.kind)
+            if package is not None and find_spec(package) is None:
+                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                yield Finding(((table, name, "kind"),), text, warning=True)
 
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
@@ -182,6 +165,6 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _joystick_lives_long_enough,
     _ros2_commands_are_meant,
     _ros2_domains,
-    _zenoh_commands_are_meant,
-    _zenoh_routers,
+    _packages_are_there,
+    *ZENOH_RULES,
 )

@@ -154,16 +154,28 @@ class McapPublish(BusPublish):
     )
 
 
-class RosbridgeServer(BusPublish):
-    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+class Server(BusPublish):
+    """A server of the second process."""
 
     host: str = Field(default="127.0.0.1", min_length=1)
     """Address to listen at; this machine only, unless something else is said."""
-    port: int = number("TCP port", 1, 65535, "1", 9090)
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
     key_file: str | None = None
     """Key of cert_file."""
+
+
+class FoxglovePublish(Server):
+    """A WebSocket to which Foxglove connects. It only tells: its protocol knows no token."""
+
+    kind: Literal["foxglove"]
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class RosbridgeServer(Server):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    port: int = number("TCP port", 1, 65535, "1", 9090)
 
 
 class RosbridgePublish(RosbridgeServer):

@@ -24,7 +24,13 @@ from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
-_SPEAKS = {"ddsm": "ddsm", "can": "can", "mcu": "mcu-frame"}
+_SPEAKS = {
+    "ddsm": "ddsm",
+    "can": "can",
+    "mcu": "mcu-frame",
+    "ascii": "ascii",
+    "roboclaw": "roboclaw",
+}
 """The protocol of a line's kind; all others carry Modbus."""
 
 
@@ -146,6 +152,18 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((drive, path), text, warning=True)
 
 
+def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """A drive whose speeds are counted in encoder edges has their number in its profile."""
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        if profile.protocol != "roboclaw" or joint.counts_per_turn is None:
+            continue
+        if joint.counts_per_turn != profile.counts_per_turn:
+            path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+            text = f'drive "{joint.drive}" counts its speed in edges, {profile.counts_per_turn} a'
+            yield Finding((path, drive), f"{text} turn: copy its profile to change that")
+
+
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Limits that the wheels cannot serve are no error: the core scales the twist down."""
     joints = robot.joint.items()
@@ -262,6 +280,7 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _duty,
     _reverse,
     _counter,
+    _edges,
     _reach,
     _serial,
     _times,

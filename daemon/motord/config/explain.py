@@ -21,7 +21,7 @@ _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
     ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
     ("input", "*", "kind"): frozenset({"zenoh"}),
-    ("publish", "*", "kind"): frozenset({"zenoh", "foxglove"}),
+    ("publish", "*", "kind"): frozenset({"zenoh"}),
     ("robot",): frozenset({"namespace"}),
     ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.line_sections import (
     AnyLine,
+    AsciiLine,
     CanLine,
     DdsmLine,
     GatewayLine,
@@ -17,6 +18,10 @@ from motord.config.line_sections import (
     SerialLine,
 )
 from motord.config.model import Robot
+from motord.config.toml_lines import Path
+from motord_hal.ascii.dialect import COUNT, check_setpoints, feedback_fields, setpoint_fields
+from motord_hal.ascii.text import Text
+from motord_hal.ascii.twist import ANGULAR, LINEAR
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -40,17 +45,62 @@ def _engine(robot: Robot) -> Iterator[Finding]:
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
         elif isinstance(line, CanLine | PortLine) and line.engine == "rt":
-            yield Finding(at, f'kind "{line.kind}" runs on "asyncio"')
+            yield Finding(at, f'kind "{line.kind}" runs on "asyncio" only')
         elif isinstance(line, DdsmLine) and line.engine == "asyncio":
             yield Finding(at, 'kind "ddsm" runs on "rt" only')
 
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        alone = isinstance(robot.line.get(first.line), McuLine)
+        alone = isinstance(robot.line.get(first.line), McuLine | AsciiLine)
         if alone and first.line == second.line and first.unit != second.unit:
             text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
-            yield Finding((("joint", other, "unit"), ("joint", one, "unit")), text)
+            kind: Path = ("line", first.line, "kind")
+            yield Finding((("joint", other, "unit"), ("joint", one, "unit"), kind), text)
+
+
+def _templates(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if not isinstance(line, AsciiLine):
+            continue
+        joints = tuple(joint for joint, section in robot.joint.items() if section.line == name)
+        template = (("line", name, "template"), ("line", name, "kind"))
+        try:
+            text = Text(line.template, setpoint_fields(joints))
+            check_setpoints(text, joints)
+            yield from _twist(robot, joints, text, template)
+        except ValueError as error:
+            yield Finding(template, str(error))
+        try:
+            heard = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
+        except ValueError as error:
+            yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
+            continue
+        yield from _counts(robot, joints, heard.fields if heard else ())
+
+
+def _twist(
+    robot: Robot, joints: tuple[str, ...], text: Text, at: tuple[Path, ...]
+) -> Iterator[Finding]:
+    sides = {robot.joint[joint].side for joint in joints}
+    if set(text.fields) == {LINEAR, ANGULAR} and sides != {"left", "right"}:
+        yield Finding(at, "v and w need a left and a right joint on this line")
+
+
+def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> Iterator[Finding]:
+    for joint in joints:
+        line = robot.joint[joint].line
+        at: tuple[Path, ...] = (
+            ("joint", joint, "counts_per_turn"),
+            ("joint", joint, "line"),
+            ("line", line, "kind"),
+        )
+        told, given = joint + COUNT in heard, robot.joint[joint].counts_per_turn
+        if told and not given:
+            yield Finding(at, "is missing: the board tells a count")
+        elif not told and given != 0:
+            text = f"must be 0: the feedback has no {{{joint}{COUNT}}}"
+            yield Finding(at, text)
 
 
 def _gap(robot: Robot) -> Iterator[Finding]:
@@ -93,6 +143,7 @@ LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_line,
     _engine,
     _one_board,
+    _templates,
     _gap,
     _direction,
     _priority,

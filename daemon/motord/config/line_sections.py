@@ -170,5 +170,32 @@ class McuLine(PortLine):
     kind: Literal["mcu"]
 
 
-AnyLine = RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine | McuLine
+class RoboclawLine(PortLine):
+    """RoboClaws in packet serial mode; several may share a port."""
+
+    kind: Literal["roboclaw"]
+
+
+class AsciiLine(PortLine):
+    """A board that reads its set-points as text."""
+
+    kind: Literal["ascii"]
+    template: str = Field(default="{left},{right}\n", min_length=1)
+    """Text of the set-points: a field for each joint, as {left:.2f} or {left:d}; or {v} and {w}
+    for the base's m/s and rad/s."""
+    feedback: str | None = None
+    """Text of the board's feedback, as "{left_count},{right_count}" with fields JOINT_count,
+    JOINT_rad_s, JOINT_current_a and voltage_v; none: the board says nothing."""
+    scale: float = number(
+        "a joint's number for a set-point of 1 (motor rad/s, or full duty): 255 for duties to 255",
+        1e-6,
+        1e6,
+        "1",
+        1.0,
+    )
+
+
+AnyLine = (
+    RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine | McuLine | AsciiLine | RoboclawLine
+)
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

@@ -17,6 +17,7 @@ from pydantic import Field, PrivateAttr
 
 from motord.config.bus_sections import (
     BusInput,
+    FoxglovePublish,
     JoystickInput,
     McapPublish,
     MqttInput,
@@ -297,6 +298,7 @@ AnyPublish = (
     | UdpPublish
     | MqttPublish
     | RosbridgePublish
+    | FoxglovePublish
     | McapPublish
     | PrometheusPublish
     | Ros2Publish

@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from motord_hal.ascii.dialect import text_bytes
 from motord_hal.drives.profile import Gap
+from motord_hal.errors import ProfileError
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
@@ -18,7 +20,7 @@ from motord_hal.rt_engine.ddsm_frames import DdsmFrames
 _ASK_BYTES = 8 + 7
 """One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
 _BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
-_STREAMS = ("mcu",)
+_STREAMS = ("mcu", "ascii")
 """Kinds without anything acyclic, and without a gap between frames."""
 _WORTH_SAYING = 1.02
 
@@ -100,11 +102,19 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
     def wire_time_s(size_bytes: int) -> float:
         return _wire_time_s(spec, size_bytes)
 
-    if spec.kind == "mcu":
-        motors = max(joints[0].profile.channels)
-        return wire_time_s(wire_bytes(motors)) / WIRE_SHARE_MAX
+    if spec.kind in _STREAMS:
+        return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX
     kind = DdsmFrames if spec.kind == "ddsm" else DrivePlan
     return kind(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+
+
+def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
+    if spec.kind == "mcu":
+        return wire_bytes(max(joints[0].profile.channels))
+    try:
+        return text_bytes(spec)
+    except ProfileError:
+        return 1  # a wrong template, which another rule says
 
 
 def _wire_time_s(spec: LineSpec, size_bytes: int) -> float:

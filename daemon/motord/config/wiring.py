@@ -5,11 +5,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motord.config.line_sections import AnyLine, CanLine, SerialLine
+from motord.config.line_sections import AnyLine, AsciiLine, CanLine, SerialLine
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
 from motord_hal.drives.profile import Gap
-from motord_hal.ports import DirectionKind, DirectionSpec, Echo, JointSpec, LineSpec
+from motord_hal.ports import (
+    DirectionKind,
+    DirectionSpec,
+    Echo,
+    JointSpec,
+    LineSpec,
+    TextSpec,
+    TextWheel,
+)
 
 
 def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
@@ -41,7 +49,23 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )
+    if isinstance(line, AsciiLine):
+        return replace(spec, text=_text_spec(robot, line, joints))
     return _with_port(spec, line, robot.loop.priority) if isinstance(line, SerialLine) else spec
+
+
+def _text_spec(robot: Robot, line: AsciiLine, joints: tuple[JointSpec, ...]) -> TextSpec:
+    def wheel(name: str) -> TextWheel:
+        side = -1.0 if robot.joint[name].side == "left" else 1.0
+        return TextWheel(side=side, radius_m=robot.wheel_radius_m(name))
+
+    return TextSpec(
+        setpoints=line.template,
+        feedback=line.feedback or "",
+        scale=line.scale,
+        wheels={joint.name: wheel(joint.name) for joint in joints},
+        track_m=robot.base.effective_track_m,
+    )
 
 
 def _with_port(spec: LineSpec, line: SerialLine, loop_priority: int) -> LineSpec:

@@ -50,6 +50,7 @@ class TextDialect:
 
     def __init__(self, spec: LineSpec) -> None:
         self.bad = 0
+        self._spec_of_line = spec
         self._spec, self._said, self._heard = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
@@ -97,11 +98,16 @@ class TextDialect:
         return values
 
     def wire_bytes(self) -> int:
-        most = dict.fromkeys(self._said.fields, -999.0)
-        said = len(self._said.say(most))
-        if self._heard is None:
-            return said
-        return max(said, len(self._heard.say(dict.fromkeys(self._heard.fields, -99999.0))))
+        return text_bytes(self._spec_of_line)
+
+
+def text_bytes(spec: LineSpec) -> int:
+    """Of the longer of both lines of text, with numbers of a usual size."""
+    _, said, heard = texts_of(spec)
+    size = len(said.say(dict.fromkeys(said.fields, -999.0)))
+    if heard is None:
+        return size
+    return max(size, len(heard.say(dict.fromkeys(heard.fields, -99999.0))))
 
 
 def _sign(joint: JointSpec) -> float:

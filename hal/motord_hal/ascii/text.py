@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers, and reads them."""
+"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers and reads them again."""
 
 from __future__ import annotations
 

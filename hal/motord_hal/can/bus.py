@@ -21,6 +21,7 @@ import can
 
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.netlink import restart
 from motord_hal.can.plan import Sent
 from motord_hal.clock import now_ns
 from motord_hal.errors import PortError
@@ -68,11 +69,15 @@ class CanBus:
         self._fd: int | None = None
         self._reader: _ReaderThread | None = None
         self._bad_in_a_row = 0
+        self._bus_off = False
+        """The controller has left the bus, and nobody has restarted it since."""
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
         """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
         self._check_interface()
+        if self._bus_off:
+            await self._restart()
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
@@ -99,6 +104,17 @@ class CanBus:
         if not up:
             how = f"ip link set {channel} up type can bitrate ..."
             raise PortError(f"{self.address} is down: {how}")
+
+    async def _restart(self) -> None:
+        """Where it is permitted. Where it is not, the kernel may do it (restart-ms), or who may."""
+        interface, channel = split_address(self.address)
+        if interface == "socketcan":
+            try:
+                await asyncio.to_thread(restart, channel)  # at most ANSWER_WITHIN_S
+            except OSError as error:
+                self.errors["restart_refused"] += 1
+                _log.info("%s: not restarted: %s", self.address, error)
+        self._bus_off = False
 
     def _open(self) -> can.BusABC:
         try:
@@ -156,6 +172,7 @@ class CanBus:
         kinds, trouble = error_words(message.arbitration_id, bytes(message.data))
         self.errors.update(kinds)
         if trouble is BusTrouble.BUS_OFF:
+            self._bus_off = True
             self.trouble = PortError(
                 f"{self.address}: bus-off: the controller has given up after too many errors "
                 "(cable, termination, bit rate)"

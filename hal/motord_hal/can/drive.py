@@ -213,11 +213,11 @@ class CanDrive:
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
-        if self._may_turn:
+        if self._may_turn and now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
+            self._write_all(self.plan.profile.disarm)
+        elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
-            if now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
-                self._write_all(self.plan.profile.disarm)
         for frame in self.plan.asked_fast:
             self._ask(frame)
 
@@ -229,13 +229,22 @@ class CanDrive:
             self.tell(wanted)
             for frame in self.plan.asked_fast:
                 self._ask(frame)
-            slow = self.plan.asked_slow
-            if slow and self._cycles % SLOW_EVERY_CYCLES == 0:
-                self._ask(slow[self._cycles // SLOW_EVERY_CYCLES % len(slow)])
+            if self._cycles % SLOW_EVERY_CYCLES == 0:
+                self._now_and_then(self._cycles // SLOW_EVERY_CYCLES)
             self._cycles += 1
         self._end_stopping()
         if self.jobs:
             self._slot()
+
+    def _now_and_then(self, turn: int) -> None:
+        """Ask for one thing that may wait. A drive that cannot say whether it has power is told
+        again that it shall have none: the frame that took it may have been lost."""
+        slow = self.plan.asked_slow
+        if slow:
+            self._ask(slow[turn % len(slow)])
+        silent = self.plan.profile.enabled is None and self.state is DriveState.READY
+        if silent and not self.jobs and not self.is_stopping:
+            self._write_all(self.plan.profile.disarm)
 
     def tell(self, wanted: Wanted) -> None:
         """Only the set-points."""

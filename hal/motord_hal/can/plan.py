@@ -216,6 +216,9 @@ class CanPlan:
             return question_s + time_s(frame)
 
         cycle_s = sum(time_s(frame) for frame in self.setpoint_frames)
+        names = [frame.name for frame in self.setpoint_frames]
+        answers = [frame for frame in self.table.frames.values() if frame.ask in names]
+        cycle_s += sum(time_s(frame) for frame in answers)
         cycle_s += sum(asked_s(frame) for frame in self.asked_fast)
         if self.asked_slow:
             slow_s = sum(asked_s(frame) for frame in self.asked_slow) / len(self.asked_slow)

@@ -7,6 +7,7 @@ follows only from several of them together is checked in `check.py`.
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Iterable
@@ -34,7 +35,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -97,9 +98,12 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     motor = root.table("motor", required=False)
     steps = root.table("steps")
     protocol = root.text("protocol", choices=PROTOCOLS)
+    counts_per_turn = motor.integer("counts_per_turn", 0, 1 << 30, 0)
     pole_pairs = motor.integer("pole_pairs", 0, 100, 0)
-    on_can = protocol == "can"
-    wire = _on_can(root, pole_pairs) if on_can else _on_serial(root, protocol, pole_pairs)
+    if protocol == "can":
+        wire = _on_can(root, pole_pairs)
+    else:
+        wire = _on_serial(root, protocol, pole_pairs, counts_per_turn)
     profile = DriveProfile(
         name=root.text("name"),
         title=root.text("title"),
@@ -107,7 +111,7 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         source=root.text("source"),
         path=path,
         **wire,
-        counts_per_turn=motor.integer("counts_per_turn", 0, 1 << 30, 0),
+        counts_per_turn=counts_per_turn,
         counter_bits=motor.one_of("counter_bits", (0, 8, 15, 16, 24, 32), 0),
         channels=_channels(root.table("channel")),
         configure=_steps(steps, "configure"),
@@ -126,14 +130,14 @@ def _profile(root: Table, path: Path) -> DriveProfile:
     return profile
 
 
-def _on_serial(root: Table, protocol: str, pole_pairs: int) -> dict[str, Any]:
+def _on_serial(root: Table, protocol: str, pole_pairs: int, counts_per_turn: int) -> dict[str, Any]:
     """What the profile of a drive on a serial line says of the wire, and its registers."""
     serial = root.table("serial")
     # where the protocol leaves no choice, the file need not say it
-    one, six = (None, None) if protocol == "modbus-rtu" else (1, 6)
+    one, six = (None, None) if protocol in ("modbus-rtu", "roboclaw") else (1, 6)
     both = "read_write_function" in serial
     wire = {
-        "registers": _registers(root.table("register"), pole_pairs),
+        "registers": _registers(root.table("register"), pole_pairs, counts_per_turn),
         "baudrate": serial.integer("baudrate", 300, 4_000_000),
         "parity": serial.text("parity", choices=("none", "even", "odd")),
         "stop_bits": serial.one_of("stop_bits", (1, 2)),
@@ -170,20 +174,20 @@ def _on_can(root: Table, pole_pairs: int) -> dict[str, Any]:
     return wire
 
 
-def _registers(parent: Table, pole_pairs: int) -> dict[str, Register]:
+def _registers(parent: Table, pole_pairs: int, counts_per_turn: int) -> dict[str, Register]:
     found = {}
     for name in parent:
         if not _NAME.fullmatch(name):
             parent.complain(name, "a register's name is lower case letters, digits and _")
-        found[name] = _register(name, parent.table(name), pole_pairs)
+        found[name] = _register(name, parent.table(name), pole_pairs, counts_per_turn)
     if not found:
         parent.problems.add(parent.name, "there is no register")
     return found
 
 
-def _register(name: str, table: Table, pole_pairs: int) -> Register:
+def _register(name: str, table: Table, pole_pairs: int, counts_per_turn: int) -> Register:
     bound = 1e12
-    unit = table.text("unit", "", choices=(*SI_UNITS, "hz"))
+    unit = table.text("unit", "", choices=(*SI_UNITS, "hz", "count/s"))
     register = Register(
         name=name,
         address=table.integer("address", 0, 0xFFFF),
@@ -203,7 +207,16 @@ def _register(name: str, table: Table, pole_pairs: int) -> Register:
     table.finish()
     if unit == "hz":
         return _of_frequency(register, table, pole_pairs)
+    if unit == "count/s":
+        return _of_edges(register, table, counts_per_turn)
     return register
+
+
+def _of_edges(register: Register, table: Table, counts_per_turn: int) -> Register:
+    """The same register in rad/s of the shaft: 2π / edges of a turn."""
+    if not counts_per_turn:
+        table.complain("unit", '"count/s" needs motor.counts_per_turn to become a speed')
+    return _in_unit(register, "rad/s", 2.0 * math.pi / max(counts_per_turn, 1))
 
 
 def _of_frequency(register: Register, table: Table, pole_pairs: int) -> Register:
@@ -211,14 +224,17 @@ def _of_frequency(register: Register, table: Table, pole_pairs: int) -> Register
     turns slower than its field by its slip."""
     if not pole_pairs:
         table.complain("unit", '"hz" needs motor.pole_pairs to become a speed')
-    rpm = 60.0 / max(pole_pairs, 1)
+    return _in_unit(register, "rpm", 60.0 / max(pole_pairs, 1))
+
+
+def _in_unit(register: Register, unit: str, factor: float) -> Register:
     least, most = register.minimum, register.maximum
     return replace(
         register,
-        unit="rpm",
-        scale=register.scale * rpm,
-        minimum=None if least is None else least * rpm,
-        maximum=None if most is None else most * rpm,
+        unit=unit,
+        scale=register.scale * factor,
+        minimum=None if least is None else least * factor,
+        maximum=None if most is None else most * factor,
     )
 
 

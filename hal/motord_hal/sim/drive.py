@@ -83,6 +83,7 @@ class SimulatedDrive:
             for name in ("arm", "disarm", "quick_stop", "clear_fault")
             if _commands(profile, name)
         }
+        self._switching = _switching(profile)
         self._always_on = not any(step.value is not None for step in profile.arm)
         self._switch(on=self._always_on)
         self._heard_s = math.inf
@@ -183,6 +184,8 @@ class SimulatedDrive:
 
     def _obey(self, written: list[tuple[str, int]]) -> None:
         for name, raw in written:
+            if name in self._switching:
+                self._switch(on=not any(m.stopped_by_fault for m in self._motors.values()))
             self._follow_sequences(name, raw)
             self._setting_taken |= name in self._settings
         for motor in self._motors.values():
@@ -203,6 +206,8 @@ class SimulatedDrive:
             for motor in self._motors.values():
                 motor.faults.clear()
         if self._always_on:
+            if "disarm" in done:
+                self._zero_setpoints()
             return
         if "arm" in done:
             self._switch(on=not any(motor.stopped_by_fault for motor in self._motors.values()))
@@ -343,7 +348,8 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
         return CanContent(profile, profile.can)
     if profile.protocol == "ddsm":
         return FrameContent(profile)
-    return RegisterFile(profile) if profile.protocol == "modbus-rtu" else NamedContent(profile)
+    words = profile.protocol in ("modbus-rtu", "roboclaw")
+    return RegisterFile(profile) if words else NamedContent(profile)
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
@@ -351,6 +357,13 @@ def _commands(profile: DriveProfile, name: str) -> bool:
     setpoints = {channel.setpoint for channel in profile.channels.values()}
     writes = {step.register for step in getattr(profile, name) if step.value is not None}
     return profile.can is None or not writes or not writes <= setpoints
+
+
+def _switching(profile: DriveProfile) -> set[str]:
+    """The set-points that switch the motor on by themselves."""
+    if profile.can is None or profile.can.idle_setpoints:
+        return set()
+    return {channel.setpoint for channel in profile.channels.values()}
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:

@@ -15,8 +15,9 @@ from motord_hal.modbus.codec import (
     seal,
     sealed,
 )
+from motord_hal.roboclaw import codec as roboclaw
 from motord_hal.sim.drive import SimulatedDrive
-from motord_hal.sim.slave import Answer, answer, answer_ddsm
+from motord_hal.sim.slave import Answer, answer, answer_ddsm, answer_roboclaw
 
 
 class Rewriting(Protocol):
@@ -107,6 +108,41 @@ class DdsmFraming:
         return ddsm.seal(bytes((unit,)) + frame[1:])
 
 
+class RoboclawFraming:
+    """Packets (motord_hal.roboclaw.codec)."""
+
+    def whole(self, frame: bytes) -> bool:
+        return roboclaw.packet_bytes(frame) == len(frame)
+
+    def good(self, frame: bytes) -> bool:
+        try:
+            roboclaw.parse_packet(frame)
+        except roboclaw.PacketError:
+            return False
+        return True
+
+    def is_broadcast(self, frame: bytes) -> bool:
+        del frame
+        return False
+
+    def is_answered(self, frame: bytes) -> bool:
+        del frame
+        return True
+
+    def answer(
+        self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+    ) -> Answer | None:
+        return answer_roboclaw(frame, drives, now_s)
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        del frame, code
+        return b""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        """The address is in the check sum alone."""
+        return frame[:-1] + bytes((frame[-1] ^ unit,))
+
+
 class Unaddressed:
     """Of a board alone on its port: nobody else is there, and it refuses nothing."""
 
@@ -121,4 +157,6 @@ class Unaddressed:
 
 def framing_of(kind: str) -> Framing:
     """Of a line's kind."""
+    if kind == "roboclaw":
+        return RoboclawFraming()
     return DdsmFraming() if kind == "ddsm" else ModbusFraming()

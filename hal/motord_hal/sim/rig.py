@@ -32,6 +32,7 @@ from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
 from motord_hal.sim.port import Port, PtyPort
 from motord_hal.sim.server import ControlServer
 from motord_hal.sim.tcp import RawTcpPort
+from motord_hal.sim.text_talk import TextTalk
 from motord_hal.sim.wire import Clock
 
 if TYPE_CHECKING:
@@ -180,6 +181,8 @@ class Rig:
         if line.kind == "mcu":
             talk = FrameTalk(line.joints[0].profile)
             return SimulatedBoard(line, drives, self.script, port, talk)
+        if line.kind == "ascii":
+            return SimulatedBoard(line, drives, self.script, port, TextTalk(line))
         return SimulatedLine(line, drives, self.script, port)
 
     def _make_can_line(

@@ -15,6 +15,7 @@ from motord_hal.modbus.codec import (
     build_reply,
     parse_request,
 )
+from motord_hal.roboclaw import codec as roboclaw
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.registers import ILLEGAL_FUNCTION, ILLEGAL_VALUE, Refusal
 
@@ -72,3 +73,17 @@ def answer_ddsm(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
         return None
     reply = drive.execute_ddsm(frame, now_s)
     return None if reply is None or not ddsm.is_answered(frame[1]) else Answer(drive, reply)
+
+
+def answer_roboclaw(
+    packet: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+) -> Answer | None:
+    """What the controllers do with a good packet; what they cannot do they ignore."""
+    drive = drives.get(packet[0])
+    if drive is None or not drive.on:
+        return None
+    try:
+        words = drive.execute(roboclaw.parse_packet(packet), now_s)
+    except Refusal:
+        return None
+    return Answer(drive, roboclaw.build_reply(packet, words))

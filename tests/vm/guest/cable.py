@@ -6,17 +6,16 @@ import contextlib
 import json
 import os
 import select
-import subprocess
 import threading
 from pathlib import Path
 
-from daemon_stage import ROBOT, Stage, connected, ended, wait_until
+from shell import wait_until
 
-from motord.client import Refused
 from motord.tools.simulator import start_simulator
 from motord_hal.serial.settings import set_raw
 from motord_hal.serial.sysfs import usb_ports
 
+ROBOT = Path("/project/config/robots/demo.toml")
 UART = "/dev/ttyS1"
 ADAPTER_SERIAL = "A10K3XYZ"
 SLOW_PROFILE = "./zlac8015d.toml"
@@ -88,22 +87,23 @@ class Bridge:
 
 def robot_file(folder, port, *, name="demo", **line):
     """A robot of config/robots/demo.toml that waits longer than any emulated machine is late."""
-    profile = Path(ROBOT).parents[1] / "drives/zlac8015d.toml"
+    profile = ROBOT.parents[1] / "drives/zlac8015d.toml"
     text = profile.read_text(encoding="utf-8")
-    slow = text.replace("turnaround_s = 0.005", "turnaround_s = 0.5")
+    slow = text.replace("turnaround_s = 0.005", "turnaround_s = 2.0")
     (folder / SLOW_PROFILE).write_text(slow, encoding="utf-8")
-    text = Path(ROBOT).read_text(encoding="utf-8")
+    text = ROBOT.read_text(encoding="utf-8")
     keys = "".join(f"{key} = {json.dumps(value)}\n" for key, value in line.items())
     for old, new in (
         ('name = "demo"', f'name = "{name}"'),
-        ("rate_hz = 1000", "rate_hz = 100"),
+        ("rate_hz = 1000", "rate_hz = 50"),
         ('drive = "zlac8015d"', f'drive = "{SLOW_PROFILE}"'),
-        ("command_timeout_s = 0.3", "command_timeout_s = 5.0"),
-        ("feedback_timeout_s = 0.25", "feedback_timeout_s = 4.0"),
-        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 4.0"),
-        ("drive_watchdog_s = 0.5", "drive_watchdog_s = 4.0"),
+        ("command_timeout_s = 0.3", "command_timeout_s = 8.0"),
+        ("feedback_timeout_s = 0.25", "feedback_timeout_s = 8.0"),
+        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 8.0"),
+        ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
         ('port = "/dev/ttyUSB0"', f"port = {json.dumps(str(port))}\n{keys}"),
-        ("cycle_hz = 50", "cycle_hz = 10"),
+        ("cycle_hz = 50", "cycle_hz = 5"),
+        ('[publish.console]\nkind = "stdout"\nrate_hz = 1\n', ""),
     ):
         assert old in text, old
         text = text.replace(old, new)
@@ -120,44 +120,3 @@ def simulated_drive(folder, far_end):
         Bridge(simulator.ports["rs485"], far_end),
     ):
         yield simulator.control
-
-
-@contextlib.contextmanager
-def daemon(folder, robot, sim):
-    """motord run on a robot file, in the foreground."""
-    log, socket = folder / "daemon.log", folder / "daemon.sock"
-    with log.open("wb") as sink:
-        process = subprocess.Popen(
-            ["motord", "run", str(robot), "--socket", str(socket)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=sink,
-        )  # fmt: skip
-    with contextlib.ExitStack() as cleanup:
-        cleanup.callback(ended, process)
-        client = cleanup.enter_context(connected(process, socket, log))
-        yield Stage(process, sim, socket, log, client)
-
-
-def drive_on(stage, speed_m_s=0.5):
-    """Armed, and the true wheels turn."""
-    stage.wait_for("idle")
-    stage.robot.arm()
-
-    def turning():
-        stage.robot.drive(speed_m_s, 0.0)
-        joints = stage.sim.truth().joints.values()
-        return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)
-
-    wait_until(turning, f"the wheels turn\n{stage.said()}")
-
-
-def granted(ask):
-    """Asks until it is not refused any more."""
-
-    def attempt():
-        try:
-            ask()
-        except Refused:
-            return False
-        return True
-
-    wait_until(attempt, "it is granted")

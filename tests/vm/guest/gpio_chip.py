@@ -7,7 +7,7 @@ Source: kernel, Documentation/admin-guide/gpio/gpio-sim.rst.
 import contextlib
 from pathlib import Path
 
-from daemon_stage import wait_until
+from shell import wait_until
 
 CONFIG = Path("/sys/kernel/config/gpio-sim")
 

@@ -2,24 +2,13 @@
 """The daemon on serial ports of the kernel's own drivers: 8250 and ftdi_sio."""
 
 import os
-import signal
 from pathlib import Path
 
 import pytest
-from cable import (
-    ADAPTER_SERIAL,
-    UART,
-    adapter,
-    daemon,
-    drive_on,
-    granted,
-    plug,
-    pull,
-    robot_file,
-    simulated_drive,
-)
-from daemon_stage import wait_until
+from cable import ADAPTER_SERIAL, UART, adapter, plug, pull, robot_file, simulated_drive
 from gpio_chip import gpio_chip
+from shell import wait_until
+from stage import daemon, granted
 
 from motord.tools.scan import spec_of
 from motord_hal.errors import PortError
@@ -36,21 +25,16 @@ def plugged():
     plug()
 
 
-def rests_without_power(sim):
-    truth = sim.truth()
-    return truth.at_rest and not any(joint.enabled for joint in truth.joints.values())
-
-
 def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path):
     with (
         simulated_drive(tmp_path, adapter()) as sim,
         daemon(tmp_path, robot_file(tmp_path, UART), sim) as stage,
     ):
-        drive_on(stage)
+        stage.drive_on()
         stage.robot.stop()
         wait_until(lambda: sim.truth().at_rest, "the wheels rest")
         stage.robot.disarm()
-        assert rests_without_power(sim)
+        assert stage.rests_without_power()
         assert stage.robot.status()["lines"]["rs485"]["engine"] == "rt"
 
 
@@ -62,7 +46,7 @@ def test_an_adapter_that_was_pulled_is_found_again_and_the_drives_are_disarmed(t
         simulated_drive(tmp_path, UART) as sim,
         daemon(tmp_path, robot_file(tmp_path, port[kind]), sim) as stage,
     ):
-        drive_on(stage)
+        stage.drive_on()
         before = adapter()
         somebody = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         pull()
@@ -73,9 +57,9 @@ def test_an_adapter_that_was_pulled_is_found_again_and_the_drives_are_disarmed(t
         os.close(somebody)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"
-        assert rests_without_power(sim)
+        assert stage.rests_without_power()
         granted(stage.robot.reset)
-        drive_on(stage)
+        stage.drive_on()
 
 
 def test_the_kernel_counts_what_a_uart_received():
@@ -126,9 +110,9 @@ def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, talkin
             direction_gpio_line="DE", direction_active_high=bool(talking), direction_after_s=0.005,
         )  # fmt: skip
         with simulated_drive(tmp_path, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
-            drive_on(stage)
+            stage.drive_on()
             wait_until(lambda: level_of("DE") == talking, "it talks")
             wait_until(lambda: level_of("DE") != talking, "it listens")
             stage.robot.disarm()
-            stage.end(signal.SIGKILL)  # the kernel gives the line back: it falls to its pull
+            stage.process.kill()  # the kernel gives the line back: it falls to its pull
             wait_until(lambda: level_of("DE") == 0, "nobody drives the pair")

@@ -23,7 +23,10 @@ URGENT = ("estop", "stop")
 CALLS_MAX = 4
 FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
+OLD_S = 3600.0
+"""Whatever is older is as old as this: it is not obeyed."""
 SAY_AGAIN_S = 10.0
+_SHORT = 40
 
 _log = logging.getLogger(__name__)
 
@@ -68,8 +71,10 @@ class Desk:
             stamp = message["header"]["stamp"] if "header" in message else None
             linear_m_s = _number(twist["linear"]["x"])
             angular_rad_s = _number(twist["angular"]["z"])
-            said_s = None if stamp is None else stamp["sec"] + stamp["nanosec"] * 1e-9
-        except (KeyError, TypeError) as error:
+            said_s = None
+            if stamp is not None:
+                said_s = _number(stamp["sec"]) + _number(stamp["nanosec"]) * 1e-9
+        except (KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
         if said_s is None:
             if self._stamped:
@@ -78,14 +83,14 @@ class Desk:
         if said_s == 0.0:
             raise self._no("its stamp is zero: when was it given? (or stamped = false)")
         age_s = time.time() - said_s
-        if not -FUTURE_S <= age_s < float("inf"):
+        if not age_s >= -FUTURE_S:
             raise self._no("its stamp is in the future: do the clocks agree?")
-        return linear_m_s, angular_rad_s, max(age_s, 0.0)
+        return linear_m_s, angular_rad_s, min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object) -> Any:
         """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
         if method not in METHODS:
-            raise self._no(f"{method!r} is not one of {', '.join(METHODS)}")
+            raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
         if self._calls >= CALLS_MAX and method not in URGENT:
             raise self._no(f"{CALLS_MAX} calls are under way")
         self._calls += 1
@@ -107,7 +112,18 @@ class Desk:
 
 
 def _number(value: object) -> float:
-    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError."""
+    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError, and
+    OverflowError for a whole number that is too large."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
+        raise TypeError(f"{short(value)} is no number")
     return float(value)
+
+
+def short(value: object) -> str:
+    """What a stranger sent, fit for a sentence: it may be long, and nested deeply."""
+    return repr(value[:_SHORT]) if isinstance(value, str) else f"a {type(value).__name__}"
+
+
+def tag(value: object) -> str | int | None:
+    """What an answer repeats of its question; nothing, where it is neither text nor number."""
+    return value if isinstance(value, str | int) else None

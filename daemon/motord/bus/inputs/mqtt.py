@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import Desk, NotTaken
+from motord.bus.inputs.desk import Desk, NotTaken, tag
 from motord.bus.mqtt_connection import MqttConnection
 from motord.config import MqttInput
 
@@ -79,9 +79,10 @@ class MqttCommands:
         return request if isinstance(request, Mapping) else {}
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
-        answer: dict[str, Any] = {"id": request.get("id"), "method": request.get("method")}
+        number, method = tag(request.get("id")), tag(request.get("method"))
+        answer: dict[str, Any] = {"id": number, "method": method}
         try:
-            answer["result"] = await self._desk.act(request.get("method"))
+            answer["result"] = await self._desk.act(method)
         except NotTaken as error:
             answer["error"] = str(error)
         await client.publish(self._answer_topic, self._connection.encode(answer), 1)

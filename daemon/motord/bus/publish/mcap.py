@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records to MCAP files (mcap.dev): all that comes, or what was before and after a fault.
+"""Records to MCAP files (mcap.dev), as rosbag2 writes them: all that comes, or what was before and
+after a fault.
 
 A thread does the writing: a disk that stalls costs samples, counted, and nothing else. A disk that
 is full is said once, and tried again.
@@ -14,10 +15,9 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from motord.bus import json_form
 from motord.bus.feed import Sample
-from motord.bus.message_types import Time
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
+from motord.bus.ros2 import cdr
 from motord.config import McapPublish
 
 if TYPE_CHECKING:
@@ -168,12 +168,5 @@ class McapRecorder:
 
 
 def _entry(sample: Sample) -> Entry:
-    return Entry(sample.topic.name, _log_ns(sample), json_form.encode(sample.message))
-
-
-def _log_ns(sample: Sample) -> int:
-    """The sample's own moment."""
-    message = sample.message
-    header = message.transforms[0].header if hasattr(message, "transforms") else message.header
-    stamp: Time = header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    data = bytes(cdr.encode(sample.topic.type_name, sample.message))
+    return Entry(sample.topic.name, sample.stamp_ns, data)

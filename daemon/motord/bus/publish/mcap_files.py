@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import time
 from collections.abc import Iterable
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from motord.bus.json_schema import schema_of
+from motord.bus.ros2.types import definition
 from motord.bus.topics import TOPICS
 from motord.snapshot import SNAPSHOT_VERSION
 
@@ -26,7 +25,7 @@ CHUNK_BYTES = 256 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One encoded message. `log_ns` is wall time."""
+    """One message in ROS 2's encoding. `log_ns` is wall time."""
 
     topic: str
     log_ns: int
@@ -41,7 +40,7 @@ class Recording:
         self.path = path
         self._file: BufferedWriter = path.open("xb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(library="motord")
+        self._writer.start(profile="ros2", library="motord")
         self._writer.add_metadata(
             "motord", {"robot": robot, "snapshot_version": str(SNAPSHOT_VERSION)}
         )
@@ -63,9 +62,11 @@ class Recording:
 
     def _channel(self, topic: str) -> int:
         if topic not in self._channels:
-            schema = json.dumps(schema_of(TOPICS[topic].message)).encode()
-            number = self._writer.register_schema(TOPICS[topic].type_name, "jsonschema", schema)
-            self._channels[topic] = self._writer.register_channel(f"/{topic}", "json", number)
+            name = TOPICS[topic].type_name
+            number = self._writer.register_schema(name, "ros2msg", definition(name).encode())
+            self._channels[topic] = self._writer.register_channel(
+                f"/{topic}", "cdr", number, {"offered_qos_profiles": ""}
+            )
         return self._channels[topic]
 
     def close(self) -> None:

@@ -1,0 +1,94 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * api_bridge.h: motor bridges on PWM channels and GPIO lines, driven by a thread of their own. Read by cffi too. */
+
+enum { PWM_OUTPUTS_MAX = 32, BRIDGE_MODES = 4 };
+
+/* What a bridge does with its motor. COAST is what it is left in: no power. */
+enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
+
+/* What the line is told: OFF no power, at once; STOP brakes for stopping_ns, then no power; ARMED follow the set-points. */
+enum { PWM_OFF, PWM_STOP, PWM_ARMED };
+
+/* Why it is not armed any more though it was told to be. */
+enum { PWM_DEMOTED_OLD = 1 << 0, PWM_DEMOTED_NOT_ENABLED = 1 << 1, PWM_DEMOTED_LEFT_ALONE = 1 << 2 };
+
+/* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
+typedef struct {
+    uint32_t joint;             /* place in bridge_config.joint */
+    int32_t fd;                 /* of a duty_cycle file; -1: a GPIO line */
+    uint32_t bit;               /* GPIO: of the request's lines */
+    uint32_t inverted;          /* the pin is active low */
+    uint64_t period_ns;         /* of the channel */
+    double base[4];             /* by mode */
+    double slope[4];
+} bridge_pin;
+
+typedef struct {
+    uint32_t index;             /* the core's joint */
+    uint32_t rest_mode;         /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
+    double sign;                /* -1: the motor turns backward when the robot drives forward */
+    uint64_t fault_mask;        /* of the input request's lines: one that is active is a fault */
+} bridge_joint;
+
+typedef struct {
+    exchange *exchange;         /* NULL: the loop's */
+    int32_t outputs_fd;         /* request of all GPIO outputs, -1: none */
+    int32_t inputs_fd;          /* request of all GPIO inputs, -1: none */
+    int32_t event_fd;           /* written when the report has news, -1: none */
+    int32_t priority;           /* SCHED_FIFO; 0: SCHED_OTHER */
+    uint64_t cpu_mask;          /* 0: all */
+    int64_t period_ns;
+    int64_t setpoint_timeout_ns;
+    int64_t stopping_ns;
+    uint32_t epoch;
+    uint32_t joint_count;
+    uint32_t output_count;
+    bridge_joint joint[8];
+    bridge_pin output[32];
+} bridge_config;
+
+typedef struct {
+    uint32_t wish;              /* PWM_OFF, PWM_STOP, PWM_ARMED */
+    uint32_t number;            /* another one than before: a new wish. ARMED is obeyed once a number */
+} bridge_control;
+
+typedef struct {
+    uint32_t running;
+    uint32_t armed;
+    uint32_t stopping;
+    uint32_t demoted;           /* of the last arming */
+    uint32_t number;            /* of the wish that was obeyed last */
+    int32_t error;              /* errno that ended the thread */
+    int32_t error_output;       /* at which output, -1: the GPIO request */
+    int32_t policy;
+    int32_t scheduler_errno;
+    uint32_t reserved;
+    uint64_t active_inputs;     /* bits of the input request */
+    uint64_t cycles;
+    uint64_t late_cycles;       /* periods that were missed */
+    uint64_t writes;
+} bridge_report;
+
+/* -------------------------------------------------------------------------------- pure: what the pins shall be */
+typedef struct {
+    uint32_t armed;
+    uint32_t was_enabled;
+    uint32_t demoted;
+    uint32_t number;
+    int64_t stop_until_ns;      /* 0: not stopping */
+    int64_t last_ns;
+} bridge_state;
+
+/* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */
+void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
+                 int64_t now_ns, double *level);
+/* Of a level: how much of the period is high, with the pin's polarity. */
+uint64_t bridge_duty_ns(const bridge_pin *output, double level);
+int bridge_config_check(const bridge_config *config);     /* 0 or -EINVAL */
+
+/* ------------------------------------------------------------------------------------------------- the thread
+ * The descriptors stay the caller's, who closes them after pwm_line_stop. Whatever ends it, the last words are COAST. */
+int pwm_line_start(uint32_t line, const bridge_config *config);
+int pwm_line_stop(uint32_t line);
+void pwm_line_put_control(uint32_t line, const bridge_control *control);
+int pwm_line_read_report(uint32_t line, bridge_report *out);

@@ -1,0 +1,309 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * output_pwm.c: the thread of a line of motor bridges: descriptors, deadlines, order of writes. bridge.c says the levels.
+ * Sources: kernel, Documentation/driver-api/pwm.rst (sysfs) and include/uapi/linux/gpio.h (v2). */
+#include <errno.h>
+#include <linux/gpio.h>
+#include <math.h>
+#include <pthread.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "loop.h"
+
+static const int64_t NS_PER_S = 1000000000;
+static const int64_t REPORT_EVERY_NS = 40 * 1000000;
+static const int32_t AT_GPIO = -1;
+
+typedef struct {
+    mailbox box;
+    bridge_control slot[MAILBOX_SLOTS];
+} control_box_pwm;
+
+typedef struct {
+    mailbox box;
+    bridge_report slot[MAILBOX_SLOTS];
+} report_box_pwm;
+
+typedef struct {
+    bridge_config config;
+    loop_grant grant;
+    pthread_t thread;
+    exchange *exchange;
+    control_box_pwm control;
+    report_box_pwm report;
+    bridge_control wish;
+    bridge_state state;
+    setpoints newest;
+    bridge_report out;
+    uint64_t duty_ns[PWM_OUTPUTS_MAX];
+    bool known[PWM_OUTPUTS_MAX];        /* duty_ns is what the file was told */
+    uint64_t bits;
+    bool bits_known;
+    int64_t reported_ns;
+    uint32_t number;
+    bool made, joinable;
+    _Atomic bool stop_asked;
+} pwm_thread;
+
+static pwm_thread threads[LINES_MAX];
+
+/* --------------------------------------------------------------------------------------------------- the pins */
+static int write_number(int fd, uint64_t value)
+{
+    char text[24];
+    size_t at = sizeof text;
+    do {
+        text[--at] = (char)('0' + value % 10);
+        value /= 10;
+    } while (value != 0);
+    ssize_t size = (ssize_t)(sizeof text - at);
+    ssize_t wrote = pwrite(fd, text + at, (size_t)size, 0);
+    return wrote == size ? 0 : wrote < 0 ? -errno : -EIO;
+}
+
+static int write_duty(pwm_thread *t, uint32_t i, uint64_t duty_ns)
+{
+    if (t->known[i] && t->duty_ns[i] == duty_ns) {
+        return 0;
+    }
+    int error = write_number(t->config.output[i].fd, duty_ns);
+    t->known[i] = error == 0;
+    t->duty_ns[i] = duty_ns;
+    t->out.writes++;
+    t->out.error_output = error != 0 ? (int32_t)i : t->out.error_output;
+    return error;
+}
+
+static int write_bits(pwm_thread *t, uint64_t bits, uint64_t mask)
+{
+    if (mask == 0 || (t->bits_known && bits == t->bits)) {
+        return 0;
+    }
+    struct gpio_v2_line_values values = {.bits = bits, .mask = mask};
+    int error = ioctl(t->config.outputs_fd, GPIO_V2_LINE_SET_VALUES_IOCTL, &values) == 0 ? 0 : -errno;
+    t->bits_known = error == 0;
+    t->bits = bits;
+    t->out.writes++;
+    t->out.error_output = error != 0 ? AT_GPIO : t->out.error_output;
+    return error;
+}
+
+static void wanted_bits(const pwm_thread *t, const double *level, uint64_t *bits, uint64_t *mask)
+{
+    *bits = *mask = 0;
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        const bridge_pin *output = &t->config.output[i];
+        if (output->fd < 0) {
+            bool high = (level[i] >= 0.5) != (output->inverted != 0);
+            *mask |= 1ull << output->bit;
+            *bits |= (uint64_t)high << output->bit;
+        }
+    }
+}
+
+/* Pins of a joint whose GPIO lines change: its channels rest meanwhile, or the old duty would meet the new direction. */
+static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
+{
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        const bridge_pin *output = &t->config.output[i];
+        if (output->joint == joint && output->fd < 0 && ((bits ^ t->bits) >> output->bit & 1) != 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* What must go down goes down first, then the lines, then what goes up. The first error; all are tried. */
+static int apply(pwm_thread *t, const double *level)
+{
+    uint64_t bits, mask;
+    int first = 0;
+    wanted_bits(t, level, &bits, &mask);
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        const bridge_pin *output = &t->config.output[i];
+        if (output->fd >= 0) {
+            double low = output->base[BRIDGE_COAST];
+            bool resting = mask != 0 && (!t->bits_known || turns(t, output->joint, bits));
+            int error = resting || level[i] == low ? write_duty(t, i, bridge_duty_ns(output, low)) : 0;
+            first = first != 0 ? first : error;
+        }
+    }
+    int error = write_bits(t, bits, mask);
+    first = first != 0 ? first : error;
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        if (t->config.output[i].fd >= 0) {
+            error = write_duty(t, i, bridge_duty_ns(&t->config.output[i], level[i]));
+            first = first != 0 ? first : error;
+        }
+    }
+    return first;
+}
+
+/* COAST everywhere, whatever fails. */
+static int rest(pwm_thread *t)
+{
+    double level[PWM_OUTPUTS_MAX];
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        level[i] = t->config.output[i].base[BRIDGE_COAST];
+        t->known[i] = false;
+    }
+    t->bits_known = false;
+    return apply(t, level);
+}
+
+static int read_inputs(pwm_thread *t)
+{
+    struct gpio_v2_line_values values = {.mask = 0};
+    if (t->config.inputs_fd < 0) {
+        return 0;
+    }
+    for (uint32_t i = 0; i < t->config.joint_count; i++) {
+        values.mask |= t->config.joint[i].fault_mask;
+    }
+    if (ioctl(t->config.inputs_fd, GPIO_V2_LINE_GET_VALUES_IOCTL, &values) != 0) {
+        t->out.error_output = AT_GPIO;
+        return -errno;
+    }
+    t->out.active_inputs = values.bits;
+    return 0;
+}
+
+/* ------------------------------------------------------------------------------------------------- the hand-over */
+static void feed_back(const pwm_thread *t, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < t->config.joint_count; i++) {
+        joint_feedback feedback = {
+            .stamp_ns = now_ns,
+            .velocity_rad_s = NAN,
+            .current_a = NAN,
+            .voltage_v = NAN,
+            .temperature_c = NAN,
+            .epoch = t->config.epoch,
+            .enabled = 2,
+            .drive_faults = (t->out.active_inputs & t->config.joint[i].fault_mask) != 0,
+        };
+        (void)exchange_put_feedback(t->exchange, t->config.joint[i].index, &feedback);
+    }
+}
+
+static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, uint64_t inputs_before)
+{
+    bool armed = t->state.armed != 0, stopping = t->state.stop_until_ns != 0;
+    bool news = armed != (t->out.armed != 0) || stopping != (t->out.stopping != 0) || !running ||
+                t->out.number != t->state.number || t->out.active_inputs != inputs_before;
+    t->out.running = running;
+    t->out.error = -error;
+    t->out.armed = armed;
+    t->out.stopping = stopping;
+    t->out.demoted = t->state.demoted;
+    t->out.number = t->state.number;
+    t->out.policy = t->grant.policy;
+    t->out.scheduler_errno = t->grant.scheduler_errno;
+    if (news || now_ns - t->reported_ns >= REPORT_EVERY_NS) {
+        t->reported_ns = now_ns;
+        mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    }
+    const uint64_t one = 1;
+    if (news && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
+        return;   /* full: it is told already */
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------- the thread */
+static int cycle(pwm_thread *t, int64_t now_ns)
+{
+    double level[PWM_OUTPUTS_MAX];
+    uint64_t inputs_before = t->out.active_inputs;
+    int error = read_inputs(t);
+    (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
+    (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
+    bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);
+    int wrote = error == 0 ? apply(t, level) : 0;
+    error = error != 0 ? error : wrote;
+    t->out.cycles++;
+    if (error == 0) {
+        feed_back(t, now_ns);
+        put_report(t, true, 0, now_ns, inputs_before);
+    }
+    return error;
+}
+
+static void *run(void *arg)
+{
+    pwm_thread *t = arg;
+    loop_thread_prepare(&(loop_config){.cpu_mask = t->config.cpu_mask}, &t->grant);
+    (void)pthread_setname_np(pthread_self(), "motord-pwm");
+    int error = rest(t);
+    int64_t due_ns = clock_now_ns();
+    while (!t->stop_asked && error == 0) {
+        struct timespec until = {.tv_sec = due_ns / NS_PER_S, .tv_nsec = due_ns % NS_PER_S};
+        (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
+        int64_t now_ns = clock_now_ns();
+        error = cycle(t, now_ns);
+        due_ns += t->config.period_ns;
+        if (due_ns < now_ns) {
+            int64_t missed = (now_ns - due_ns) / t->config.period_ns + 1;
+            t->out.late_cycles += (uint64_t)missed;
+            due_ns += missed * t->config.period_ns;
+        }
+    }
+    int32_t where = t->out.error_output;
+    int rested = rest(t);
+    t->out.error_output = error != 0 ? where : t->out.error_output;
+    t->state.armed = 0;
+    t->state.stop_until_ns = 0;
+    put_report(t, false, error != 0 ? error : rested, clock_now_ns(), t->out.active_inputs);
+    return NULL;
+}
+
+int pwm_line_start(uint32_t line, const bridge_config *config)
+{
+    if (line >= LINES_MAX || bridge_config_check(config) != 0) {
+        return -EINVAL;
+    }
+    pwm_thread *t = &threads[line];
+    if (t->joinable) {
+        return -EBUSY;
+    }
+    memset(t, 0, sizeof *t);
+    t->config = *config;
+    t->number = line;
+    t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
+    mailbox_init(&t->control.box);
+    mailbox_init(&t->report.box);
+    t->out.running = 1;
+    t->out.error_output = AT_GPIO;
+    mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
+    t->made = t->joinable = error == 0;
+    return error;
+}
+
+int pwm_line_stop(uint32_t line)
+{
+    if (line >= LINES_MAX || !threads[line].joinable) {
+        return -ESRCH;
+    }
+    threads[line].stop_asked = true;
+    int error = pthread_join(threads[line].thread, NULL);
+    threads[line].joinable = false;
+    return -error;
+}
+
+void pwm_line_put_control(uint32_t line, const bridge_control *control)
+{
+    if (line < LINES_MAX && threads[line].made) {
+        mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
+    }
+}
+
+int pwm_line_read_report(uint32_t line, bridge_report *out)
+{
+    if (line >= LINES_MAX || !threads[line].made) {
+        return -ESRCH;
+    }
+    (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);
+    return 0;
+}

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boards that read text: the line's very bytes on a pseudo-terminal."""
+
+import os
+import threading
+import tty
+
+import pytest
+from loop_side import running, until
+
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import ProfileError
+from motord_hal.lines import open_line
+from motord_hal.ports import (
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineSpec,
+    LineState,
+    TextSpec,
+    TextWheel,
+)
+from motord_hal.rt import Exchange
+
+WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.1)}
+
+
+class Reader:
+    """The board's end: keeps the lines that came, says what it is told to say."""
+
+    def __init__(self, link):
+        self.link = link
+        self.lines = []
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self):
+        tail = b""
+        while b"!" not in tail:
+            *lines, tail = (tail + os.read(self.master, 4096)).split(b"\n")
+            self.lines += lines
+
+    def say(self, text):
+        os.write(self.master, text)
+
+    def close(self):
+        os.write(self._slave, b"!")
+        self._thread.join()
+        os.close(self.master)
+        os.close(self._slave)
+        self.link.unlink()
+
+
+@pytest.fixture
+def peer(tmp_path):
+    peer = Reader(tmp_path / "board")
+    yield peer
+    peer.close()
+
+
+def spec_of(port, setpoints, feedback="", drive="ascii-duty", scale=255.0):
+    profile = find_profile(drive)
+    joints = (
+        JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
+        JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True),
+    )
+    text = TextSpec(setpoints=setpoints, feedback=feedback, scale=scale, wheels=WHEELS, track_m=0.5)
+    return LineSpec(
+        index=0, name="board", kind="ascii", port=str(port), baudrate=115200, parity="none",
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=joints, text=text,
+        watchdog_s=0.2,
+    )  # fmt: skip
+
+
+async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
+        await rig.ready()
+        await until(lambda: len(peer.lines) > 10)
+        assert set(peer.lines) == {b"0,0"}
+        await rig.line.arm()
+        await until(lambda: peer.lines[-1] == b"128,-255")
+        await rig.line.disarm()
+        await until(lambda: peer.lines[-1] == b"0,0")
+
+
+async def test_a_board_may_be_told_the_base_s_own_speeds(peer):
+    spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
+    async with running(spec) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 1.0, 1: 3.0}
+        await until(lambda: peer.lines[-1] == b"0.20 0.40")
+        rig.loop.running = False
+        await until(lambda: peer.lines[-1] in (b"0.00 0.00", b"-0.00 -0.00", b"0.00 -0.00"))
+        await until(lambda: rig.states() == {DriveState.READY})
+
+
+async def test_the_last_line_of_all_is_zero(tmp_path):
+    peer = Reader(tmp_path / "board")
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
+        await until(lambda: peer.lines[-1] == b"128,-255")
+    await until(lambda: peer.lines[-1] == b"0,0")
+    peer.close()
+
+
+async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
+    feedback = "E {left_count} {right_count} {left_rad_s} {voltage_v}\n"
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n", feedback)) as rig:
+        left = rig.loop.exchange.take_feedback
+
+        def said():
+            peer.say(b"hello\nE -7 12 1.5 11.9\r\n")
+            return left(0).stamp_ns > 0
+
+        await until(said)
+        assert left(0).count == 0xFFFFFFF9
+        assert left(1).count == 12
+        assert left(0).velocity_rad_s == pytest.approx(1.5)
+        assert left(1).velocity_rad_s != left(1).velocity_rad_s  # it was not said
+        assert left(0).voltage_v == pytest.approx(11.9)
+        assert left(0).enabled is None
+        assert rig.line.stats().errors["bad_reply"] >= 1
+        await until(lambda: rig.states() == {DriveState.QUIET}, "it says nothing any more")
+        assert EventKind.DRIVE_QUIET in rig.kinds()
+
+
+async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
+    peer = Reader(tmp_path / "board")
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+        await rig.arm()
+        await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
+        peer.close()
+        await until(lambda: rig.line.state is LineState.CLOSED)
+        assert EventKind.LINE_LOST in rig.kinds()
+
+
+def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
+    spec = spec_of(tmp_path / "x", "{left:d}\n")
+    with pytest.raises(ProfileError, match="it must say left, right"):
+        open_line(spec, Exchange.private(), print)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong on a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
+
+import errno
+
+import can
+import pytest
+from loop_side import running, until
+from scripted_odrive import CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
+from test_can_line import TURN, spec_of
+
+from motord_hal.can.bus import CanBus
+from motord_hal.can.plan import Sent
+from motord_hal.errors import PortError
+from motord_hal.ports import DriveState, EventKind
+
+BUS_OFF, CONTROLLER, NO_ACK = 0x40, 0x04, 0x20
+
+
+@pytest.fixture(params=["virtual", "udp_multicast"])
+async def peer(request):
+    async with living(Peer(request.param, nodes=(0, 3))) as peer:
+        yield peer
+
+
+@pytest.fixture
+async def rig(peer):
+    async with running(spec_of(peer, 0, 3)) as rig:
+        yield rig
+
+
+async def test_bus_off_is_said_once_and_the_drives_come_back_disarmed(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    peer.send_raw(BUS_OFF, bytes(8), is_error_frame=True)
+    await until(lambda: EventKind.LINE_LOST in rig.kinds())
+    assert "bus-off" in next(e.text for e in rig.events if e.kind is EventKind.LINE_LOST)
+    mark = len(peer.axes[0].velocities())
+    await rig.ready()
+    assert rig.kinds().count(EventKind.LINE_LOST) == 1
+    assert rig.kinds().count(EventKind.LINE_OPEN) == 2
+    stats = rig.line.stats()
+    assert (stats.errors["bus_off"], stats.reopened) == (1, 1)
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 3)
+    assert set(peer.axes[0].velocities()[mark:]) == {0.0}
+    assert peer.axes[0].state == IDLE
+
+
+async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
+    await rig.arm()
+    peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
+    await until(lambda: rig.line.stats().errors == {"no_ack": 1, "error_passive": 1})
+    assert rig.states() == {DriveState.ARMED}
+
+
+async def test_frames_that_come_make_no_frames_go_out(rig, peer):
+    await rig.arm()
+    began, cycles = len(peer.axes[0].velocities()), rig.line.stats().cycles
+    frames = rig.line.stats().exchanges
+    for hundreds in range(1, 11):
+        for _ in range(100):
+            peer.say(0, peer.axes[0], ESTIMATES)
+        enough = frames + 100 * hundreds
+        await until(lambda enough=enough: rig.line.stats().exchanges >= enough)
+    sent = len(peer.axes[0].velocities()) - began
+    assert sent <= rig.line.stats().cycles - cycles + 1
+    assert rig.states() == {DriveState.ARMED}
+
+
+async def test_remote_frames_and_long_frames_of_others_are_no_feedback(rig, peer):
+    await rig.ready()
+    peer.axes[0].no_estimates = True
+    peer.send_raw(ESTIMATES, None, is_remote_frame=True, dlc=8)
+    peer.send_raw(ESTIMATES, bytes(8), is_fd=False)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    assert rig.line.drive_states["wheel3"] is DriveState.READY
+
+
+async def test_an_adapter_that_is_not_there_is_one_event_with_a_reason(peer):
+    async with running(spec_of(peer, 0, port="slcan:/dev/nothing-here")) as rig:
+        await until(lambda: rig.events != [])
+        assert rig.kinds() == [EventKind.LINE_LOST]
+        assert "slcan:/dev/nothing-here" in rig.events[0].text
+
+
+class FullBus(can.bus.BusABC):
+    """An adapter whose queue is full, or that is pulled: python-can's own errors."""
+
+    def __init__(self, error):
+        super().__init__("full")
+        self.error = error
+
+    def send(self, msg, timeout=None):
+        raise self.error
+
+    def _recv_internal(self, timeout):
+        return None, False
+
+
+def bus_that(error):
+    bus = CanBus("virtual:full", 500000, None, [], lambda message, stamp_ns: None)
+    bus._bus = FullBus(error)
+    return bus
+
+
+FRAME = Sent(identifier=1, extended=False, fd=False, data=b"")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        can.CanOperationError("Failed to transmit", errno.ENOBUFS),
+        can.CanOperationError("Transmit buffer full"),
+        can.CanTimeoutError("too late"),
+    ],
+)
+async def test_a_full_queue_loses_the_frame_and_counts_it(error):
+    bus = bus_that(error)
+    assert bus.send(FRAME) is False
+    assert bus.errors == {"tx_full": 1}
+    assert bus.trouble is None
+    bus._bus.shutdown()
+
+
+@pytest.mark.parametrize("number", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO])
+async def test_a_bus_that_went_away_is_a_port_error_with_its_name(number):
+    bus = bus_that(can.CanOperationError("Failed to transmit", number))
+    with pytest.raises(PortError, match=errno.errorcode[number]):
+        bus.send(FRAME)
+    with pytest.raises(PortError):
+        bus.check()
+    bus._bus.shutdown()
+
+
+async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_cycle(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    real, full = rig.line._bus._bus, bus_that(can.CanTimeoutError("full"))._bus
+    rig.line._bus._bus = full
+    rig.loop.enabled = False
+    await until(lambda: rig.states() == {DriveState.READY})
+    assert peer.axes[0].states()[-1] == CLOSED_LOOP
+    rig.line._bus._bus = real
+    await until(lambda: peer.axes[0].state == peer.axes[3].state == IDLE)
+    full.shutdown()

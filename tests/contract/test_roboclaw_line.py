@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RoboClaws on the wire: which packets go out, and when wheels are held or let go."""
+
+import asyncio
+import os
+import threading
+import tty
+
+import pytest
+from loop_side import running, until
+
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import ProfileError
+from motord_hal.lines import open_line
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.roboclaw.codec import build_reply, packet_bytes
+from motord_hal.rt import Exchange
+
+SPEEDS, DUTIES, TIMEOUT, READ_TIMEOUT = 37, 34, 14, 15
+
+
+class Controller:
+    """A RoboClaw of few words: zeros for all reads but the timeout."""
+
+    def __init__(self, link):
+        self.link = link
+        self.packets = []
+        self.mute = False
+        self.timeout = 0
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self):
+        tail = b""
+        while True:
+            tail += os.read(self.master, 4096)
+            while (size := packet_bytes(tail)) is not None and len(tail) >= size:
+                packet, tail = tail[:size], tail[size:]
+                self._obey(packet)
+            if tail.startswith(b"!!"):
+                return
+
+    def _obey(self, packet):
+        self.packets.append(packet)
+        if packet[1] == TIMEOUT:
+            self.timeout = packet[2]
+        words = (self.timeout,) if packet[1] == READ_TIMEOUT else (0, 0, 0, 0)
+        if not self.mute:
+            os.write(self.master, build_reply(packet, words))
+
+    def sent(self, command):
+        return [packet for packet in self.packets if packet[1] == command]
+
+    def close(self):
+        os.write(self._slave, b"!!")
+        self._thread.join()
+        os.close(self.master)
+        os.close(self._slave)
+        self.link.unlink()
+
+
+@pytest.fixture
+def peer(tmp_path):
+    peer = Controller(tmp_path / "claw")
+    yield peer
+    peer.close()
+
+
+def spec_of(port, drive="roboclaw"):
+    profile = find_profile(drive)
+    joints = tuple(
+        JointSpec(index=n, name=name, profile=profile, unit=128, channel=n + 1)
+        for n, name in enumerate(("left", "right"))
+    )
+    return LineSpec(
+        index=0, name="claw", kind="roboclaw", port=str(port), baudrate=115200, parity="none",
+        stop_bits=1, cycle_hz=50.0, gap_s=None, engine="auto", joints=joints, watchdog_s=0.5,
+    )  # fmt: skip
+
+
+async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(peer):
+    async with running(spec_of(peer.link)) as rig:
+        await rig.ready()
+        assert peer.timeout == 5
+        assert peer.sent(READ_TIMEOUT)
+        await until(lambda: len(peer.sent(DUTIES)) > 5)
+        assert not peer.sent(SPEEDS)
+        assert {packet[2:6] for packet in peer.sent(DUTIES)} == {bytes(4)}
+
+
+async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer):
+    async with running(spec_of(peer.link)) as rig:
+        await rig.arm()
+        rig.loop.enabled = True
+        await until(lambda: peer.sent(SPEEDS))
+        assert peer.sent(SPEEDS)[-1][2:10] == bytes(8)
+        turn_rad_s = 6.283185307179586
+        rig.loop.velocity_rad_s = {0: turn_rad_s, 1: -turn_rad_s}
+        told = (1320).to_bytes(4, "big") + (-1320).to_bytes(4, "big", signed=True)
+        await until(lambda: peer.sent(SPEEDS)[-1][2:10] == told)
+        await rig.line.disarm()
+        held = len(peer.sent(SPEEDS))
+        free = len(peer.sent(DUTIES))
+        await until(lambda: len(peer.sent(DUTIES)) > free + 5)
+        assert len(peer.sent(SPEEDS)) == held
+
+
+async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer):
+    async with running(spec_of(peer.link)) as rig:
+        await rig.arm()
+        peer.mute = True
+        await until(lambda: rig.states() == {DriveState.QUIET})
+        peer.mute = False
+        await until(lambda: rig.states() == {DriveState.READY})
+        assert EventKind.DRIVE_BACK in rig.kinds()
+
+
+async def test_an_answer_that_comes_late_is_nobody_s(peer):
+    async with running(spec_of(peer.link)) as rig:
+        await rig.ready()
+        seen = rig.line.stats().exchanges
+        for _ in range(5):
+            os.write(peer.master, b"\xff\xff\xff")
+            await asyncio.sleep(0.01)
+        await until(lambda: rig.line.stats().exchanges > seen + 50)
+        assert rig.states() == {DriveState.READY}
+        feedback = rig.loop.exchange.take_feedback(0)
+        assert feedback.count == 0
+        assert feedback.drive_faults == 0
+
+
+def test_a_drive_of_another_protocol_is_refused(tmp_path):
+    with pytest.raises(ProfileError, match="speaks modbus-rtu"):
+        open_line(spec_of(tmp_path / "x", "zlac8015d"), Exchange.private(), print)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CAN lines against simulated drives that are hurt: never a wheel that turns without being told."""
+
+import pytest
+from loop_side import running, until
+from sim_bench import simulated, spec_of
+
+from motord_hal.drives.load import find_profile
+from motord_hal.ports import DriveState, EventKind
+
+SPEED_RAD_S = 3.0
+DRIVES = ["odrive-0.6", "vesc", "rmd"]
+
+
+@pytest.fixture(params=DRIVES)
+def profile(request):
+    return find_profile(request.param)
+
+
+@pytest.fixture
+def sim(profile, tmp_path):
+    with simulated(profile, tmp_path) as control:
+        yield control
+
+
+@pytest.fixture
+async def rig(profile, sim, tmp_path):
+    async with running(spec_of(profile, tmp_path)) as rig:
+        yield rig
+
+
+def speeds(sim):
+    return [joint.velocity_rad_s for joint in sim.truth().joints.values()]
+
+
+async def set_off(rig, sim):
+    await rig.arm()
+    rig.loop.enabled = True
+    rig.loop.velocity_rad_s = {0: SPEED_RAD_S, 1: SPEED_RAD_S}
+    await until(lambda: min(speeds(sim)) > 0.9 * SPEED_RAD_S, "both wheels turn")
+
+
+async def back_at_rest(rig, sim):
+    await rig.ready()
+    await until(lambda: not any(_enabled(sim)), "no wheel is driven")
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 20)
+    assert not any(_enabled(sim))
+
+
+def _enabled(sim):
+    return [joint.enabled for joint in sim.truth().joints.values()]
+
+
+async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, sim):
+    await set_off(rig, sim)
+    for unit in (1, 2):
+        sim.inject(f"reboot:unit={unit},for_s=0.8")
+    await until(lambda: rig.states() == {DriveState.QUIET}, "both are missed")
+    await back_at_rest(rig, sim)
+    assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
+
+
+async def test_a_cut_cable_stops_the_drives_by_their_watchdogs_and_they_come_back_disarmed(
+    rig, sim
+):
+    await set_off(rig, sim)
+    sim.pull("bus")
+    await until(lambda: rig.states() == {DriveState.QUIET}, "both are missed")
+    await until(lambda: not any(_enabled(sim)), "their watchdogs have bitten")
+    sim.plug("bus")
+    await back_at_rest(rig, sim)
+
+
+async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
+    await set_off(rig, sim)
+    sim.inject("bus-off:for_s=0.7")
+    await until(lambda: EventKind.LINE_LOST in rig.kinds())
+    await back_at_rest(rig, sim)
+    assert rig.line.stats().errors["bus_off"] == 1
+
+
+async def test_lost_frames_both_ways_are_borne(rig, sim):
+    sim.inject("drop:p=0.1")
+    sim.inject("unheard:p=0.1")
+    await set_off(rig, sim)
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 100)
+    rig.loop.velocity_rad_s = {}
+    await until(lambda: sim.truth().at_rest, "both wheels are at rest")
+    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    await rig.line.disarm()
+    sim.clear_faults_script()
+    await back_at_rest(rig, sim)

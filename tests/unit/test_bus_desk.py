@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever is sent, in error or on purpose: it is a twist within reason, or it is refused."""
+
+import math
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord.bus.inputs.desk import FUTURE_S, OLD_S, Desk, NotTaken, short, tag
+from motord.bus.station import Station
+from motord.config import MqttInput, load_robot
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+NUMBERS = st.floats() | st.integers() | st.just(10**400) | st.just(-(10**400))
+JSON = st.recursive(
+    st.none() | st.booleans() | NUMBERS | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(
+                ["twist", "linear", "angular", "header", "stamp", "sec", "x", "z", "a"]
+            ),
+            inner,
+            max_size=5,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+def desk(tmp_path_factory, **settings):
+    token = tmp_path_factory.mktemp("desk") / "token"
+    token.write_text("x" * 20, encoding="ascii")
+    token.chmod(0o600)
+    section = MqttInput(kind="mqtt", token_file=str(token), **settings)
+    return Desk("fleet", section, Station(load_robot(DEMO), token.with_name("no.sock")))
+
+
+@pytest.fixture(scope="module")
+def stamped(tmp_path_factory):
+    return desk(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def unstamped(tmp_path_factory):
+    return desk(tmp_path_factory, stamped=False)
+
+
+@given(message=JSON)
+def test_anything_that_is_json_is_taken_or_refused(unstamped, message):
+    with pytest.raises(NotTaken):  # there is no lease: what is well formed is refused for that
+        unstamped.drive(message)
+
+
+@given(x=NUMBERS, z=NUMBERS, sec=NUMBERS, nanosec=NUMBERS)
+def test_any_numbers_are_a_command_of_a_finite_age_or_refused(stamped, x, z, sec, nanosec):
+    message = {
+        "header": {"stamp": {"sec": sec, "nanosec": nanosec}},
+        "twist": {"linear": {"x": x}, "angular": {"z": z}},
+    }
+    try:
+        linear_m_s, angular_rad_s, age_s = stamped._twist(message)
+    except NotTaken:
+        return
+    assert 0.0 <= age_s <= OLD_S
+    assert repr((linear_m_s, angular_rad_s)) == repr((float(x), float(z)))
+
+
+def twist(age_s):
+    sec, rest = divmod(time.time() - age_s, 1.0)
+    return {
+        "header": {"stamp": {"sec": int(sec), "nanosec": int(rest * 1e9)}},
+        "twist": {"linear": {"x": 0.1}, "angular": {"z": -0.2}},
+    }
+
+
+def test_the_age_of_a_command_is_that_of_its_stamp(stamped):
+    linear_m_s, angular_rad_s, age_s = stamped._twist(twist(20.0))
+    assert (linear_m_s, angular_rad_s) == (0.1, -0.2)
+    assert age_s >= 20.0 - 1e-6
+
+
+def test_a_clock_that_is_far_ahead_is_refused_and_one_that_is_a_little_ahead_is_not(stamped):
+    with pytest.raises(NotTaken, match="clocks"):
+        stamped._twist(twist(-3600.0))
+    *_, age_s = stamped._twist(twist(-FUTURE_S / 2))
+    assert age_s == 0.0
+
+
+def test_a_command_without_a_stamp_is_refused_unless_the_robot_file_allows_it(stamped, unstamped):
+    message = {"linear": {"x": 0.1}, "angular": {"z": math.nan}}
+    with pytest.raises(NotTaken, match="no stamp"):
+        stamped._twist(message)
+    assert unstamped._twist(message)[0] == 0.1
+
+
+@given(method=JSON)
+async def test_nothing_but_the_calls_there_are_is_called(stamped, method):
+    with pytest.raises(NotTaken, match="is not one of"):
+        await stamped.act(method)
+
+
+async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(stamped):
+    with pytest.raises(NotTaken, match="No such file"):
+        await stamped.act("arm")
+
+
+@given(value=JSON)
+def test_what_a_stranger_sent_is_said_shortly_and_repeated_only_where_it_is_plain(value):
+    assert len(short(value)) <= 500
+    assert tag(value) is None or tag(value) is value

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord-bus` started by hand: what it says when it cannot work."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+
+
+def bus(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "motord.bus", *words], capture_output=True, text=True, timeout=60
+    )
+
+
+def test_a_robot_file_that_cannot_be_used_is_said_as_motord_check_says_it(tmp_path):
+    done = bus(str(tmp_path / "none.toml"))
+    assert done.returncode == 2
+    assert "none.toml: cannot be read" in done.stderr
+
+
+def test_without_a_daemon_it_says_which_robot_does_not_run():
+    done = bus(str(DEMO), "--set", "robot.name=nobody-runs-me")
+    assert done.returncode == 1
+    assert "no robot nobody-runs-me runs here" in done.stderr
+
+
+def test_it_has_help_with_an_example():
+    done = bus("--help")
+    assert done.returncode == 0
+    assert "Example: motord-bus robot.toml" in done.stdout

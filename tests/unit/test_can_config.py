@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
+
+import pytest
+
+from motord.config import load_robot
+from motord.config.can_rules import bus_load
+from motord.config.problems import ConfigError
+from motord.config.wheels import profile_of
+from motord.config.wiring import line_specs
+from motord_hal.drives.load import find_profile, load_profile
+from motord_hal.errors import HalError, ProfileError
+from motord_hal.lines import open_line
+from motord_hal.paths import config_dir
+from motord_hal.rt import Exchange
+
+ODRIVE = (config_dir() / "drives" / "odrive-0.5.toml").read_text(encoding="utf-8")
+ROBOT = config_dir() / "robots" / "odrive-two.toml"
+
+
+def problems(tmp_path, right, wrong, count=1):
+    assert right in ODRIVE
+    path = tmp_path / "odrive-0.5.toml"
+    path.write_text(ODRIVE.replace(right, wrong, count), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        load_profile(path)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('frame = "heartbeat"', 'frame = "hartbeat"', 'did you mean "heartbeat"?'),
+        ("start_bit = 32", "start_bit = 64", "reaches beyond the 8 bytes"),
+        ("start_bit = 32", "start_bit = 30", "overlaps axis_error"),
+        ("node_max = 63", "node_max = 64", "with node 64 it is beyond 0x7ff"),
+        ("silence_s = 0.35", "silence_s = 0.1", "shorter than two periods"),
+        ("period_s = 0.01\nsilence_s = 0.1", "period_s = 0.01", "silence_s: is missing"),
+        ('ask = "rtr"\nperiod_s = 0.01', "", "neither sent unasked"),
+        ('ask = "rtr"', 'ask = "heartbeat"', "is no frame that motord sends"),
+        ("id = 0x003", "id = 0x001", "cannot be told from frame heartbeat"),
+        ('sender = "motord"', 'sender = "motord"\nperiod_s = 1', "only for frames of the drive"),
+        ("bitrate = 250000", "bitrate = 9", "can.bitrate: 9 is out of range"),
+        ('type = "u32"', 'type = "u64"', '"u64" is none of'),
+        ('unit = "turn"', 'unit = "v"', "must be"),
+        ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "whole numbers, each 0 to 255"),
+        ('protocol = "can"', 'protocol = "can"\n[serial]\nunit = 1', "serial: unknown key"),
+    ],
+)
+def test_a_mistake_in_a_profile_is_said(tmp_path, right, wrong, said):
+    assert said in problems(tmp_path, right, wrong)
+
+
+def loaded(*overrides):
+    robot = load_robot(ROBOT, overrides)
+    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    return robot, line_specs(robot, profiles)[0]
+
+
+def wrong(*overrides):
+    with pytest.raises(ConfigError) as error:
+        load_robot(ROBOT, overrides)
+    return "\n".join(map(str, error.value.problems))
+
+
+def test_a_can_line_is_told_to_the_hardware_layer():
+    _, spec = loaded("line.can0.data_bitrate=2000000")
+    assert (spec.kind, spec.port, spec.baudrate) == ("can", "socketcan:can0", 500_000)
+    assert spec.data_baudrate == 2_000_000
+
+
+def test_the_bus_load_is_that_of_the_frames():
+    """At 500 kbit/s: set-points 135 bits; each drive sends 100 + 10 frames of 135 bits a second."""
+    _, spec = loaded()
+    own, cycle_s = bus_load(spec)
+    assert own == pytest.approx(2 * 110 * 135 / 500_000)
+    assert 2 * 135 / 500_000 < cycle_s < 1.5 * 2 * 135 / 500_000
+
+
+def test_a_bus_that_is_too_full_is_an_error_with_what_would_help():
+    said = wrong("line.can0.bitrate=50000")
+    assert "load the bus with 1" in said
+    assert "or bitrate = 125000" in said
+
+
+def test_a_bus_that_is_nearly_full_deserves_a_look():
+    robot, _ = loaded("line.can0.bitrate=62500", "line.can0.cycle_hz=80")
+    assert any("load the bus" in warning.text for warning in robot.warnings)
+
+
+def test_a_node_that_the_drive_cannot_have_is_an_error():
+    assert "64 is no address of drive" in wrong("joint.left.unit=64")
+    loaded("joint.left.unit=0")
+
+
+def test_counts_that_the_drive_does_not_count_are_an_error():
+    assert "tells its position in turns" in wrong("joint.left.counts_per_turn=4096")
+
+
+def test_a_drive_of_another_protocol_is_not_for_this_line():
+    assert "speaks modbus-rtu, its line can" in wrong('joint.left.drive="zlac8015d"')
+
+
+def test_a_feedback_time_out_shorter_than_two_samples_is_an_error():
+    assert "two samples" in wrong("safety.feedback_timeout_s=0.015")
+
+
+def test_an_engine_that_is_not_there_is_an_error():
+    assert "line.can0.engine" in wrong('line.can0.engine="rt"')
+    _, spec = loaded()
+    line = open_line(spec, Exchange.private(), lambda event: None)
+    assert line.engine == "asyncio"
+
+
+def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
+    _, spec = loaded()
+    profile = find_profile("duty-register")
+    joints = tuple(
+        type(joint)(index=joint.index, name=joint.name, profile=profile, unit=joint.unit)
+        for joint in spec.joints
+    )
+    changed = type(spec)(**{**{f: getattr(spec, f) for f in spec.__slots__}, "joints": joints})
+    with pytest.raises(HalError, match="no drive on a CAN bus"):
+        open_line(changed, Exchange.private(), lambda event: None)

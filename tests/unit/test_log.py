@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log, as a journal at the other end of its socket takes it, and as a reader of stderr does."""
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import logging, os, sys
+from pathlib import Path
+from motord import log
+info = os.fstat(2)
+stream = f"{info.st_dev}:{info.st_ino}" if sys.argv[2] == "same" else "1:1"
+log.set_up({"JOURNAL_STREAM": stream}, Path(sys.argv[1]))
+said_of = log.about(line="rs485", joints=("left", "right"), event="drive_quiet", faults=("dead",))
+logging.getLogger("x").warning(sys.argv[3], extra=said_of)
+"""
+
+
+@pytest.fixture
+def journal(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "journal"))
+        listener.settimeout(30.0)
+        yield listener
+
+
+def said(journal, text, stream="same"):
+    """stderr of a process that logs one warning."""
+    command = [sys.executable, "-c", PROGRAM, journal.getsockname(), stream, text]
+    return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
+
+
+def test_the_journal_is_told_what_a_warning_is_about(journal):
+    assert said(journal, "the drive is quiet") == ""
+    assert journal.recv(9999).decode().splitlines() == [
+        "MESSAGE=the drive is quiet",
+        "PRIORITY=4",
+        "SYSLOG_IDENTIFIER=motord",
+        "MOTORD_LINE=rs485",
+        "MOTORD_EVENT=drive_quiet",
+        "MOTORD_JOINT=left",
+        "MOTORD_JOINT=right",
+        "MOTORD_FAULT=dead",
+    ]
+
+
+def test_words_of_several_lines_stay_one_entry(journal):
+    said(journal, "one\ntwo=2")
+    head = b"MESSAGE\n" + struct.pack("<Q", 9) + b"one\ntwo=2\nPRIORITY=4\n"
+    assert journal.recv(9999).startswith(head)
+
+
+def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journal):
+    assert said(journal, "the drive is quiet", "other").endswith("WARNING the drive is quiet\n")
+
+
+def test_a_journal_that_is_away_stops_nobody(journal):
+    path = journal.getsockname()
+    os.unlink(path)
+    assert said(journal, "nobody hears this") == ""

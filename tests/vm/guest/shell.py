@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of the guest, what they say, and waiting for what they bring about."""
+
+import json
+import subprocess
+import time
+
+DEADLINE_S = 100.0
+"""An emulated machine on a busy one is slow: only what never comes true takes so long."""
+LOOK_EVERY_S = 0.05
+
+
+def wait_until(condition, what, said=str):
+    """Ask again until it holds; what came, or a failure that says what did not, and what was
+    said."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not (found := condition()):
+        assert time.monotonic() < end_s, f"{what}: not within {DEADLINE_S} s\n{said()}"
+        time.sleep(LOOK_EVERY_S)
+    return found
+
+
+def output(*command):
+    """What it prints; a failure is the test's."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
+
+
+def properties(unit, *names):
+    lines = output("systemctl", "show", unit, *(f"-p{name}" for name in names)).splitlines()
+    return dict(line.split("=", 1) for line in lines)
+
+
+def journal(unit):
+    """Its entries since the machine has started, oldest first."""
+    output("journalctl", "--sync")
+    return [
+        json.loads(line) for line in output("journalctl", "-u", unit, "-o", "json").splitlines()
+    ]

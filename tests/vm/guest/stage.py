@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A running daemon, as a test sees it: what it says of itself, and what the wheels really do."""
+
+import contextlib
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from shell import DEADLINE_S, wait_until
+
+from motord.client import Client, ClientError, Refused
+from motord_hal.sim.control import SimControl
+
+
+@dataclass
+class Stage:
+    sim: SimControl
+    robot: Client
+    log: Path | None = None
+    process: subprocess.Popen | None = None
+
+    def state(self):
+        return self.robot.status()["state"]
+
+    def wait_for(self, *states):
+        wait_until(lambda: self.state() in states, f"state {states}", self.said)
+
+    def said(self):
+        return self.log.read_text(encoding="utf-8")
+
+    def drive_on(self, speed_m_s=0.5):
+        """Armed, and the true wheels turn."""
+        self.wait_for("idle", "armed")
+        granted(self.robot.arm)
+
+        def turning():
+            self.robot.drive(speed_m_s, 0.0)
+            joints = self.sim.truth().joints.values()
+            return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)
+
+        wait_until(turning, "the wheels turn", self.said)
+
+    def rests_without_power(self):
+        truth = self.sim.truth()
+        return truth.at_rest and not any(joint.enabled for joint in truth.joints.values())
+
+
+def granted(ask):
+    """Asks until it is not refused any more."""
+
+    def attempt():
+        try:
+            ask()
+        except Refused:
+            return False
+        return True
+
+    wait_until(attempt, "it is granted")
+
+
+@contextlib.contextmanager
+def daemon(folder, robot, sim):
+    """motord run on a robot file, in the foreground."""
+    log, socket = folder / "daemon.log", folder / "daemon.sock"
+    with log.open("wb") as sink:
+        process = subprocess.Popen(
+            ["motord", "run", str(robot), "--socket", str(socket)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=sink,
+        )  # fmt: skip
+
+    def connected():
+        assert process.poll() is None, log.read_text(encoding="utf-8")
+        with contextlib.suppress(ClientError):
+            return Client(socket, timeout_s=DEADLINE_S)
+        return None
+
+    try:
+        with wait_until(connected, "its socket") as client:
+            yield Stage(sim, client, log, process)
+    finally:
+        process.terminate()
+        try:
+            process.wait(DEADLINE_S)
+        finally:
+            process.kill()
+            process.wait()
