@@ -77,6 +77,7 @@ def robot(tmp_path_factory):
     settings += [f"{table}.z.domain_id=5" for table in ("publish", "input")]
     settings += [f"{table}.z.namespace=/r2" for table in ("publish", "input")]
     settings += ["publish.z.rate_hz=20", "input.z.trust_router=true"]
+    settings += [f"joint.{side}.reply_timeout_s=0.2" for side in ("left", "right")]
     settings += [f"input.z.lease_s={LEASE_S}", f"safety.command_timeout_s={LEASE_S}"]
     with running(tmp_path_factory.mktemp("zenoh"), *settings) as stage, peer(port) as session:
         stage.wait_for("idle")
