@@ -97,7 +97,7 @@ wheel: $(VENV)/made
 	@ls dist/*.whl
 
 deb: $(VENV)/built
-	@systemd/deb.sh dist
+	@mkdir -p dist && cp "$$(systemd/deb.sh build/deb)" dist/ && ls dist/*.deb
 
 # Builds the guest, boots it once, runs tests/vm/guest there. Says why, and succeeds, where it cannot.
 vm: $(VENV)/built

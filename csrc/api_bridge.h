@@ -18,6 +18,9 @@ typedef struct {
     int32_t fd;                 /* of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;               /* GPIO: of the request's lines */
     uint32_t inverted;          /* the pin is active low */
+    uint32_t pumps;             /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
+                                   count. A charge pump or watchdog behind it drops out when any thread hangs */
+    uint32_t reserved;
     uint64_t period_ns;         /* of the channel */
     double base[4];             /* by mode */
     double slope[4];
@@ -34,6 +37,7 @@ typedef struct {
     exchange *exchange;         /* NULL: the loop's */
     int32_t outputs_fd;         /* request of all GPIO outputs, -1: none */
     int32_t inputs_fd;          /* request of all GPIO inputs, -1: none */
+    uint64_t low_inputs;        /* bits of inputs that are active when they are low */
     int32_t event_fd;           /* written when the report has news, -1: none */
     int32_t priority;           /* SCHED_FIFO; 0: SCHED_OTHER */
     uint64_t cpu_mask;          /* 0: all */
@@ -75,6 +79,8 @@ typedef struct {
     uint32_t was_enabled;
     uint32_t demoted;
     uint32_t number;
+    uint32_t phase;             /* of pins that pump */
+    uint32_t reserved;
     int64_t stop_until_ns;      /* 0: not stopping */
     int64_t last_ns;
 } bridge_state;

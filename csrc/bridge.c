@@ -82,12 +82,14 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
     }
     state->last_ns = now_ns;
     bool moving = state->armed != 0 && newest->enabled != 0;
+    state->phase ^= 1;
     for (uint32_t i = 0; i < config->output_count; i++) {
         const bridge_pin *output = &config->output[i];
         const bridge_joint *joint = &config->joint[output->joint];
         double duty = moving ? duty_of(joint, newest) : 0.0;
         uint32_t mode = mode_of(state, joint, moving, duty);
-        level[i] = output->base[mode] + output->slope[mode] * fabs(duty);
+        double pumped = moving && state->phase != 0 ? 1.0 : 0.0;
+        level[i] = output->pumps != 0 ? pumped : output->base[mode] + output->slope[mode] * fabs(duty);
     }
 }
 
@@ -107,6 +109,7 @@ static bool output_is_good(const bridge_config *config, const bridge_pin *output
     } else {
         good = good && config->outputs_fd >= 0 && output->bit < 64;
     }
+    good = good && (output->pumps == 0 || output->fd < 0);
     for (uint32_t mode = 0; mode < BRIDGE_MODES; mode++) {
         double low = output->base[mode], high = low + output->slope[mode];
         good = good && low >= 0.0 && low <= 1.0 && high >= 0.0 && high <= 1.0;   /* NaN is neither */

@@ -54,6 +54,7 @@ static int write_number(int fd, uint64_t value)
 {
     char text[24];
     size_t at = sizeof text;
+    text[--at] = '\n';
     do {
         text[--at] = (char)('0' + value % 10);
         value /= 10;
@@ -108,7 +109,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        if (output->joint == joint && output->fd < 0 && ((bits ^ t->bits) >> output->bit & 1) != 0) {
+        bool says_way = output->joint == joint && output->fd < 0 && output->pumps == 0;
+        if (says_way && ((bits ^ t->bits) >> output->bit & 1) != 0) {
             return true;
         }
     }
@@ -166,7 +168,7 @@ static int read_inputs(pwm_thread *t)
         t->out.error_output = AT_GPIO;
         return -errno;
     }
-    t->out.active_inputs = values.bits;
+    t->out.active_inputs = (values.bits ^ t->config.low_inputs) & values.mask;
     return 0;
 }
 

@@ -68,10 +68,18 @@ def find_socket(robot: str | None = None, folders: list[Path] | None = None) -> 
     return found[0]
 
 
+def _trusted(folder: Path) -> set[int]:
+    """Whose sockets are believed in a folder: ours, root's, and those of the user to whom root
+    has given it (a service's /run/motord): where only root writes, only root makes folders."""
+    above = folder.parent.stat()
+    by_root = above.st_uid == 0 and not above.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return {0, os.geteuid()} | ({folder.lstat().st_uid} if by_root else set())
+
+
 def _lives(path: Path) -> bool:
-    """A socket that somebody listens at, and that is ours or root's: not a stranger's trap."""
+    """A socket that somebody listens at, and that is no stranger's trap."""
     info = path.stat()
-    if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in (0, os.geteuid()):
+    if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in _trusted(path.parent):
         return False
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(1.0)

@@ -25,6 +25,7 @@ KINDS = MappingProxyType(
         ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
         ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
     }
 )
@@ -35,6 +36,10 @@ HALTS = MappingProxyType(
         "ddsm": "motord_hal.rt_engine.halt:halt_line",
         "modbus-tcp": "motord_hal.modbus.halt:halt_line",
         "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
+        "mcu": "motord_hal.mcu.halt:halt_line",
+        "ascii": "motord_hal.ascii.halt:halt_line",
+        "roboclaw": "motord_hal.roboclaw.halt:halt_line",
+        "pwm": "motord_hal.pwm.halt:halt_line",
     }
 )
 """By kind: what stops the drives of a line that no daemon runs."""

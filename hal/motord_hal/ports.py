@@ -35,6 +35,9 @@ class JointSpec:
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
     """True where the motor turns backward when the robot drives forward."""
+    pins: Mapping[str, str] = field(default_factory=dict)
+    """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
+    it is active low. "fault" is an input."""
     tries: int = 3
     reply_timeout_s: float | None = None
     """Deadline for a reply after the request's last byte; None: frame time plus the profile's
@@ -75,6 +78,18 @@ class Echo(enum.StrEnum):
     YES = "yes"
     AUTO = "auto"
     """Found out by the first read after opening."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PinsSpec:
+    """Where the pins of a line of motor bridges are."""
+
+    pwm_chip: str = ""
+    """Part of the device path of the chip (its number changes from boot to boot), or pwmchipN."""
+    gpio_chip: str = ""
+    """The chip's label or device file."""
+    pwm_hz: float | None = None
+    """Carrier; None: as each bridge's profile says."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +151,8 @@ class LineSpec:
     joints: tuple[JointSpec, ...]
     text: TextSpec | None = None
     """Of the kind "ascii"."""
+    pins: PinsSpec = PinsSpec()
+    """Of the kind "pwm"."""
     watchdog_s: float
     """Wanted communication watchdog of the drives, written and read back where the profile has
     one."""

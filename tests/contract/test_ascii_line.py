@@ -4,13 +4,14 @@
 import os
 import threading
 import tty
+from dataclasses import replace
 
 import pytest
 from loop_side import running, until
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import ProfileError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -139,7 +140,33 @@ async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
         assert EventKind.LINE_LOST in rig.kinds()
 
 
+async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer):
+    assert await halt_line(spec_of(peer.link, "{left:d},{right:d}\n")) == []
+    assert len(peer.lines) > 10
+    assert set(peer.lines) == {b"0,0"}
+
+
 def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
     spec = spec_of(tmp_path / "x", "{left:d}\n")
     with pytest.raises(ProfileError, match="it must say left, right"):
         open_line(spec, Exchange.private(), print)
+
+
+async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path):
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    padding = "." * 200
+    spec = spec_of(os.ttyname(slave), f"{padding}{{left:d}},{{right:d}}\n")
+    spec = replace(spec, baudrate=4_000_000, cycle_hz=1000.0)
+    try:
+        async with running(spec) as rig:
+            await rig.arm()
+            rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+            await until(lambda: rig.line.stats().errors.get("no_room", 0) > 10)
+            rig.loop.enabled = False
+            refused = rig.line.stats().errors["no_room"]
+            await until(lambda: rig.line.stats().errors["no_room"] > refused + 10)
+            assert DriveState.ARMED not in rig.states()
+    finally:
+        os.close(master)
+        os.close(slave)

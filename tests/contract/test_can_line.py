@@ -71,13 +71,14 @@ async def test_a_drive_is_configured_and_not_armed(rig, peer):
     await rig.ready()
     assert rig.line.state is LineState.READY
     assert rig.line.engine == "asyncio"
-    assert peer.axes[0].mode == peer.axes[3].mode == (2, 1)
+    await until(lambda: peer.axes[0].mode == peer.axes[3].mode == (2, 1))
     assert CLOSED_LOOP not in peer.axes[0].states()
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY, EventKind.DRIVE_READY]
 
 
 async def test_signals_of_one_frame_are_written_together(rig, peer):
     await rig.ready()
+    await until(lambda: peer.axes[0].told(MODE) != [])
     assert peer.axes[0].told(MODE) == [struct.pack("<II", 2, 1)]
 
 
@@ -329,7 +330,7 @@ async def test_a_drive_that_falls_silent_comes_back_configured_and_disarmed(rig,
     setattr(peer.axes[0], what, False)
     await until(lambda: rig.line.drive_states["wheel0"] is DriveState.READY)
     await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
-    assert peer.axes[0].mode == (2, 1)
+    await until(lambda: peer.axes[0].mode == (2, 1))
     await until(lambda: len(peer.axes[0].velocities()) > mark + 3)
     assert set(peer.axes[0].velocities()[mark:]) == {0.0}
     assert rig.kinds()[3:] == [EventKind.DRIVE_QUIET, EventKind.DRIVE_BACK]

@@ -11,8 +11,10 @@ from mcu_peer import McuPeer, compiled
 from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.mcu import board
+from motord_hal.mcu.frame_dialect import FrameDialect
+from motord_hal.mcu.link import Stream
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState
 from motord_hal.rt import Exchange
 
@@ -240,6 +242,33 @@ async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(progra
         assert rig.line.stats().reopened == 1
         assert not any(told.enabled for told in peer.told)
         peer.pull()
+
+
+async def left_turning(peer, spec):
+    """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away."""
+    dialect = FrameDialect(spec)
+    stream = Stream(spec, lambda data: None)
+    stream.open()
+    for raw in ({"control": 8}, {"control": 1}, {"control": 1, "target_velocity_1": 5000}):
+        assert stream.send(dialect.setpoints({"watchdog": 2000, **raw}, now_ns()))
+    await until(lambda: peer.now.left_mrad_s == 5000, "it turns")
+    stream.close()
+
+
+async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_off(peer):
+    spec = spec_of(peer.link)
+    await left_turning(peer, spec)
+    seen = len(peer.told)
+    assert await halt_line(spec) == []
+    assert peer.told[seen].braking
+    assert not peer.told[-1].enabled
+    assert not peer.told[-1].braking
+
+
+async def test_a_board_that_says_nothing_when_it_is_stopped_is_named(peer):
+    peer.do("m")
+    problems = await halt_line(spec_of(peer.link))
+    assert problems == ["the board of left, right has said nothing"]
 
 
 # ----------------------------------------------------------------------------------------- faults

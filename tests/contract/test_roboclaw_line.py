@@ -11,7 +11,7 @@ from loop_side import running, until
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import ProfileError
-from motord_hal.lines import open_line
+from motord_hal.lines import halt_line, open_line
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.roboclaw.codec import build_reply, packet_bytes
 from motord_hal.rt import Exchange
@@ -130,6 +130,14 @@ async def test_an_answer_that_comes_late_is_nobody_s(peer):
         feedback = rig.loop.exchange.take_feedback(0)
         assert feedback.count == 0
         assert feedback.drive_faults == 0
+
+
+async def test_a_controller_that_a_dead_program_left_turning_is_stopped_and_let_go(peer):
+    problems = await halt_line(spec_of(peer.link))
+    assert problems == []
+    assert peer.sent(SPEEDS)[0][2:10] == bytes(8)
+    assert peer.packets[-1][1] == DUTIES
+    assert peer.packets[-1][2:6] == bytes(4)
 
 
 def test_a_drive_of_another_protocol_is_refused(tmp_path):

@@ -76,8 +76,9 @@ def ticks(stage):
 
 
 def test_what_prometheus_reads_is_what_the_daemon_says(stage, port):
-    figures = full(port)
-    assert figures["motord_up",] == 1.0
+    figures = wait_until(
+        lambda: found if (found := full(port))["motord_up",] == 1.0 else None, "a loop that runs"
+    )
     assert figures["motord_state", "idle"] == 1.0
     assert figures["motord_state", "moving"] == 0.0
     assert ("motord_joint_velocity_radians_per_second", "left") in figures
@@ -183,7 +184,7 @@ def test_somebody_else_may_start_it(tmp_path):
             [sys.executable, "-m", "motord.bus", str(ROBOT), *words, "--socket", str(stage.socket)]
         ) as process:
             try:
-                assert full(port)["motord_up",] == 1.0
+                wait_until(lambda: full(port)["motord_up",] == 1.0, "a loop that runs")
                 process.terminate()
                 assert process.wait(DEADLINE_S) == 0
             finally:

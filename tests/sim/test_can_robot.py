@@ -3,13 +3,16 @@
 
 from pathlib import Path
 
+import pytest
+
 from motord.tools.demo import run_demo
 from motord_hal.paths import config_dir
 
 
-def test_a_robot_on_two_odrives_drives_its_course_and_stops_clean():
-    robot = Path(config_dir() / "robots" / "odrive-two.toml")
-    result = run_demo(robot, "odrive-two", 8.0, lambda text: None)
+@pytest.mark.parametrize("name", ["odrive-two", "cia402-two"])
+def test_a_robot_on_a_can_bus_drives_its_course_and_stops_clean(name):
+    robot = Path(config_dir() / "robots" / f"{name}.toml")
+    result = run_demo(robot, name, 8.0, lambda text: None)
     report = result.to_json()
     assert report["engine"] == {"can0": "asyncio"}
     assert report["safety"]["final_state"] == "idle"

@@ -4,7 +4,6 @@ by name, and one that cannot be had costs only itself."""
 
 import asyncio
 import contextlib
-import dataclasses
 import json
 import math
 import socket
@@ -13,41 +12,22 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.unit.bus_views import BODY, LOOP, view
 
 from motord.bus import link
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, find
 from motord.bus.feed import Feed
 from motord.bus.json_form import decode, encode, plain
 from motord.bus.link import Source, call
-from motord.bus.messages import Body
 from motord.bus.secret import Token, read_secret
 from motord.bus.station import Station
-from motord.bus.topics import TOPICS, View
+from motord.bus.topics import TOPICS
 from motord.client import ClientError, Refused
 from motord.config import load_robot
 from motord.config.bus_sections import ALL_TOPICS
-from motord.snapshot import JointSnapshot, Snapshot
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
-LOOP = {
-    "rate_hz": 1.0, "policy": "SCHED_OTHER", "ticks": 1, "overruns": 0, "page_faults": 0,
-    "lateness_us": dict.fromkeys(("p50", "p99", "p99_9", "max"), math.nan),
-    "step_ns": dict.fromkeys(("p50", "p99", "p99_9", "max"), 1.0),
-}  # fmt: skip
-MS = 1_000_000
-BODY = Body(robot="r2", joints=("left", "right"))
-
-
-def view(at_ms, status=None, **changes):
-    joint = {field.name: 0.0 for field in dataclasses.fields(JointSnapshot)}
-    joint |= {"enabled": True, "drive_faults": 0, "jumps": 0, "stale": False}
-    values = {field.name: 0.0 for field in dataclasses.fields(Snapshot)}
-    rest = {"stamp_ns": at_ms * MS, "odometry_stamp_ns": at_ms * MS, "machine_state": 2,
-            "reasons": (), "faults": (), "joints": (JointSnapshot(**joint),) * 2, "owner": 0,
-            "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3}  # fmt: skip
-    flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
-    return View(snapshot=Snapshot(**values | flags | rest | changes), status=status)
 
 
 async def taken(feed, count):

@@ -3,8 +3,6 @@
 
 import asyncio
 import contextlib
-import dataclasses
-import math
 import os
 import subprocess
 import time
@@ -15,27 +13,15 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from tests.unit.bus_views import LOOP, MS, view
 
 from motord.bus.publish.mcap import McapRecorder
 from motord.bus.station import Station
-from motord.bus.topics import TOPICS, View
+from motord.bus.topics import TOPICS
 from motord.config import McapPublish, load_robot
-from motord.snapshot import JointSnapshot, Snapshot
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
-
-
-def snapshot(**changes):
-    joint = {field.name: 0.0 for field in dataclasses.fields(JointSnapshot)}
-    joint |= {"enabled": True, "drive_faults": 0, "jumps": 0, "stale": False}
-    plain_values = {field.name: 0.0 for field in dataclasses.fields(Snapshot)}
-    now = time.monotonic_ns()
-    words = {"stamp_ns": now, "odometry_stamp_ns": now, "machine_state": 2, "reasons": (),
-             "faults": (), "joints": (JointSnapshot(**joint),) * 2, "owner": 0, "tick": 1,
-             "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3}  # fmt: skip
-    flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
-    return Snapshot(**plain_values | flags | words | changes)
 
 
 class Stage:
@@ -55,7 +41,7 @@ class Stage:
         """Feed it until the condition holds."""
         async with asyncio.timeout(DEADLINE_S):
             while not condition():
-                self.station.view = View(snapshot=snapshot(**changes), status=status)
+                self.station.view = view(time.monotonic_ns() // MS, status, **changes)
                 self.feed.offer(self.station.view)
                 await asyncio.sleep(0.005)
 
@@ -162,11 +148,7 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
     assert faults[-1] == ["drive", "estop"]
 
 
-STATUS = {"loop": {
-    "rate_hz": 1.0, "policy": "SCHED_OTHER", "ticks": 1, "overruns": 0, "page_faults": 0,
-    "lateness_us": dict.fromkeys(("p50", "p99", "p99_9", "max"), math.nan),
-    "step_ns": dict.fromkeys(("p50", "p99", "p99_9", "max"), 1.0),
-}, "leases": []}  # fmt: skip
+STATUS = {"loop": LOOP, "leases": []}
 
 
 async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):

@@ -198,6 +198,23 @@ def test_a_strangers_socket_is_no_robot(path):
         find_socket(None, [path.parent])
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="giving a folder away takes root")
+@pytest.mark.parametrize(("above_mode", "found"), [(0o755, True), (0o1777, False)])
+def test_a_services_socket_is_believed_where_only_root_makes_folders(tmp_path, above_mode, found):
+    above = tmp_path / "run"
+    folder = above / "motord"
+    folder.mkdir(parents=True)
+    above.chmod(above_mode)
+    with listening(folder / "r4.sock") as _:
+        os.chown(folder, 65534, 65534)
+        os.chown(folder / "r4.sock", 65534, 65534)
+        if found:
+            assert find_socket(None, [folder]).name == "r4.sock"
+        else:
+            with pytest.raises(ClientError, match="no robot"):
+                find_socket(None, [folder])
+
+
 def test_sockets_are_sought_where_daemons_put_them():
     folders = list(map(str, socket_folders({"XDG_RUNTIME_DIR": "/run/user/7"}, uid=7)))
     assert folders[:2] == ["/run/motord", "/run/user/7/motord"]

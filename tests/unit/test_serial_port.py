@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord_hal.errors import PortError
+from motord_hal.gpio.chip import _LINE_INFO, _LINE_REQUEST, pack_request
 from motord_hal.ports import DirectionKind, DirectionSpec, LineSpec
 from motord_hal.serial.counters import Counters, quiet_hint, read_counters
 from motord_hal.serial.direction import kept_problem, pack_rs485
-from motord_hal.serial.gpio import _LINE_INFO, _LINE_REQUEST, pack_line_request, request_line
+from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
 from motord_hal.serial.port import open_port
 from motord_hal.serial.sysfs import device_file, holders, usb_ports
@@ -147,7 +148,7 @@ def test_what_a_driver_keeps_differently_is_said():
 
 def test_a_gpio_request_has_the_kernels_layout():
     assert (_LINE_REQUEST.size, _LINE_INFO.size) == (592, 256)
-    raw = pack_line_request(17, "motord bus", 1)
+    raw = pack_request([17], "motord bus", 1)
     assert struct.unpack_from("=I", raw, 0) == (17,)
     assert raw[256:266] == b"motord bus"
     assert struct.unpack_from("=QI", raw, 288) == (8, 1)  # output, one attribute

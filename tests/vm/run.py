@@ -108,7 +108,7 @@ def main(arguments: list[str]) -> int:
         print(f"make vm: skipped: {reason}", file=sys.stderr)
         return 0
     subprocess.run([HERE / "image.sh", BUILD], check=True, timeout=600)
-    made = subprocess.run([ROOT / "systemd" / "deb.sh", BUILD / "package"],
+    made = subprocess.run([ROOT / "systemd" / "deb.sh", ROOT / "build" / "deb"],
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="motord-vm-") as folder:
         disk = make_disk(Path(made.stdout.strip()), arguments, Path(folder))

@@ -16,6 +16,7 @@ PUBLISHERS = MappingProxyType(
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
         "ros2": "motord.bus.ros2.publisher:Ros2Publisher",
+        "ros2-zenoh": "motord.bus.ros2.publisher:Ros2Publisher",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
         "prometheus": "motord.bus.publish.prometheus:PrometheusServer",
     }
@@ -25,6 +26,7 @@ INPUTS = MappingProxyType(
         "joystick": "motord.bus.inputs.joystick:Joystick",
         "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
         "ros2": "motord.bus.ros2.commands:Ros2Commands",
+        "ros2-zenoh": "motord.bus.ros2.commands:Ros2Commands",
         "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
     }
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json
+from motord.cli.simulate import check_simulated
 from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
 from motord.tools.demo import DemoError, Result, Stage, run_demo
@@ -48,6 +49,7 @@ def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
     """
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path)
+    check_simulated(loaded)
     try:
         result = run_demo(path, loaded.robot.name, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:

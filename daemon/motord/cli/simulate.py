@@ -150,6 +150,7 @@ def simulate(
     if tcp is not None and rtu_over_tcp is not None:
         raise click.UsageError("either --tcp or --rtu-over-tcp")
     robot = load_or_exit(robot_file, overrides)
+    check_simulated(robot)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
@@ -165,6 +166,14 @@ def simulate(
         _say_where(rig, robot_file, as_json=as_json)
         until_fd_ends = sys.stdin.fileno() if stop_on_eof else None
         run(rig, stopped.is_set, until_fd_ends, spin_s=SPIN_S if priority else 0.0)
+
+
+def check_simulated(robot: Robot) -> None:
+    """Pins are the kernel's: nothing of ours can stand for them."""
+    for name, line in robot.line.items():
+        if line.kind == "pwm":
+            text = f'line {name}: kind "pwm" is not simulated; docs/pwm.md says what to try instead'
+            raise Failure(text, Exit.USAGE)
 
 
 def _set_pace(priority: int) -> None:

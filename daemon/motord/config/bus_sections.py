@@ -19,6 +19,7 @@ ALL_TOPICS: tuple[Topic, ...] = (
     *("odom", "tf", "joint_states", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
+ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -207,29 +208,68 @@ class JoystickInput(BusInput):
     rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
 
 
-class Ros2Node(Section):
-    """Which node we are, and where. Sections that say the same are one node."""
+class RosNode(Section):
+    """Which node we are. Sections that say the same are one node."""
 
     domain_id: int = number("ROS_DOMAIN_ID of those who are to see us", 0, 232, "1", 0)
-    discovery: Literal["localhost", "subnet"] = "localhost"
-    """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
-    networks that it is connected to."""
-    interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
-    """The one network interface to use, by name (discovery subnet); where it is not given, what the
-    DDS library chooses."""
     namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
     """Goes before the name of every topic and service."""
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
     """Name of the node."""
 
 
-class Ros2Publish(BusPublish, Ros2Node):
-    """Topics of a ROS 2 node, on DDS. No ROS is needed here."""
+class Ros2Node(RosNode):
+    """A node on DDS."""
 
-    kind: Literal["ros2"]
+    discovery: Literal["localhost", "subnet"] = "localhost"
+    """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
+    networks that it is connected to."""
+    interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
+    """The one network interface to use, by name (discovery subnet); where it is not given, what the
+    DDS library chooses."""
+
+
+class ZenohNode(RosNode):
+    """A node on Zenoh, as those with RMW_IMPLEMENTATION=rmw_zenoh_cpp."""
+
+    router: str = Field(default="tcp/127.0.0.1:7447", pattern=ROUTER)
+    """Where the router (rmw_zenohd) is: tcp/HOST:PORT, or tls/HOST:PORT."""
+    ca_file: str | None = None
+    """Certificates of the authority that the router's is checked against (tls)."""
+    cert_file: str | None = None
+    """Our own certificate, for a router that asks for one (tls)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+
+    @property
+    def router_host(self) -> str:
+        """Of `router`."""
+        return self.router.partition("/")[2].rpartition(":")[0].strip("[]")
+
+    @property
+    def encrypted(self) -> bool:
+        """The way to the router is."""
+        return self.router.startswith("tls/")
+
+
+class RosTopics(BusPublish):
+    """Topics of a ROS 2 node. No ROS is needed here."""
+
     urdf_file: str | None = None
     """Robot description that is published; one made from the robot file where it is not given. A
     path that is not absolute is beside the robot file."""
+
+
+class Ros2Publish(RosTopics, Ros2Node):
+    """Topics of a ROS 2 node, on DDS."""
+
+    kind: Literal["ros2"]
+
+
+class ZenohPublish(RosTopics, ZenohNode):
+    """Topics of a ROS 2 node, on Zenoh."""
+
+    kind: Literal["ros2-zenoh"]
 
 
 class Ros2Input(StampedInput, Ros2Node):
@@ -240,6 +280,15 @@ class Ros2Input(StampedInput, Ros2Node):
     trust_network: bool = False
     """DDS asks nobody who he is: with discovery subnet, whoever reaches the domain may move the
     robot. It has to be said that this is meant."""
+
+
+class ZenohInput(StampedInput, ZenohNode):
+    """As kind ros2, from ROS 2 nodes on Zenoh; also their services reach us."""
+
+    kind: Literal["ros2-zenoh"]
+    trust_router: bool = False
+    """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
+    the network unless it is told not to. It has to be said that this is meant."""
 
 
 class OtherPublish(BusPublish):

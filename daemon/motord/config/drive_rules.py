@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from motord.config.can_rules import CAN_RULES
 from motord.config.finding import Finding
 from motord.config.model import Joint, Robot
+from motord.config.pin_rules import PIN_RULES
 from motord.config.toml_lines import Path
 from motord.config.wheels import (
     Profiles,
@@ -30,6 +31,7 @@ _SPEAKS = {
     "mcu": "mcu-frame",
     "ascii": "ascii",
     "roboclaw": "roboclaw",
+    "pwm": "pwm",
 }
 """The protocol of a line's kind; all others carry Modbus."""
 
@@ -283,6 +285,7 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _edges,
     _reach,
     _serial,
+    *PIN_RULES,
     _times,
     _budget,
     _watchdogs,

@@ -19,7 +19,7 @@ from motord.config.toml_lines import Path
 # Kinds and keys that motord plans and does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"mecanum", "omni", "ackermann", "tricycle", "joints"}),
-    ("line", "*", "kind"): frozenset({"can", "canopen", "gpio", "pwm", "serial"}),
+    ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
     ("input", "*", "kind"): frozenset({"zenoh"}),
     ("publish", "*", "kind"): frozenset({"zenoh"}),
     ("robot",): frozenset({"namespace"}),

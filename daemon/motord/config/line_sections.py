@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -195,7 +195,42 @@ class AsciiLine(PortLine):
     )
 
 
+class PwmLine(Section):
+    """Motor bridges on pins of this machine."""
+
+    kind: Literal["pwm"]
+    pwm_chip: str | None = None
+    """Part of the device path of the PWM chip, as 1f00098000.pwm, or pwmchipN; see docs/pwm.md."""
+    gpio_chip: str | None = None
+    """Label of the GPIO chip, as pinctrl-rp1, or its device file."""
+    pwm_hz: float | None = number(
+        "carrier; as each bridge's profile says where it is not given", 10, 1_000_000, "Hz", None
+    )
+    cycle_hz: float = number("writes a second at most", 10, 1000, "Hz", 200.0)
+    engine: Literal["auto", "rt"] = "auto"
+    """There is one: a real-time thread."""
+    priority: int = number("SCHED_FIFO priority of its thread, below the loop's", 0, 98, "1", 70)
+    cpu: Cpus = Field(default=(), strict=False)
+    """CPUs the line's thread may run on, each 0 to 63; none: all of them."""
+    baudrate: ClassVar[int] = 115200
+    parity: ClassVar[str] = "none"
+    stop_bits: ClassVar[int] = 1
+
+    @property
+    def address(self) -> str:
+        """Where its pins are."""
+        return f"{self.pwm_chip or ''} {self.gpio_chip or ''}".strip()
+
+
 AnyLine = (
-    RtuLine | DdsmLine | TcpLine | RtuOverTcpLine | CanLine | McuLine | AsciiLine | RoboclawLine
+    RtuLine
+    | DdsmLine
+    | TcpLine
+    | RtuOverTcpLine
+    | CanLine
+    | McuLine
+    | AsciiLine
+    | RoboclawLine
+    | PwmLine
 )
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

@@ -31,6 +31,8 @@ from motord.config.bus_sections import (
     RosbridgePublish,
     StdoutPublish,
     UdpPublish,
+    ZenohInput,
+    ZenohPublish,
 )
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
@@ -245,6 +247,10 @@ class Joint(Section):
         "rad/s",
         None,
     )
+    pins: dict[str, str] = Field(default_factory=dict)
+    """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
+    number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
+    which changes with every cycle while the motor may move."""
     tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
     reply_timeout_s: float | None = number(
         "deadline for a reply; from baud rate, length and drive where it is not given",
@@ -281,7 +287,16 @@ class RtInput(Section):
     )
 
 
-Input = SocketInput | RtInput | MqttInput | RosbridgeInput | JoystickInput | Ros2Input | OtherInput
+Input = (
+    SocketInput
+    | RtInput
+    | MqttInput
+    | RosbridgeInput
+    | JoystickInput
+    | Ros2Input
+    | ZenohInput
+    | OtherInput
+)
 AnyPublish = (
     StdoutPublish
     | UdpPublish
@@ -291,6 +306,7 @@ AnyPublish = (
     | McapPublish
     | PrometheusPublish
     | Ros2Publish
+    | ZenohPublish
     | OtherPublish
 )
 

@@ -43,11 +43,15 @@ class Budget:
 
 def cycle_limit_hz(spec: LineSpec) -> float:
     """Highest cyclic rate of a line whose drives answer at once, without anything acyclic."""
+    if spec.kind == "pwm":
+        return spec.cycle_hz  # pins have no wire
     return 1 / sum(_cycle_time_s(spec, joints) for joints in _units(spec))
 
 
 def budget(spec: LineSpec) -> Budget:
     """Drives that answer at once are assumed: it is never less than this."""
+    if spec.kind == "pwm":
+        return Budget(len(spec.joints), spec.cycle_hz, 0.0)
     drives = [(_cycle_time_s(spec, joints), _rate_hz(spec, joints)) for joints in _units(spec)]
     most_hz = max(rate_hz for _, rate_hz in drives)
     slot_s = _wire_time_s(spec, _ASK_BYTES) + 2 * line_gap_s(spec)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motord.config.line_sections import AnyLine, AsciiLine, CanLine, SerialLine
+from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
 from motord_hal.drives.profile import Gap
@@ -15,6 +15,7 @@ from motord_hal.ports import (
     Echo,
     JointSpec,
     LineSpec,
+    PinsSpec,
     TextSpec,
     TextWheel,
 )
@@ -49,9 +50,19 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )
+    if isinstance(line, PwmLine):
+        return _with_pins(spec, line, robot.loop.priority)
     if isinstance(line, AsciiLine):
         return replace(spec, text=_text_spec(robot, line, joints))
     return _with_port(spec, line, robot.loop.priority) if isinstance(line, SerialLine) else spec
+
+
+def _with_pins(spec: LineSpec, line: PwmLine, loop_priority: int) -> LineSpec:
+    pins = PinsSpec(
+        pwm_chip=line.pwm_chip or "", gpio_chip=line.gpio_chip or "", pwm_hz=line.pwm_hz
+    )
+    priority = min(line.priority, max(loop_priority - 1, 0))
+    return replace(spec, pins=pins, priority=priority, cpu=line.cpu)
 
 
 def _text_spec(robot: Robot, line: AsciiLine, joints: tuple[JointSpec, ...]) -> TextSpec:
@@ -97,6 +108,7 @@ def _joint_spec(profiles: Profiles, index: int, name: str, joint: Joint) -> Join
         gear_ratio=joint.gear_ratio,
         inverted=joint.inverted,
         cycle_hz=joint.cycle_hz,
+        pins=joint.pins,
         tries=joint.tries,
         reply_timeout_s=joint.reply_timeout_s,
     )

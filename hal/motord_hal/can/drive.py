@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from motord_hal.can.job_step import StepRunner, merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted
 from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
-from motord_hal.errors import DriveFault, HalError, NoReply
+from motord_hal.errors import DriveFault, HalError, NoReply, Refused
 from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.job import Job, configure_steps
 from motord_hal.ports import DriveState, EventKind
@@ -24,6 +24,8 @@ from motord_hal.rt import Exchange
 
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0
+HELLO_GOOD_FOR_S = 5.0
+"""An answer to the first question counts for so long: until the drive is set up."""
 SAMPLE_PART = 0.5
 """Frames that the bus has held up come in bunches; one sooner after the other than this part of its
 period tells nothing that the next one will not."""
@@ -70,7 +72,8 @@ class CanDrive:
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._set_up_backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._set_up_at_s = 0.0
-        self._runner = StepRunner(plan, send)
+        self._held: dict[str, int] = {}
+        self._runner = StepRunner(plan, self._write, self._ask)
         self._values: dict[str, int] = {}
         self._heard_s: dict[str, float] = {}
         self._heard_ns: dict[str, int] = {}
@@ -95,7 +98,7 @@ class CanDrive:
     def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
         """A frame of this drive has come. Nothing is sent from here."""
         self._heard_s[frame.name] = stamp_ns * 1e-9
-        self._runner.heard(values)
+        self._runner.heard(frame, values)
         next_ns = self._heard_ns.get(frame.name, 0) + SAMPLE_PART * frame.period_s * 1e9
         if frame in self.plan.measuring and stamp_ns < next_ns:
             return
@@ -117,7 +120,7 @@ class CanDrive:
             faults.update(reading.fault_word)
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity
-            frame = self.plan.frame_of(measured) if measured else self.plan.fast[0]
+            frame = self.plan.read_frame_of(measured) if measured else self.plan.fast[0]
             self._exchange.put_feedback(
                 joint.index,
                 stamp_ns=self._heard_ns[frame.name],
@@ -135,7 +138,7 @@ class CanDrive:
         """What the frame says of the power, against what it should be."""
         said = self.plan.profile.enabled
         enabled = self.plan.enabled(self._values)
-        if said is None or self.plan.frame_of(said.register) is not frame or enabled is None:
+        if said is None or self.plan.read_frame_of(said.register) is not frame or enabled is None:
             return
         if self.state is DriveState.ARMED and not enabled:
             text = f"{self} is not enabled any more: set up again, disarmed"
@@ -160,6 +163,10 @@ class CanDrive:
 
     def _missing(self) -> Frame | None:
         """A frame that has not come for too long."""
+        hello = self.plan.hello
+        if hello is not None and self.state in (DriveState.UNKNOWN, DriveState.QUIET):
+            heard_s = self._heard_s.get(hello.name, -math.inf)
+            return None if now_s() - heard_s < HELLO_GOOD_FOR_S else hello
         for frame in self.plan.watched:
             silent_s = now_s() - self._heard_s.get(frame.name, -math.inf)
             if silent_s > self._silence_s(frame):
@@ -199,6 +206,8 @@ class CanDrive:
 
     def _quiet(self, error: HalError) -> None:
         self._forget(error)
+        if self.plan.hello is not None:
+            self._heard_s.pop(self.plan.hello.name, None)
         self.state = DriveState.QUIET
         if not self._said_quiet:
             self._said_quiet = True
@@ -218,7 +227,7 @@ class CanDrive:
         elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
-        for frame in self.plan.asked_fast:
+        for frame in (self.plan.hello,) if self.plan.hello else self.plan.asked_fast:
             self._ask(frame)
 
     # ----------------------------------------------------------------------------- the cyclic part
@@ -256,15 +265,19 @@ class CanDrive:
         raw = self.plan.setpoints(wanted)
         motion = any(raw.values())
         self.told_motion |= motion
-        sent = [self._send(self.plan.write(frame, raw)) for frame in self.plan.setpoint_frames]
+        sent = [self._write(frame, raw) for frame in self.plan.setpoint_frames]
         if all(sent):
             self.told_motion = motion
             self._told_s = now_s()
 
-    def _ask(self, frame: Frame) -> None:
+    def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
+        """Send a frame with these signals, and what is held. False: the bus takes nothing now."""
+        self._held.update({name: raw[name] for name in self.plan.held if name in raw})
+        return self._send(self.plan.write(frame, {**self._held, **raw}))
+
+    def _ask(self, frame: Frame) -> bool:
         question = self.plan.question(frame)
-        if question is not None:
-            self._send(question)
+        return question is not None and self._send(question)
 
     # ---------------------------------------------------------------------------- the acyclic part
     def submit(self, job: Job) -> Job:
@@ -292,6 +305,7 @@ class CanDrive:
             self.jobs.popleft().fail(error)
         self._values.clear()
         self._heard_ns.clear()
+        self._held.clear()
         self._still_enabled = 0
         self._power_off_by_s = None
 
@@ -320,7 +334,7 @@ class CanDrive:
             if job.step is None:
                 self._drop(job)
                 self._finished(job)
-        except (NoReply, DriveFault) as error:
+        except (NoReply, Refused, DriveFault) as error:
             self._drop(job)
             job.fail(error)
             if job.name == "configure":
@@ -346,6 +360,8 @@ class CanDrive:
         self._set_up_backoff.reset()
         self._set_up_at_s = 0.0
         self._may_turn = self.told_motion = False
+        if self.plan.hello is not None:  # its frames begin now
+            self._heard_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
         if self._said_quiet:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
@@ -403,8 +419,7 @@ class CanDrive:
 
     def _write_all(self, steps: tuple[Step, ...]) -> bool:
         """All writes at once."""
-        writes = merged_writes(self.plan, steps)
-        return all(self._send(sent) for sent in writes)
+        return all(self._write(*one) for one in merged_writes(self.plan, steps))
 
     def _write_now(self, name: str, steps: tuple[Step, ...]) -> None:
         """All writes at once; what the bus does not take becomes a job."""

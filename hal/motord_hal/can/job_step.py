@@ -4,42 +4,60 @@ have come after it began."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from motord_hal.can.plan import CanPlan, Sent
+from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
-from motord_hal.errors import DriveFault, NoReply
+from motord_hal.errors import DriveFault, NoReply, Refused
 from motord_hal.modbus.job import Job
 
 READ_WITHIN_S = 1.0
 """For a wait that says no time: one value is read."""
+CONFIRM_WITHIN_S = 0.5
+"""For a write that the drive confirms."""
+
+Write = Callable[[Frame, Mapping[str, int]], bool]
+"""False: the bus takes nothing now."""
 
 
 class StepRunner:
     """Works off the steps of one drive's jobs, one write or look a call."""
 
-    def __init__(self, plan: CanPlan, send: Callable[[Sent], bool]) -> None:
+    def __init__(self, plan: CanPlan, write: Write, ask: Callable[[Frame], bool]) -> None:
         self._plan = plan
-        self._send = send
+        self._write = write
+        self._ask = ask
         self._step: Step | None = None
-        """The wait that is going on."""
+        """The wait, or the write that is not confirmed yet, that is going on."""
         self._raw: int | None = None
         """What has come for it since it began."""
+        self._confirmed = False
+        self._aborted: int | None = None
 
-    def heard(self, values: dict[str, int]) -> None:
+    def heard(self, frame: Frame, values: dict[str, int]) -> None:
         """A frame has come."""
-        if self._step is not None and self._step.register in values:
-            self._raw = values[self._step.register]
+        step = self._step
+        if step is None:
+            return
+        if frame.name == self._plan.table.abort:
+            self._aborted = next(iter(values.values()))
+        elif step.value is not None:
+            self._confirmed |= frame.name == self._plan.frame_of(step.register).confirm
+        elif frame is self._plan.read_frame_of(step.register):
+            self._raw = values[step.register]
 
     def run(self, job: Job, who: str) -> None:
-        """Go on with the job's current step. Raises NoReply and DriveFault when a wait is over."""
+        """Go on with the job's current step. Raises NoReply, Refused and DriveFault when it
+        failed."""
         step = job.step
         assert step is not None  # the caller has looked
         if step.value is None:
             self._wait(job, step, who)
-        elif self._send(next(merged_writes(self._plan, writes_ahead(job)))):
+        elif self._plan.frame_of(step.register).confirm:
+            self._write_confirmed(job, step, who)
+        elif self._write(*next(merged_writes(self._plan, writes_ahead(job)))):
             self._advance_writes(job)
 
     def _advance_writes(self, job: Job) -> None:
@@ -51,27 +69,52 @@ class StepRunner:
                 break
             job.advance()
 
+    def _begin(self, job: Job, step: Step, within_s: float) -> bool:
+        """Whether the step begins with this call."""
+        if self._step is step and job.wait_until_s is not None:
+            return False
+        self._step, self._raw, self._confirmed, self._aborted = step, None, False, None
+        job.wait_until_s = now_s() + within_s
+        return True
+
+    def _check_abort(self, job: Job, step: Step, who: str) -> None:
+        if self._aborted is not None:
+            code, self._step = self._aborted, None
+            raise Refused(f"{who}: {job.name}: {step.register} refused with {code:#010x}", code)
+
+    def _write_confirmed(self, job: Job, step: Step, who: str) -> None:
+        if self._begin(job, step, CONFIRM_WITHIN_S):
+            went = self._write(self._plan.frame_of(step.register), {step.register: step.value or 0})
+            self._step = step if went else None
+            return
+        self._check_abort(job, step, who)
+        if self._confirmed:
+            self._step = None
+            job.advance()
+        elif now_s() > (job.wait_until_s or 0.0):
+            self._step = None
+            raise NoReply(f"{who}: {job.name}: {step.register} was not confirmed")
+
     def _wait(self, job: Job, step: Step, who: str) -> None:
-        if self._step is not step or job.wait_until_s is None:
-            self._step, self._raw = step, None
-            job.wait_until_s = now_s() + (step.within_s or READ_WITHIN_S)
-        frame = self._plan.frame_of(step.register)
-        if self._raw is not None:
-            job.raw = self._raw
-            if self._raw & step.mask == step.equals:
+        begins = self._begin(job, step, step.within_s or READ_WITHIN_S)
+        self._check_abort(job, step, who)
+        frame = self._plan.read_frame_of(step.register)
+        came, self_asked = self._raw, not frame.period_s
+        if came is not None:
+            job.raw, self._raw = came, None if self_asked else came
+            if came & step.mask == step.equals:
                 self._step = None
                 job.advance()
                 return
-        if now_s() > job.wait_until_s:
-            raw, self._step = self._raw, None
-            wanted = f"{step.register} is not {step.equals or 0:#x}"
+        if now_s() > (job.wait_until_s or 0.0):
+            self._step = None
             within = f"after {step.within_s or READ_WITHIN_S:g} s"
-            if raw is None:
+            if came is None:
                 raise NoReply(f"{who}: {job.name}: no {frame.name} frame {within}")
-            raise DriveFault(f"{who}: {job.name}: {wanted} but {raw:#x} {within}")
-        question = self._plan.question(frame)
-        if question is not None and not frame.period_s:
-            self._send(question)
+            wanted = f"{step.register} is {came & 0xFFFFFFFF:#x} {within}"
+            raise DriveFault(f"{who}: {job.name}: {wanted}, not {step.equals or 0:#x}")
+        if self_asked and (begins or came is not None or not self._plan.table.abort):
+            self._ask(frame)
 
 
 def writes_ahead(job: Job) -> list[Step]:
@@ -84,8 +127,11 @@ def writes_ahead(job: Job) -> list[Step]:
     return ahead
 
 
-def merged_writes(plan: CanPlan, steps: Iterable[Step]) -> Iterator[Sent]:
-    """Frames for the writes among the steps, in their order; neighbours in a frame go together."""
+def merged_writes(
+    plan: CanPlan, steps: Iterable[Step]
+) -> Iterator[tuple[Frame, Mapping[str, int]]]:
+    """Frames for the writes among the steps, in their order, and what stands in them; neighbours
+    in a frame go together."""
     frame: Frame | None = None
     raw: dict[str, int] = {}
     for step in steps:
@@ -93,9 +139,9 @@ def merged_writes(plan: CanPlan, steps: Iterable[Step]) -> Iterator[Sent]:
             continue
         own = plan.frame_of(step.register)
         if frame is not None and own is not frame:
-            yield plan.write(frame, raw)
+            yield frame, raw
             raw = {}
         frame = own
         raw[step.register] = step.value
     if frame is not None:
-        yield plan.write(frame, raw)
+        yield frame, raw

@@ -316,7 +316,7 @@ class CanLine:
         the next one that comes."""
         drive = self._drive_of(joint)
         found = readable(drive.plan.profile, register)
-        frame = drive.plan.frame_of(register)
+        frame = drive.plan.read_frame_of(register)
         if not frame.period_s and not frame.ask:
             raise LookupError(f"{register}: the drive neither sends it nor can be asked for it")
         self._check_open()

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from motord_hal.can.codec import build, frame_time_s, parse
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.drives.profile import Channel, DriveProfile, Step
 from motord_hal.errors import ProfileError
 from motord_hal.ports import JointSpec
 
@@ -45,12 +45,33 @@ class Reading:
     fault_word: int
 
 
+def with_node(profile: DriveProfile, node: int) -> DriveProfile:
+    """The profile as it is for this node: steps that say so have its number in their values."""
+
+    def own(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+        return tuple(
+            replace(step, value=step.value + node, plus_node=False)
+            if step.plus_node and step.value is not None
+            else step
+            for step in steps
+        )
+
+    return replace(
+        profile,
+        configure=own(profile.configure),
+        arm=own(profile.arm),
+        disarm=own(profile.disarm),
+        quick_stop=own(profile.quick_stop),
+        clear_fault=own(profile.clear_fault),
+    )
+
+
 class CanPlan:
     """One node with one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec]) -> None:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
-        self.profile: DriveProfile = self.joints[0].profile
+        self.profile = with_node(self.joints[0].profile, self.joints[0].unit)
         if self.profile.can is None:
             raise ProfileError(
                 f"{self.joints[0].name}: {self.profile.name} is no drive on a CAN bus"
@@ -60,7 +81,8 @@ class CanPlan:
         self._signals = {
             name: signals_of(self.profile.registers, name) for name in self.table.frames
         }
-        self.setpoint_frames = self._frames_of(self._setpoint_names())
+        names = self._setpoint_names()
+        self.setpoint_frames = tuple(dict.fromkeys(self.frame_of(name) for name in names))
         """Sent in every cycle."""
         self.fast = self._frames_of(self._fast_names())
         """What the wheel is judged by."""
@@ -72,6 +94,14 @@ class CanPlan:
             if frame.silence_s and (frame.period_s or frame in self.fast)
         )
         """Frames that are missed when they do not come."""
+        self.held = tuple(
+            signal.name
+            for frame in self.setpoint_frames
+            for signal in self._signals[frame.name]
+            if signal.name not in names
+        )
+        """What goes out with the set-points, as it was written last: a control word."""
+        self.hello = self.read_frame_of(self.table.hello) if self.table.hello else None
         self.measuring = self._frames_of(self._measuring_names())
         """What odometry is made of."""
         self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)
@@ -108,7 +138,7 @@ class CanPlan:
         return [name for name in names if name]
 
     def _frames_of(self, names: Iterable[str]) -> tuple[Frame, ...]:
-        return tuple(dict.fromkeys(self.frame_of(name) for name in names))
+        return tuple(dict.fromkeys(self.read_frame_of(name) for name in names))
 
     def signal(self, name: str) -> Signal:
         signal = self.profile.registers[name]
@@ -116,7 +146,13 @@ class CanPlan:
         return signal
 
     def frame_of(self, signal: str) -> Frame:
+        """The frame that it is written in, or that it comes in where it is only read."""
         return self.table.frames[self.signal(signal).frame]
+
+    def read_frame_of(self, signal: str) -> Frame:
+        """The frame that it comes in."""
+        found = self.signal(signal)
+        return self.table.frames[found.reply_frame or found.frame]
 
     @property
     def identifiers(self) -> tuple[tuple[int, bool], ...]:
@@ -127,6 +163,8 @@ class CanPlan:
     def write(self, frame: Frame, raw: Mapping[str, int]) -> Sent:
         """The frame with these signals in it."""
         data = build(frame, self._signals[frame.name], raw)
+        if frame.node_byte is not None:
+            data = data[: frame.node_byte] + bytes((self.node,)) + data[frame.node_byte + 1 :]
         return Sent(frame.identifier(self.node), frame.extended, frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:

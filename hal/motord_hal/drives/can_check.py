@@ -26,6 +26,8 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
             _check_signal(table.frames[signal.frame], signal, problems)
     for name in table.frames:
         _check_overlaps(name, signals_of(profile.registers, name), problems)
+    if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
+        problems.add("can.hello", f'"{table.hello}" is no signal that can be read')
     _check_presence(profile, table, problems)
 
 

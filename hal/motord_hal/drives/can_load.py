@@ -35,6 +35,7 @@ def read_table(can: Table, frames: Table) -> CanTable:
         node_min=can.integer("node_min", 0, NODE_MAX, 0),
         node_max=can.integer("node_max", 0, NODE_MAX),
         idle_setpoints=can.flag("idle_setpoints", default=True),
+        hello=can.text("hello") if "hello" in can else "",
     )
 
 
@@ -52,6 +53,8 @@ def _frame(name: str, table: Table, shift: int, *, extended: bool, fd: bool) -> 
         period_s=table.number("period_s", 0.0005, 60.0, unit="s") if "period_s" in table else 0.0,
         silence_s=table.number("silence_s", 0.001, 60.0, unit="s") if "silence_s" in table else 0.0,
         source=table.text("source"),
+        addressed=table.flag("addressed", default=True),
+        node_byte=table.integer("node_byte", 0, 63) if "node_byte" in table else None,
     )
     table.finish()
     return frame

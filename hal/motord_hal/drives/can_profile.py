@@ -50,9 +50,15 @@ class Frame:
     silence_s: float
     """A drive from which it has not come for so long is quiet; 0: it is not waited for."""
     source: str
+    addressed: bool = True
+    """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""
+    node_byte: int | None = None
+    """The byte of the data that holds the node; None: none does."""
+    confirm: str = ""
+    """The frame by which the drive says that it has taken this one; "": it does not."""
 
     def identifier(self, node: int) -> int:
-        return self.base + (node << self.node_shift)
+        return self.base + (node << self.node_shift) if self.addressed else self.base
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +72,8 @@ class Signal(Register):
     length: int
     """Bits."""
     big_endian: bool
+    reply_frame: str = ""
+    """Of a signal that is written and read: the frame in which it is read."""
 
     @property
     def is_float(self) -> bool:
@@ -141,6 +149,10 @@ class CanTable:
     idle_setpoints: bool
     """Whether zero set-points are sent to a drive that is not armed; where a set-point itself
     switches the motor on, they are not."""
+    hello: str = ""
+    """The signal that is asked for until the drive is set up, where its frames come only then."""
+    abort: str = ""
+    """The frame by which the drive says that it has not taken another one."""
 
     def frames_from(self, sender: Sender) -> tuple[Frame, ...]:
         return tuple(frame for frame in self.frames.values() if frame.sender is sender)
@@ -148,5 +160,6 @@ class CanTable:
 
 def signals_of(registers: dict[str, Register], frame: str) -> tuple[Signal, ...]:
     """The signals of a frame, in the order of their places."""
-    found = [r for r in registers.values() if isinstance(r, Signal) and r.frame == frame]
+    signals = [register for register in registers.values() if isinstance(register, Signal)]
+    found = [one for one in signals if frame in (one.frame, one.reply_frame)]
     return tuple(sorted(found, key=lambda signal: signal.start_bit))

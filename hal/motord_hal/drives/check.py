@@ -24,8 +24,8 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 
 # the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
 _UNSEALED = 0xA0
-_FRAMES = ("ddsm", "mcu-frame", "ascii")
-"""Protocols in which an address is a place in a frame, or (ascii) just a number."""
+_FRAMES = ("ddsm", "mcu-frame", "ascii", "pwm")
+"""Protocols in which an address is a place in a frame, or (ascii, pwm) just a number."""
 # bytes of a board's payloads that the line itself fills and reads (motord_hal.mcu.frames)
 _BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
 _BOARD_BYTES = {"w": 6 + 6 * 8, "r": 16 + 10 * 8}
@@ -50,6 +50,8 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     _check_enabled(profile, problems)
     _check_watchdog(profile, problems)
     _check_faults(profile, problems)
+    if (profile.bridge is not None) != (profile.protocol == "pwm"):
+        problems.add("bridge", 'is there if and only if protocol is "pwm"')
     if profile.bus_voltage is not None:
         _reference(profile, "bus_voltage", profile.bus_voltage, "r", ("v",), problems)
 

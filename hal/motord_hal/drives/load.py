@@ -15,7 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_load import NODE_MAX, read_signals, read_table
+from motord_hal.drives.can_objects import read_objects
 from motord_hal.drives.check import check_profile
 from motord_hal.drives.profile import (
     SI_UNITS,
@@ -35,7 +37,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.paths import config_dir
 
 SCHEMA = 1
-PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw")
+PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm")
 CHANNELS_MAX = 8
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
@@ -124,6 +126,7 @@ def _profile(root: Table, path: Path) -> DriveProfile:
         watchdog_note=root.text("watchdog_note") if "watchdog_note" in root else "",
         faults=tuple(_fault(table) for table in root.tables("fault")),
         bus_voltage=root.text("bus_voltage") if "bus_voltage" in root else None,
+        bridge=read_bridge(root) if "bridge" in root else None,
     )
     for table in (motor, steps, root):
         table.finish()
@@ -158,8 +161,12 @@ def _on_can(root: Table, pole_pairs: int) -> dict[str, Any]:
     """The same of a drive on a CAN bus: its registers are signals."""
     can = root.table("can")
     table = read_table(can, root.table("frame"))
+    signals = read_signals(root.table("signal"), table.frames, pole_pairs)
+    if "object" in root:
+        table, objects = read_objects(root.table("object"), table)
+        signals |= objects
     wire = {
-        "registers": read_signals(root.table("signal"), table.frames, pole_pairs),
+        "registers": signals,
         "can": table,
         "baudrate": can.integer("bitrate", 10_000, 1_000_000),
         "parity": "none",
@@ -290,7 +297,8 @@ def _steps(parent: Table, key: str) -> tuple[Step, ...]:
 def _write(table: Table) -> Step:
     value = table.integer("value", -(1 << 31), (1 << 32) - 1)
     verify = table.flag("verify", default=True)
-    return Step(register=table.text("write"), value=value, verify=verify)
+    plus = table.flag("plus_node", default=False)
+    return Step(register=table.text("write"), value=value, verify=verify, plus_node=plus)
 
 
 def _wait(table: Table) -> Step:

@@ -197,6 +197,8 @@ class Step:
     equals: int | None = None
     within_s: float = 0.0
     """For a wait: how long it may take."""
+    plus_node: bool = False
+    """For a write: the drive's own node number is added to the value."""
     verify: bool = True
     """For a write: whether the register keeps what was written, so that it can be read back."""
 
@@ -230,6 +232,29 @@ class FaultBit:
     text: str
     severity: str
     """"fault" stops the robot; "warning" is only said."""
+
+
+BRIDGE_MODES = ("coast", "brake", "forward", "reverse")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bridge:
+    """A motor bridge as data: which level each of its pins has in each mode."""
+
+    pwm_hz: float
+    """Carrier, unless the robot file says another one."""
+    pwm_min_hz: float
+    pwm_max_hz: float
+    rest: str
+    """Mode at a duty of zero while armed: "brake" or "coast"."""
+    levels: dict[str, dict[str, tuple[float, float]]]
+    """Pin → mode → (base, slope): its level, 0 to 1, is base + slope × |duty|."""
+
+    def needs_pwm(self, pin: str) -> bool:
+        """Whether the pin has other levels than low and high."""
+        return any(
+            base not in (0.0, 1.0) or slope != 0.0 for base, slope in self.levels[pin].values()
+        )
 
 
 class Gap(enum.StrEnum):
@@ -285,6 +310,8 @@ class DriveProfile:
     bus_voltage: str | None
     can: CanTable | None = None
     """The frames of a drive on a CAN bus, whose registers are signals in them."""
+    bridge: Bridge | None = None
+    """Only of the protocol "pwm"."""
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
         """What a fault word says. A bit or code that the profile does not list is a fault too."""

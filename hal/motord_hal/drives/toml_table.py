@@ -176,6 +176,9 @@ class Table:
             self.complain(key, "must be a table")
         return Table(self.path(key), value if isinstance(value, dict) else {}, self.problems)
 
+    def is_table(self, key: str) -> bool:
+        return isinstance(self._values.get(key), dict)
+
     def tables(self, key: str) -> list[Table]:
         """An array of tables below this one; missing is empty."""
         value = self._take(key, required=False)

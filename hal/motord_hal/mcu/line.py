@@ -43,6 +43,7 @@ SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
+LEAST_PAUSE_S = 0.001
 JOB_ALLOWANCE_S = 1.0
 ROUND_TRIPS_KEPT = 2000
 CYCLES_KEPT = 64
@@ -179,7 +180,9 @@ class McuLine:
             due_s = min(due_s, now_s())
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """A stop does not wait for the next cycle of a slow line."""
+        """A stop does not wait for the next cycle of a slow line; nor does it take all of the event
+        loop where the port takes no bytes."""
+        await asyncio.sleep(LEAST_PAUSE_S)
         while now_s() < due_s and not self._has_to_stop():
             await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
 

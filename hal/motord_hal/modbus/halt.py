@@ -7,6 +7,7 @@ import asyncio
 from collections.abc import Mapping
 
 from motord_hal.halt import halt_unit
+from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.plan import DrivePlan, ReadRange
 from motord_hal.modbus.tcp_guard import GatewayClient
 from motord_hal.modbus.units import joints_by_unit
@@ -16,7 +17,7 @@ from motord_hal.ports import LineSpec
 class _Unit:
     """halt.Unit by one request at a time; the client sees to that."""
 
-    def __init__(self, plan: DrivePlan, client: GatewayClient) -> None:
+    def __init__(self, plan: DrivePlan, client: GuardedClient) -> None:
         self.name = ", ".join(joint.name for joint in plan.joints)
         self.profile = plan.profile
         self._plan = plan
@@ -37,8 +38,12 @@ class _Unit:
 
 
 async def halt_line(spec: LineSpec) -> list[str]:
+    """As `halt_units`, through a gateway."""
+    return await halt_units(spec, GatewayClient(spec))
+
+
+async def halt_units(spec: LineSpec, client: GuardedClient) -> list[str]:
     """All drives at once. Returns what was not acknowledged, in words. Raises PortError."""
-    client = GatewayClient(spec)
     await client.open()
     try:
         plans = (DrivePlan(j, client.gap_s, client.wire_time_s) for j in joints_by_unit(spec))

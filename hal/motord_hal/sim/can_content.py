@@ -46,6 +46,6 @@ class CanContent(NamedContent):
         return build(frame, self._in[frame.name], now)
 
     def answers(self, asking: Frame) -> tuple[Frame, ...]:
-        """The frames that are asked for by this one."""
+        """The frames that are asked for by this one, or confirm it."""
         own = self.table.frames_from(Sender.DRIVE)
-        return tuple(frame for frame in own if frame.ask == asking.name)
+        return tuple(f for f in own if asking.name == f.ask or asking.confirm == f.name)

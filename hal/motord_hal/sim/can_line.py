@@ -145,8 +145,13 @@ class SimulatedCanLine:
             drive.execute_can([], now_s)
             self._reply(unit, frame, now_s)
             return True
-        written = content.written(frame, bytes(message.data))
-        if written is None:
+        data = bytes(message.data)
+        if frame.node_byte is not None and data[frame.node_byte :][:1] not in (
+            b"\0",
+            bytes((unit,)),
+        ):
+            return False
+        if not drive.obeys(frame) or (written := content.written(frame, data)) is None:
             return False
         drive.execute_can(written, now_s)
         for answer in content.answers(frame):
@@ -168,7 +173,7 @@ class SimulatedCanLine:
             drive = self.drives[unit]
             frame = _content(drive).table.frames[name]
             self._periods[unit, name] = max(due_s + frame.period_s, now_s)
-            if drive.on and not self._script.silent(unit, now_s):
+            if drive.on and drive.sends(frame) and not self._script.silent(unit, now_s):
                 self._say(unit, frame, now_s, now_s)
 
     def _say(self, unit: int, frame: Frame, at_s: float, now_s: float) -> None:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.sim.axis import Axis, Motor, new_motor
@@ -164,6 +165,16 @@ class SimulatedDrive:
         if reply is not None:
             self.journal.add(now_s, frame[1], 0, tuple(reply))
         return reply
+
+    def sends(self, frame: Frame) -> bool:
+        """Whether it sends this frame unasked now."""
+        del frame
+        return True
+
+    def obeys(self, frame: Frame) -> bool:
+        """Whether it takes this frame now."""
+        del frame
+        return True
 
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
         """A frame to this drive has come, and these signals in it."""

@@ -22,6 +22,7 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.board_line import SimulatedBoard
+from motord_hal.sim.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
@@ -174,7 +175,7 @@ class Rig:
             }
             axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
             watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
-            drives[unit] = SimulatedDrive(profile, unit, axes, watchdog_s=watchdog_s)
+            drives[unit] = new_drive(profile, unit, axes, watchdog_s=watchdog_s)
         if line.kind == "can":
             return self._make_can_line(line, drives)
         port = self._make_port(line, link_dir)
@@ -380,6 +381,14 @@ class Rig:
             "pull": lambda params: self.pull(params.get("line")),
             "plug": lambda params: self.plug(params.get("line")),
         }
+
+
+def new_drive(
+    profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float
+) -> SimulatedDrive:
+    """A drive of the kind that the profile describes."""
+    kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
+    return kind(profile, unit, axes, watchdog_s=watchdog_s)
 
 
 def _free_name(line: LineSpec, unit: int, channel: int) -> str:

@@ -9,11 +9,11 @@ import select
 import threading
 from pathlib import Path
 
-from shell import wait_until
+from shell import DEADLINE_S, wait_until
 
-from motord.tools.simulator import start_simulator
 from motord_hal.serial.settings import set_raw
 from motord_hal.serial.sysfs import usb_ports
+from motord_hal.sim.control import SimControl
 
 ROBOT = Path("/project/config/robots/demo.toml")
 UART = "/dev/ttyS1"
@@ -89,7 +89,7 @@ def robot_file(folder, port, *, name="demo", **line):
     """A robot of config/robots/demo.toml that waits longer than any emulated machine is late."""
     profile = ROBOT.parents[1] / "drives/zlac8015d.toml"
     text = profile.read_text(encoding="utf-8")
-    slow = text.replace("turnaround_s = 0.005", "turnaround_s = 2.0")
+    slow = text.replace("turnaround_s = 0.005", "turnaround_s = 1.0")
     (folder / SLOW_PROFILE).write_text(slow, encoding="utf-8")
     text = ROBOT.read_text(encoding="utf-8")
     keys = "".join(f"{key} = {json.dumps(value)}\n" for key, value in line.items())
@@ -97,9 +97,9 @@ def robot_file(folder, port, *, name="demo", **line):
         ('name = "demo"', f'name = "{name}"'),
         ("rate_hz = 1000", "rate_hz = 50"),
         ('drive = "zlac8015d"', f'drive = "{SLOW_PROFILE}"'),
-        ("command_timeout_s = 0.3", "command_timeout_s = 8.0"),
-        ("feedback_timeout_s = 0.25", "feedback_timeout_s = 8.0"),
-        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 8.0"),
+        ("command_timeout_s = 0.3", "command_timeout_s = 5.0"),
+        ("feedback_timeout_s = 0.25", "feedback_timeout_s = 5.0"),
+        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0"),
         ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
         ('port = "/dev/ttyUSB0"', f"port = {json.dumps(str(port))}\n{keys}"),
         ("cycle_hz = 50", "cycle_hz = 5"),
@@ -113,10 +113,8 @@ def robot_file(folder, port, *, name="demo", **line):
 
 
 @contextlib.contextmanager
-def simulated_drive(folder, far_end):
-    """The demo robot's drive behind `far_end`; yields the simulator's control."""
-    with (
-        start_simulator(ROBOT, link_dir=folder) as simulator,
-        Bridge(simulator.ports["rs485"], far_end),
-    ):
-        yield simulator.control
+def behind(simulator, far_end):
+    """The demo robot's drive at the far end of the cable; yields the simulator's control."""
+    control = SimControl(simulator.control_path, timeout_s=DEADLINE_S)
+    with Bridge(simulator.ports["rs485"], far_end), contextlib.closing(control):
+        yield control

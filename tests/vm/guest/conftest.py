@@ -6,8 +6,28 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
+
 collect_ignore_glob = [] if os.environ.get("MOTORD_VM") == "1" else ["*"]
 
 PACKAGES = [str(path) for path in Path("/usr/lib/motord/lib").glob("python3.*/site-packages")]
 sys.path[:0] = PACKAGES
 os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that tests start
+
+
+def pytest_runtest_logreport(report):
+    """A failure is told at once: the rest may take minutes."""
+    if report.failed:
+        print(f"\n{report.longreprtext}", file=sys.__stdout__, flush=True)
+
+
+@pytest.fixture(scope="session")
+def simulator(tmp_path_factory):
+    """The demo robot's drives, a process of their own; to start it takes an emulated machine
+    seconds."""
+    from cable import ROBOT
+
+    from motord.tools.simulator import start_simulator
+
+    with start_simulator(ROBOT, link_dir=tmp_path_factory.mktemp("drives"), timeout_s=100.0) as it:
+        yield it

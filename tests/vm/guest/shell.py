@@ -22,7 +22,9 @@ def wait_until(condition, what, said=str):
 
 def output(*command):
     """What it prints; a failure is the test's."""
-    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=2 * DEADLINE_S, check=False
+    )
     assert done.returncode == 0, done.stderr + done.stdout
     return done.stdout
 

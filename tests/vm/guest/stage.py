@@ -29,33 +29,41 @@ class Stage:
         return self.log.read_text(encoding="utf-8")
 
     def drive_on(self, speed_m_s=0.5):
-        """Armed, and the true wheels turn."""
-        self.wait_for("idle", "armed")
-        granted(self.robot.arm)
+        """Armed, and the true wheels turn. A machine that stood still for seconds may have latched
+        a fault meanwhile, as it must: then once more, and it is said."""
+        self.wait_for("idle", "armed", "fault")
 
         def turning():
+            status = self.robot.status()
+            if status["state"] == "fault":
+                print("before it drove:", status["why"])
+                self.robot.reset()
+            if not status["armed"]:
+                self.robot.arm()
             self.robot.drive(speed_m_s, 0.0)
             joints = self.sim.truth().joints.values()
             return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)
 
-        wait_until(turning, "the wheels turn", self.said)
+        granted(turning, "the wheels turn", self.said)
 
     def rests_without_power(self):
         truth = self.sim.truth()
         return truth.at_rest and not any(joint.enabled for joint in truth.joints.values())
 
 
-def granted(ask):
-    """Asks until it is not refused any more."""
+def granted(ask, what="it is granted", said=str):
+    """Asks until it is neither refused nor answered with False."""
+
+    refusals = [""]
 
     def attempt():
         try:
-            ask()
-        except Refused:
+            return ask() is not False
+        except Refused as refusal:
+            refusals.append(str(refusal))
             return False
-        return True
 
-    wait_until(attempt, "it is granted")
+    wait_until(attempt, what, lambda: f"{refusals[-1]}\n{said()}")
 
 
 @contextlib.contextmanager

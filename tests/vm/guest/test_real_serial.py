@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from cable import ADAPTER_SERIAL, UART, adapter, plug, pull, robot_file, simulated_drive
+from cable import ADAPTER_SERIAL, UART, adapter, behind, plug, pull, robot_file
 from gpio_chip import gpio_chip
 from shell import wait_until
 from stage import daemon, granted
@@ -25,9 +25,9 @@ def plugged():
     plug()
 
 
-def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path):
+def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path, simulator):
     with (
-        simulated_drive(tmp_path, adapter()) as sim,
+        behind(simulator, adapter()) as sim,
         daemon(tmp_path, robot_file(tmp_path, UART), sim) as stage,
     ):
         stage.drive_on()
@@ -39,11 +39,11 @@ def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["by serial number", "by id"])
-def test_an_adapter_that_was_pulled_is_found_again_and_the_drives_are_disarmed(tmp_path, kind):
+def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator, kind):
     by_id = next(p for p in os.listdir("/dev/serial/by-id") if ADAPTER_SERIAL in p)
     port = {"by serial number": f"usb:{ADAPTER_SERIAL}", "by id": f"/dev/serial/by-id/{by_id}"}
     with (
-        simulated_drive(tmp_path, UART) as sim,
+        behind(simulator, UART) as sim,
         daemon(tmp_path, robot_file(tmp_path, port[kind]), sim) as stage,
     ):
         stage.drive_on()
@@ -103,13 +103,13 @@ def test_a_uart_that_cannot_turn_a_transceiver_says_what_else_can():
 
 
 @pytest.mark.parametrize("talking", [1, 0], ids=["active high", "active low"])
-def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, talking):
+def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, simulator, talking):
     with gpio_chip("rs485-hat", "DE") as level_of:
         robot = robot_file(
             tmp_path, UART, direction="gpio", direction_gpio_chip="rs485-hat",
             direction_gpio_line="DE", direction_active_high=bool(talking), direction_after_s=0.005,
         )  # fmt: skip
-        with simulated_drive(tmp_path, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
+        with behind(simulator, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
             stage.drive_on()
             wait_until(lambda: level_of("DE") == talking, "it talks")
             wait_until(lambda: level_of("DE") != talking, "it listens")

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cable import UART, adapter, plug, robot_file, simulated_drive
+from cable import UART, adapter, behind, plug, robot_file
 from shell import DEADLINE_S, journal, output, properties, wait_until
 from stage import Stage, granted
 
@@ -50,15 +50,15 @@ def connected(old_pid=0):
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory):
+def drives(simulator):
     """The robot's file, and its drives; the unit's watchdog as patient as an emulated machine
     asks for."""
     plug()
     DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-    DROP_IN.write_text("[Service]\nWatchdogSec=20\nTimeoutStopSec=60\n")
+    DROP_IN.write_text("[Service]\nWatchdogSec=30\nTimeoutStartSec=90\nTimeoutStopSec=60\n")
     output("systemctl", "daemon-reload")
     robot = robot_file(ETC, UART, name=NAME)
-    with simulated_drive(tmp_path_factory.mktemp("drives"), adapter()) as sim:
+    with behind(simulator, adapter()) as sim:
         yield sim
         output("systemctl", "stop", UNIT)
     for path in (DROP_IN, robot, ETC / "zlac8015d.toml"):
@@ -108,6 +108,19 @@ def test_it_reaches_the_devices_of_motors_and_no_other(unit):
     assert "0 bytes copied" in done
 
 
+def test_members_of_its_group_command_it_and_nobody_else(unit):
+    output("useradd", "--groups", "motord", "driver")
+    output("useradd", "visitor")
+    try:
+        output("runuser", "-u", "driver", "--", "motord", "arm")
+        assert unit.state() == "armed"
+        output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
+        assert unit.state() == "armed"
+    finally:
+        output("userdel", "driver")
+        output("userdel", "visitor")
+
+
 def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
     unit.drive_on()
     pid = main_pid()
@@ -144,6 +157,8 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     assert "left" in entries[0]["MOTORD_JOINT"]
     latched = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
     assert "over-current" in json.dumps(latched[-1]["MOTORD_FAULT"])
+    unit.sim.clear_faults_script()
+    granted(unit.robot.reset, "a reset", unit.said)
 
 
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):

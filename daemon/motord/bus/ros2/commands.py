@@ -17,12 +17,12 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import METHODS, URGENT, Desk, NotTaken
-from motord.bus.ros2.dds import Quality
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
+from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.sparing import Sparing
-from motord.config import Ros2Input
+from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 class Ros2Commands:
-    def __init__(self, name: str, section: Ros2Input, station: Station) -> None:
+    def __init__(self, name: str, section: Ros2Input | ZenohInput, station: Station) -> None:
         """Raises DdsError."""
         self._name = name
         self._desk = Desk(name, section, station)

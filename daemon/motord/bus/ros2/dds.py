@@ -13,7 +13,6 @@ import logging
 import os
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
@@ -35,6 +34,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from motord.bus.ros2.cyclone_types import cyclone_type
+from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
@@ -75,35 +75,24 @@ def _domain(domain_id: int, xml: str) -> Domain:
     return Domain(domain_id, xml)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quality:
-    """Of an endpoint, as ROS 2 names it."""
-
-    depth: int = 10
-    reliable: bool = True
-    latched: bool = False
-    """TRANSIENT_LOCAL: who comes later is told the newest, too."""
-
-    def qos(self, user_data: str) -> Qos:
-        """As DDS says it."""
-        durability = (
-            Policy.Durability.TransientLocal if self.latched else Policy.Durability.Volatile
-        )
-        reliability: Any = Policy.Reliability.BestEffort
-        if self.reliable:
-            reliability = Policy.Reliability.Reliable(BLOCKING_MAX)
-        policies = [
-            reliability,
-            durability,
-            Policy.History.KeepLast(self.depth),
-            Policy.DataRepresentation(use_cdrv0_representation=True),
-            Policy.WriterDataLifecycle(autodispose=False),
-            Policy.Userdata(user_data.encode()),
-        ]
-        if self.latched:
-            history = Policy.History.KeepLast(self.depth)
-            policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
-        return Qos(*policies)
+def _qos(quality: Quality, user_data: str) -> Qos:
+    """As DDS says it."""
+    durability = Policy.Durability.TransientLocal if quality.latched else Policy.Durability.Volatile
+    reliability: Any = Policy.Reliability.BestEffort
+    if quality.reliable:
+        reliability = Policy.Reliability.Reliable(BLOCKING_MAX)
+    policies = [
+        reliability,
+        durability,
+        Policy.History.KeepLast(quality.depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.WriterDataLifecycle(autodispose=False),
+        Policy.Userdata(user_data.encode()),
+    ]
+    if quality.latched:
+        history = Policy.History.KeepLast(quality.depth)
+        policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
+    return Qos(*policies)
 
 
 class Writer:
@@ -204,7 +193,7 @@ class Participant:
         """Of a type of `types.TYPES`. Raises DdsError."""
         try:
             entity = DataWriter(
-                self.entity, self._topic(topic, kind, service), quality.qos(user_data)
+                self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error
@@ -225,7 +214,7 @@ class Participant:
         raise. Raises DdsError."""
         try:
             entity = DataReader(
-                self.entity, self._topic(topic, kind, service), quality.qos(user_data)
+                self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error

@@ -145,6 +145,11 @@ float64 step_max_ns
 """
 
 SERVICES = """
+=== service_msgs/msg/ServiceEventInfo
+uint8 event_type
+builtin_interfaces/Time stamp
+char[16] client_gid
+int64 sequence_number
 === std_srvs/srv/Trigger_Request
 === std_srvs/srv/Trigger_Response
 bool success

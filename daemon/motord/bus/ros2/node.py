@@ -12,7 +12,8 @@ from typing import Any
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
-from motord.bus.ros2.dds import Discovery, Participant, Quality, Reader, Writer
+from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
+from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash

@@ -1,24 +1,92 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of the second process: sections of the robot file that say the same share one."""
+"""The nodes of the second process: sections of the robot file that say the same share one. What is
+published and commanded does not know whether its node is on DDS or on Zenoh."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
-from motord.bus.ros2.node import Node
-from motord.config import Ros2Node
+from motord.bus.ros2.quality import Quality
+from motord.config import Ros2Node, ZenohNode
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
 
-_nodes: WeakKeyDictionary[Station, dict[tuple[str, str, int], Node]] = WeakKeyDictionary()
+
+class Teller(Protocol):
+    """A topic that is published."""
+
+    def publish(self, message: Any) -> None:
+        """Never waits; what is not taken is lost."""
+        ...
 
 
-def node_of(station: Station, section: Ros2Node) -> Node:
-    """Made when first asked for. Raises DdsError."""
+class Node(Protocol):
+    """Topics and services are made before `run`. Each may raise DdsError."""
+
+    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
+        """Of a type of `types.TYPES`."""
+        ...
+
+    def subscribe(
+        self,
+        name: str,
+        kind: str,
+        take: Callable[[SimpleNamespace], None],
+        quality: Quality | None = None,
+    ) -> None:
+        """`take` is called for each message."""
+        ...
+
+    def serve(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int = 10,
+    ) -> None:
+        """A service, of pkg/srv/Name. `answer` does not raise."""
+        ...
+
+    async def run(self) -> None:
+        """Until cancelled. Of several who share the node, the first one does it for all."""
+        ...
+
+
+_Key = tuple[type, str, str, int]
+_nodes: WeakKeyDictionary[Station, dict[_Key, Node]] = WeakKeyDictionary()
+
+
+def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
+    """Made when first asked for. Raises DdsError, ValueError for a router that cannot be, and
+    ImportError where the middleware's package is missing."""
     nodes = _nodes.setdefault(station, {})
-    key = (section.node_name, section.namespace, section.domain_id)
+    over = ZenohNode if isinstance(section, ZenohNode) else Ros2Node
+    key = (over, section.node_name, section.namespace, section.domain_id)
     if key not in nodes:
-        nodes[key] = Node(*key, section.discovery, section.interface)
+        nodes[key] = _made(station, section)
     return nodes[key]
+
+
+def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
+    """A robot loads only the middleware that it has."""
+    names = (section.node_name, section.namespace, section.domain_id)
+    if isinstance(section, Ros2Node):
+        from motord.bus.ros2 import node
+
+        return node.Node(*names, section.discovery, section.interface)
+    from motord.bus.ros2 import zenoh_node
+
+    def path(name: str | None) -> str | None:
+        return None if name is None else str(station.beside_robot_file(name))
+
+    router = zenoh_node.Router(
+        endpoint=section.router,
+        ca_file=path(section.ca_file),
+        cert_file=path(section.cert_file),
+        key_file=path(section.key_file),
+    )
+    return zenoh_node.ZenohNode(*names, router)

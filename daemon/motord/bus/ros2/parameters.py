@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
-from motord.bus.ros2.node import Node
+from motord.bus.ros2.nodes import Node
 from motord.client import ClientError
 from motord.config import Robot
 

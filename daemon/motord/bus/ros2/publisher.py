@@ -7,12 +7,11 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.bus.ros2.dds import Quality
-from motord.bus.ros2.node import Publisher
-from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.nodes import Teller, node_of
+from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.urdf import urdf
 from motord.bus.topics import TOPICS
-from motord.config import Ros2Publish
+from motord.config import Ros2Publish, RosTopics, ZenohPublish
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -25,12 +24,12 @@ _QUALITIES = {"tf": Quality(depth=100)}
 
 
 class Ros2Publisher:
-    def __init__(self, name: str, section: Ros2Publish, station: Station) -> None:
+    def __init__(self, name: str, section: Ros2Publish | ZenohPublish, station: Station) -> None:
         """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
         self._description = _description(section, station)
         self._node = node_of(station, section)
         self._feed = station.feed(name, section.rates_hz())
-        self._publishers: dict[str, Publisher] = {
+        self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
                 _NAMES.get(topic, topic), TOPICS[topic].type_name, _QUALITIES.get(topic)
             )
@@ -52,7 +51,7 @@ class Ros2Publisher:
             self._publishers[sample.topic.name].publish(sample.message)
 
 
-def _description(section: Ros2Publish, station: Station) -> str:
+def _description(section: RosTopics, station: Station) -> str:
     if section.urdf_file is None:
         return urdf(station.robot)
     path = station.beside_robot_file(section.urdf_file)

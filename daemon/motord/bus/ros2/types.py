@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -86,7 +86,35 @@ def _field(line: str, package: str) -> Field:
     )
 
 
-TYPES = MappingProxyType(dict(_parsed(COMMON + OWN + SERVICES + GRAPH)))
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+
+
+def _services(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    """A service as the one type whose hash it has on Zenoh: request, response, and the event of
+    service introspection (rosidl_generator_type_description)."""
+    for name in messages:
+        service, ending, rest = name.partition("_Request")
+        if ending and not rest:
+            yield (
+                f"{service}_Event",
+                (
+                    Field(name="info", kind=_EVENT_INFO),
+                    Field(name="request", kind=name, count=1, bounded=True),
+                    Field(name="response", kind=f"{service}_Response", count=1, bounded=True),
+                ),
+            )
+            yield (
+                service,
+                (
+                    Field(name="request_message", kind=name),
+                    Field(name="response_message", kind=f"{service}_Response"),
+                    Field(name="event_message", kind=f"{service}_Event"),
+                ),
+            )
+
+
+_MESSAGES = dict(_parsed(COMMON + OWN + SERVICES + GRAPH))
+TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 """Fields by the type's name."""
 
 

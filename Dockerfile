@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+# The daemon in a container. Devices, limits and how to run it: docs/service.md.
+FROM debian:bookworm-slim AS build
+RUN apt-get update && apt-get install -y --no-install-recommends gcc libc6-dev python3-dev python3-venv \
+    && rm -rf /var/lib/apt/lists/*
+COPY config /src/config
+COPY csrc /src/csrc
+COPY daemon /src/daemon
+COPY hal /src/hal
+COPY pyproject.toml setup.py README.md LICENSE /src/
+RUN python3 -m venv /opt/motord && /opt/motord/bin/pip install --no-cache-dir /src
+
+FROM debian:bookworm-slim
+RUN apt-get update && apt-get install -y --no-install-recommends python3 && rm -rf /var/lib/apt/lists/* \
+    && useradd --system --uid 900 --groups dialout --no-create-home motord
+COPY --from=build /opt/motord /opt/motord
+USER motord
+STOPSIGNAL SIGTERM
+ENTRYPOINT ["/opt/motord/bin/motord"]
+CMD ["run", "/etc/motord/robot.toml"]

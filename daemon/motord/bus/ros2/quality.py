@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service, as ROS 2 names it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """Of an endpoint. Its history is always KEEP_LAST: newest wins."""
+
+    depth: int = 10
+    reliable: bool = True
+    latched: bool = False
+    """TRANSIENT_LOCAL: who comes later is told the newest, too."""

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's topics and services on Zenoh, as rmw_zenoh has them. Each is `declared` on a session,
+again when there is a new one. Zenoh calls back in threads of its own: a callback only leaves what
+came in a box and wakes the event loop, once for all that is in it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any, Generic, Protocol, TypeVar
+
+import zenoh
+import zenoh.ext
+
+from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.zenoh_names import (
+    PUBLISHER,
+    SERVER,
+    SUBSCRIPTION,
+    Attachment,
+    NodeNames,
+    gid,
+    quality_said,
+)
+
+WAITING_MAX = 32
+"""Requests; more are refused."""
+_T = TypeVar("_T")
+
+_log = logging.getLogger(__name__)
+
+
+class Endpoint(Protocol):
+    def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
+        """Be there, as the endpoint of that number. Raises zenoh.ZError."""
+        ...
+
+
+class Inbox(Generic[_T]):
+    """From a thread of Zenoh's to the event loop. The oldest gives way to the newest."""
+
+    def __init__(self, size: int, take: Callable[[_T], None]) -> None:
+        self._items: deque[_T] = deque(maxlen=size)
+        self._take = take
+        self._woken = False
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def open(self) -> None:
+        """In the event loop that is to be woken."""
+        self._loop = asyncio.get_running_loop()
+
+    def put(self, item: _T) -> None:
+        """From any thread."""
+        self._items.append(item)
+        if self._woken or self._loop is None or self._loop.is_closed():
+            return
+        self._woken = True
+        self._loop.call_soon_threadsafe(self._empty)
+
+    def _empty(self) -> None:
+        self._woken = False  # before the last look: what comes after it wakes again
+        while self._items:
+            self._take(self._items.popleft())
+
+
+def _token(
+    session: zenoh.Session, names: NodeNames, number: int, said: tuple[str, str, str, Quality]
+) -> tuple[str, zenoh.LivelinessToken]:
+    what, topic, kind, quality = said
+    words = quality_said(depth=quality.depth, reliable=quality.reliable, latched=quality.latched)
+    token = names.endpoint_token(number, what, topic, kind, words)
+    return token, session.liveliness().declare_token(token)
+
+
+class Publisher:
+    def __init__(self, topic: str, kind: str, quality: Quality) -> None:
+        self._topic, self._kind, self._quality = topic, kind, quality
+        self._entity: zenoh.Publisher | zenoh.ext.AdvancedPublisher | None = None
+        self._token: zenoh.LivelinessToken | None = None
+        self._gid = bytes(16)
+        self._sequence = 0
+        self._latched: bytes | None = None
+        self._failing = False
+
+    def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
+        """As Endpoint.declare; what is latched is said again."""
+        key = names.key(self._topic, self._kind)
+        if self._quality.latched:
+            self._entity = zenoh.ext.declare_advanced_publisher(
+                session,
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                cache=zenoh.ext.CacheConfig(self._quality.depth),
+                publisher_detection=True,
+            )
+        else:
+            self._entity = session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.DROP
+            )
+        said = (PUBLISHER, self._topic, self._kind, self._quality)
+        token, self._token = _token(session, names, number, said)
+        self._gid = gid(token)
+        if self._latched is not None:
+            self._put(self._latched)
+
+    def publish(self, message: Any) -> None:
+        """Never waits. What cannot be encoded, or is not taken, is lost; said once."""
+        try:
+            raw = bytes(encode(self._kind, message))
+        except ValueError as error:
+            self._say(str(error))
+            return
+        if self._quality.latched:
+            self._latched = raw
+        self._put(raw)
+
+    def _put(self, raw: bytes) -> None:
+        if self._entity is None:
+            return  # no session yet, which the node says
+        self._sequence += 1
+        attachment = Attachment(self._sequence, time.time_ns(), self._gid).encode()
+        try:
+            self._entity.put(raw, attachment=attachment)
+        except zenoh.ZError as error:
+            self._say(str(error))
+        else:
+            self._failing = False
+
+    def _say(self, text: str) -> None:
+        if not self._failing:
+            self._failing = True
+            _log.warning("%s: not published: %s", self._topic, text)
+
+
+class Subscription:
+    def __init__(
+        self, topic: str, kind: str, quality: Quality, take: Callable[[SimpleNamespace], None]
+    ) -> None:
+        self._topic, self._kind, self._quality = topic, kind, quality
+        self._tell = take
+        self._inbox: Inbox[bytes] = Inbox(quality.depth, self._take)
+        self._kept: tuple[Any, ...] = ()
+
+    def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
+        """As Endpoint.declare."""
+        self._inbox.open()
+        key = names.key(self._topic, self._kind)
+        said = (SUBSCRIPTION, self._topic, self._kind, self._quality)
+        subscriber = session.declare_subscriber(key, self._arrived)
+        self._kept = (subscriber, *_token(session, names, number, said))
+
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._inbox.put(sample.payload.to_bytes())
+
+    def _take(self, raw: bytes) -> None:
+        try:
+            message = decode(self._kind, raw)
+        except ValueError as error:
+            _log.warning("%s: not understood: %s", self._topic, error)
+            return
+        self._tell(message)
+
+
+class Service:
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int,
+    ) -> None:
+        self._name, self._kind = name, kind
+        self._quality = Quality(depth=depth)
+        self._answer = answer
+        self._inbox: Inbox[zenoh.Query] = Inbox(WAITING_MAX, self._take)
+        self._waiting: asyncio.Queue[zenoh.Query] = asyncio.Queue(WAITING_MAX)
+        self._key = ""
+        self._kept: tuple[Any, ...] = ()
+
+    def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
+        """As Endpoint.declare."""
+        self._inbox.open()
+        self._key = names.key(self._name, self._kind)
+        queryable = session.declare_queryable(self._key, self._inbox.put, complete=True)
+        said = (SERVER, self._name, self._kind, self._quality)
+        self._kept = (queryable, *_token(session, names, number, said))
+
+    def _take(self, query: zenoh.Query) -> None:
+        try:
+            self._waiting.put_nowait(query)
+        except asyncio.QueueFull:
+            _refuse(query, f"{WAITING_MAX} requests wait")
+
+    async def run(self) -> None:
+        """Answer one after the other, until cancelled."""
+        while True:
+            query = await self._waiting.get()
+            try:
+                await self._serve(query)
+            except (ValueError, zenoh.ZError) as error:
+                _log.warning("service %s: not answered: %s", self._name, error)
+                _refuse(query, str(error))
+
+    async def _serve(self, query: zenoh.Query) -> None:
+        """Raises ValueError for what no ROS 2 client asks. Somebody who looks at all keys, by a
+        wildcard, calls nothing."""
+        if str(query.key_expr) != self._key:
+            raise ValueError(f"{query.key_expr} is not the key of a request")
+        if query.payload is None or query.attachment is None:
+            raise ValueError("a request has a payload and an attachment")
+        asked = Attachment.decode(query.attachment.to_bytes())
+        request = decode(f"{self._kind}_Request", query.payload.to_bytes())
+        reply = encode(f"{self._kind}_Response", await self._answer(request))
+        attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).encode()
+        with query:
+            query.reply(self._key, bytes(reply), attachment=attachment)
+
+
+def _refuse(query: zenoh.Query, text: str) -> None:
+    try:
+        with query:
+            query.reply_err(text)
+    except zenoh.ZError as error:
+        _log.debug("no refusal reached the client: %s", error)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for motor bridges on pins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.line_sections import PwmLine
+from motord.config.model import Robot
+from motord.config.toml_lines import Path
+from motord.config.wheels import Profiles
+from motord.config.wiring import line_specs
+from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.pwm.pins import Place, bridge_of, places_of
+
+
+def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    taken: dict[tuple[str, str], str] = {}
+    for spec in line_specs(robot, profiles):
+        kind = robot.line[spec.name].kind
+        for number, joint in enumerate(spec.joints):
+            at: Path = ("joint", joint.name, "pins")
+            if not isinstance(robot.line[spec.name], PwmLine):
+                if joint.pins:
+                    text = f'is only for a line of kind "pwm": this one is "{kind}"'
+                    yield Finding((at, ("line", spec.name, "kind")), text)
+            elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
+                yield from _bridge(spec, number, joint, taken)
+
+
+def _bridge(
+    spec: LineSpec, number: int, joint: JointSpec, taken: dict[tuple[str, str], str]
+) -> Iterator[Finding]:
+    at: Path = ("joint", joint.name, "pins")
+    try:
+        places = places_of(number, joint)
+    except ValueError as error:
+        yield Finding((at, ("joint", joint.name, "drive")), str(error))
+        return
+    for place in places:
+        where = (spec.name, place.gpio or f"pwm{place.channel}")
+        if where in taken:
+            text = f"pin {place.pin}: {where[1]} is taken already ({taken[where]})"
+            yield Finding((at,), text)
+        taken.setdefault(where, place.purpose)
+    yield from _chips(spec, places)
+    yield from _carrier(spec, joint)
+
+
+def _chips(spec: LineSpec, places: list[Place]) -> Iterator[Finding]:
+    for key, given, needed in (
+        ("pwm_chip", spec.pins.pwm_chip, [p for p in places if p.channel is not None]),
+        ("gpio_chip", spec.pins.gpio_chip, [p for p in places if p.channel is None]),
+    ):
+        if needed and not given:
+            at: tuple[Path, ...] = (("line", spec.name, key), ("line", spec.name, "kind"))
+            yield Finding(at, f"is missing: {needed[0].purpose} needs it")
+
+
+def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
+    bridge, wished_hz = bridge_of(joint), spec.pins.pwm_hz
+    if wished_hz is not None and not bridge.pwm_min_hz <= wished_hz <= bridge.pwm_max_hz:
+        span = f"{bridge.pwm_min_hz:g} to {bridge.pwm_max_hz:g} Hz"
+        text = f'{wished_hz:g} Hz is out of range for drive "{joint.profile.name}" ({span})'
+        yield Finding((("line", spec.name, "pwm_hz"), ("joint", joint.name, "drive")), text)
+
+
+PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_pins,)

@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stopping a board that reads text and that nobody talks to any more."""
+
+from __future__ import annotations
+
+from motord_hal.ascii.dialect import TextDialect
+from motord_hal.mcu.halt import halt_board
+from motord_hal.ports import LineSpec
+
+
+async def halt_line(spec: LineSpec) -> list[str]:
+    """Returns what was not acknowledged, in words. Raises PortError."""
+    return await halt_board(spec, TextDialect(spec))

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several lines of one chip in one request, so that one call sets them all at once."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from motord_hal.errors import PortError
+from motord_hal.gpio.chip import LINES_MAX, Chip, open_chip, why
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """A line of the request, and what it is for."""
+
+    line: str
+    """Name, or number on the chip."""
+    purpose: str
+    """For the error's sentence, as "joint left, pin in1"."""
+    high: bool = False
+    """Outputs: the level to begin with."""
+
+
+def request_outputs(
+    chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
+) -> int:
+    """Bit i of the request is `wanted[i]`. The caller closes the descriptor: the lines then keep
+    their levels, or not, as the chip likes. Raises PortError."""
+    levels = sum(1 << place for place, line in enumerate(wanted) if line.high)
+    return _request(chip, wanted, consumer, levels, dev)
+
+
+def request_inputs(
+    chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
+) -> int:
+    """As `request_outputs`."""
+    return _request(chip, wanted, consumer, None, dev)
+
+
+def _request(
+    chip: str, wanted: Sequence[Wanted], consumer: str, outputs: int | None, dev: Path
+) -> int:
+    if len(wanted) > LINES_MAX:
+        raise PortError(f"{len(wanted)} GPIO lines, at most {LINES_MAX}")
+    opened = open_chip(chip, dev)
+    try:
+        offsets = [_offset(opened, line) for line in wanted]
+        _check_twice(offsets, wanted)
+        try:
+            return opened.request(offsets, consumer, outputs)
+        except OSError as error:
+            raise PortError(_refusal(opened, wanted, offsets, error)) from error
+    finally:
+        os.close(opened.fd)
+
+
+def _offset(chip: Chip, line: Wanted) -> int:
+    try:
+        return chip.find(line.line)
+    except LookupError as error:
+        text = f'{line.purpose}: {error.args[0]} ("{chip.label}", {chip.path})'
+        raise PortError(text) from error
+    except OSError as error:
+        raise PortError(f"{line.purpose}: {chip.path}: {why(error)}") from error
+
+
+def _check_twice(offsets: Sequence[int], wanted: Sequence[Wanted]) -> None:
+    for place, offset in enumerate(offsets):
+        if offset in offsets[:place]:
+            other = wanted[offsets.index(offset)].purpose
+            raise PortError(f"{wanted[place].purpose}: line {offset} is that of {other}")
+
+
+def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error: OSError) -> str:
+    if error.errno == errno.EBUSY:
+        for line, offset in zip(wanted, offsets, strict=True):
+            name, owner = chip.info(offset)
+            if owner:
+                where = f'line {offset} ("{name}") of {chip.path} "{chip.label}"'
+                return f'{line.purpose}: {where} is in use by "{owner}": end it, or free the pin'
+    names = ", ".join(line.line for line in wanted)
+    return f'{chip.path} "{chip.label}", lines {names}: {why(error)}'

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motor bridges on pins of this machine. A thread in C writes the pins and obeys the set-points;
+here pins are opened, wishes handed on, and what changes is said."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+
+from motord_hal.clock import now_ns, now_s
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.errors import DriveFault, HalError, NoReply, PortError
+from motord_hal.ports import (
+    SETPOINT_TIMEOUT_S,
+    DriveState,
+    EventKind,
+    LineEvent,
+    LineSpec,
+    LineState,
+    LineStats,
+    Listener,
+)
+from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
+from motord_hal.retry import Backoff
+from motord_hal.rt import Exchange
+from motord_hal.rt_pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Wish
+
+REOPEN_FIRST_S = 0.1
+REOPEN_LIMIT_S = 2.0
+STOPPING_S = 0.3
+"""A quick stop brakes for so long, then the power goes off."""
+OBEYED_WITHIN_S = 1.0
+LOOK_EVERY_S = 0.005
+WATCH_EVERY_S = 0.05
+FAULT_WORDS = ("the bridge says fault",)
+
+
+class PwmLine:
+    """ports.Line for `kind = "pwm"`, engine "rt". Nobody can see whether a bridge is there: its
+    drives are as present as their pins are."""
+
+    def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
+        self.spec = spec
+        for number, joint in enumerate(spec.joints):
+            try:
+                places_of(number, joint)
+            except ValueError as error:
+                raise HalError(f"{spec.name}: joint {joint.name}: {error}") from error
+        self._exchange = exchange
+        self._listener = listener
+        self._names = tuple(joint.name for joint in spec.joints)
+        self._thread = BridgeThread(spec.index, exchange)
+        self._pins: OpenPins | None = None
+        self._seen = BridgeReport()
+        self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
+        self._said_lost = False
+        self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
+        self._stats = LineStats()
+        self._epoch = 0
+        self._started_s = 0.0
+
+    # ------------------------------------------------------------------------------------ what is
+    @property
+    def engine(self) -> str:
+        return "rt"
+
+    @property
+    def state(self) -> LineState:
+        return LineState.CLOSED if self._pins is None else LineState.READY
+
+    @property
+    def drive_states(self) -> dict[str, DriveState]:
+        state = DriveState.UNKNOWN
+        if self._pins is not None:
+            state = DriveState.ARMED if self._thread.report().armed else DriveState.READY
+        return dict.fromkeys(self._names, state)
+
+    @property
+    def drive_faults(self) -> dict[str, tuple[str, ...]]:
+        return dict(self._faults)
+
+    def stats(self) -> LineStats:
+        """As ports.Line.stats. An exchange is a write to pins; what is never late has no limit."""
+        if self._pins is not None:
+            report = self._thread.report()
+            self._stats.exchanges, self._stats.cycles = report.writes, report.cycles
+            self._stats.errors = {"late": report.late_cycles} if report.late_cycles else {}
+            span_s = now_s() - self._started_s
+            self._stats.cycle_hz = report.cycles / span_s if span_s > 0 else 0.0
+        self._stats.wire_limit_hz = self.spec.cycle_hz
+        return self._stats
+
+    def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
+        self._listener(LineEvent(kind, self.spec.name, joints, text))
+
+    # ------------------------------------------------------------------------------------ the task
+    async def run(self) -> None:
+        """As ports.Line.run."""
+        try:
+            while True:
+                await self._open()
+                self._lose(await self._attend())
+        finally:
+            try:
+                await self._shut_down()
+            finally:
+                self._close()
+
+    async def _open(self) -> None:
+        while True:
+            if self._said_lost:
+                await asyncio.sleep(self._backoff.next_s())
+            try:
+                pins = await open_pins(self.spec)
+                self._start(pins)
+                break
+            except HalError as error:
+                self._lose(error)
+        self._stats.reopened += self._said_lost
+        self._said_lost = False
+        self._backoff.reset()
+        pins_there = f"{len(pins.pins)} pins"
+        self._say(EventKind.LINE_OPEN, self._names, f"{self.spec.name} has its {pins_there}")
+        self._say(EventKind.DRIVE_READY, self._names, f"{', '.join(self._names)}: no power")
+
+    def _start(self, pins: OpenPins) -> None:
+        self._epoch += 1
+        try:
+            self._thread.start(self._config(pins))
+        except HalError:
+            pins.close()
+            raise
+        self._pins, self._started_s = pins, now_s()
+        self._seen = BridgeReport()
+
+    def _config(self, pins: OpenPins) -> BridgeConfig:
+        joints = [
+            BridgeJoint(
+                index=joint.index,
+                brakes_at_rest=bridge_of(joint).rest == "brake",
+                inverted=joint.inverted,
+                fault_mask=pins.fault_masks[place],
+            )
+            for place, joint in enumerate(self.spec.joints)
+        ]
+        return BridgeConfig(
+            outputs_fd=pins.outputs_fd,
+            inputs_fd=pins.inputs_fd,
+            low_inputs=pins.low_inputs,
+            event_fd=-1,
+            priority=self.spec.priority,
+            cpu=self.spec.cpu,
+            period_s=1.0 / self.spec.cycle_hz,
+            setpoint_timeout_s=SETPOINT_TIMEOUT_S,
+            stopping_s=STOPPING_S,
+            epoch=self._epoch,
+            joints=joints,
+            pins=pins.pins,
+        )
+
+    async def _attend(self) -> PortError:
+        """Say what changes, until the pins are gone."""
+        while True:
+            report = self._thread.report()
+            if not report.running:
+                return PortError(self._what_failed(report))
+            self._note(report)
+            await asyncio.sleep(WATCH_EVERY_S)
+
+    def _what_failed(self, report: BridgeReport) -> str:
+        names = self._pins.names if self._pins else []
+        at = report.error_output
+        where = names[at] if 0 <= at < len(names) else "the GPIO lines"
+        return f"{self.spec.name}: {where}: {os.strerror(report.error)}"
+
+    def _note(self, report: BridgeReport) -> None:
+        before, self._seen = self._seen, report
+        if report.demoted and report.demoted != before.demoted and not report.armed:
+            why = ", ".join(str(flag.name).lower().replace("_", " ") for flag in report.demoted)
+            text = f"{', '.join(self._names)}: stopped: set-points {why}"
+            self._say(EventKind.DRIVE_WARNING, self._names, text)
+        masks = self._pins.fault_masks if self._pins else []
+        for joint, mask in zip(self._names, masks, strict=False):
+            words = FAULT_WORDS if report.active_inputs & mask else ()
+            if words != self._faults[joint]:
+                self._faults[joint] = words
+                kind = EventKind.DRIVE_FAULT if words else EventKind.DRIVE_FAULT_GONE
+                self._say(kind, (joint,), f"{joint}: {words[0] if words else 'no fault any more'}")
+
+    def _lose(self, error: HalError) -> None:
+        self._close()
+        if not self._said_lost:
+            self._said_lost = True
+            self._say(EventKind.LINE_LOST, self._names, f"{self.spec.name}: {error}")
+
+    def _close(self) -> None:
+        if self._pins is not None:
+            self._thread.stop()
+            self._pins.close()
+            self._pins = None
+
+    async def _shut_down(self) -> None:
+        """Brake, then no power; the thread's last words are those in any case."""
+        if self._pins is None:
+            return
+        self._thread.wish(Wish.STOP)
+        until_s = now_s() + STOPPING_S + OBEYED_WITHIN_S / 10
+        await asyncio.sleep(2 / self.spec.cycle_hz)
+        while now_s() < until_s:
+            if not self._thread.report().stopping:
+                return
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    # ---------------------------------------------------------------------------------------- jobs
+    async def arm(self) -> None:
+        """As ports.Line.arm."""
+        self._check_open()
+        for name, words in self._faults.items():
+            if words:
+                raise DriveFault(f"{name} reports {', '.join(words)}")
+        newest = self._exchange.take_setpoints(self.spec.index)
+        if newest.stamp_ns <= 0 or now_ns() - newest.stamp_ns > SETPOINT_TIMEOUT_S * 1e9:
+            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
+        armed = False
+        try:
+            armed = (await self._obeyed(Wish.ARMED)).armed
+        finally:
+            if not armed:
+                self._thread.wish(Wish.OFF)
+        if not armed:
+            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
+
+    async def disarm(self) -> None:
+        """As ports.Line.disarm. From the call on, no pin gives power."""
+        self._check_open()
+        await self._obeyed(Wish.OFF)
+
+    async def _obeyed(self, wish: Wish) -> BridgeReport:
+        number = self._thread.wish(wish)
+        try:
+            async with asyncio.timeout(OBEYED_WITHIN_S):
+                while (report := self._thread.report()).number != number:
+                    self._check_open()
+                    await asyncio.sleep(LOOK_EVERY_S)
+        except TimeoutError:
+            raise NoReply(f"{self.spec.name}: the thread of the pins does not answer") from None
+        return report
+
+    async def clear_faults(self) -> None:
+        """As ports.Line.clear_faults: a fault pin tells when it is over by itself."""
+        self._check_open()
+        for name, words in self._faults.items():
+            if words:
+                raise DriveFault(f"{name} reports {', '.join(words)}")
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """There is none that can be read."""
+        raise LookupError(f"{self._profile_of(joint).name} has no register to read: {register}")
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """There is none that a person may write."""
+        del value
+        raise LookupError(f"{self._profile_of(joint).name} has no register to write: {register}")
+
+    def _profile_of(self, joint: str) -> DriveProfile:
+        for spec in self.spec.joints:
+            if spec.name == joint:
+                return spec.profile
+        raise LookupError(f'{self.spec.name} has no joint "{joint}"')
+
+    def _check_open(self) -> None:
+        if self._pins is None:
+            raise PortError(f"{self.spec.name} has not got its pins")

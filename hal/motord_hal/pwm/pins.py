@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the pins that a robot file names to open channels and GPIO lines, or an error that names the
+joint, the pin and what helps."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from motord_hal.drives.profile import BRIDGE_MODES, Bridge
+from motord_hal.errors import PortError, ProfileError
+from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
+from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.pwm.sysfs import Channel, find_chip, open_channel
+from motord_hal.rt_pwm import Pin
+
+FAULT = "fault"
+"""The pin of a bridge that tells a fault: an input."""
+PUMP = "pump"
+"""An output that changes with every cycle while the motor may move: a charge pump or a watchdog
+behind it takes the power when any thread hangs or the process dies."""
+_LOW = dict.fromkeys(BRIDGE_MODES, (0.0, 0.0))
+_CHANNEL = re.compile(r"pwm(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a pin is."""
+
+    joint: int
+    """Place on the line."""
+    pin: str
+    purpose: str
+    channel: int | None
+    """Of the PWM chip; None: a GPIO line."""
+    gpio: str
+    inverted: bool
+
+
+def bridge_of(joint: JointSpec) -> Bridge:
+    """Raises ProfileError."""
+    if joint.profile.bridge is None:
+        raise ProfileError(f"{joint.name}: {joint.profile.name} is no bridge")
+    return joint.profile.bridge
+
+
+def place_of(number: int, joint: JointSpec, pin: str, where: str) -> Place:
+    """Raises ValueError."""
+    inverted, bare = where.startswith("!"), where.removeprefix("!")
+    channel = _CHANNEL.fullmatch(bare)
+    if not bare:
+        raise ValueError(f"pin {pin} is nowhere")
+    purpose = f"joint {joint.name}, pin {pin}"
+    at = int(channel.group(1)) if channel else None
+    return Place(number, pin, purpose, at, "" if channel else bare, inverted)
+
+
+def places_of(number: int, joint: JointSpec) -> list[Place]:
+    """All pins of a bridge. Raises ValueError for one that is missing, unknown or cannot do what
+    the bridge needs. One that only gives power may be left out, if it is wired so for ever."""
+    bridge = bridge_of(joint)
+    unknown = set(joint.pins) - {*bridge.levels, FAULT, PUMP}
+    if unknown:
+        known = ", ".join((*bridge.levels, FAULT, PUMP))
+        raise ValueError(f"{joint.profile.name} has no pin {min(unknown)} (there are {known})")
+    for pin in bridge.levels:
+        if pin not in joint.pins and not _may_be_left_out(bridge, pin):
+            raise ValueError(f"pin {pin} of {joint.profile.name} is not given")
+    places = [place_of(number, joint, pin, where) for pin, where in joint.pins.items()]
+    for place in places:
+        soft = place.pin in bridge.levels and bridge.needs_pwm(place.pin) and place.channel is None
+        if soft:
+            raise ValueError(
+                f"pin {place.pin} needs a PWM channel, {place.gpio} is a GPIO line: motors are not "
+                "driven by PWM made in software"
+            )
+        if place.pin in (FAULT, PUMP) and place.channel is not None:
+            what = "an input" if place.pin == FAULT else "no PWM"
+            raise ValueError(f"pin {place.pin} is {what}: it needs a GPIO line")
+    return places
+
+
+def _may_be_left_out(bridge: Bridge, pin: str) -> bool:
+    """Pins that only say whether the bridge has power may be wired to it for ever."""
+    driven = [bridge.levels[pin][mode] for mode in ("brake", "forward", "reverse")]
+    return all(level == (1.0, 0.0) for level in driven)
+
+
+@dataclass(slots=True)
+class OpenPins:
+    """All pins of a line. The descriptors are this object's."""
+
+    pins: list[Pin] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    """What each of them is for."""
+    fault_masks: list[int] = field(default_factory=list)
+    """By joint's place: of the inputs."""
+    low_inputs: int = 0
+    """Inputs that are active when they are low."""
+    outputs_fd: int = -1
+    inputs_fd: int = -1
+    channels: list[Channel] = field(default_factory=list)
+
+    def close(self) -> None:
+        """The thread has let them rest."""
+        for channel in self.channels:
+            channel.close()
+        for fd in (self.outputs_fd, self.inputs_fd):
+            if fd >= 0:
+                os.close(fd)
+
+
+async def open_pins(spec: LineSpec) -> OpenPins:
+    """Raises PortError, ProfileError; nothing stays open then."""
+    opened = OpenPins(fault_masks=[0] * len(spec.joints))
+    with contextlib.ExitStack() as undo:
+        undo.callback(opened.close)
+        places = _places(spec)
+        inputs = [place for place in places if place.pin == FAULT]
+        lines = [place for place in places if place.pin != FAULT and place.channel is None]
+        _open_inputs(spec, opened, inputs)
+        _open_outputs(spec, opened, lines)
+        await _open_channels(spec, opened, [place for place in places if place.channel is not None])
+        undo.pop_all()
+    return opened
+
+
+def _places(spec: LineSpec) -> list[Place]:
+    try:
+        return [place for n, joint in enumerate(spec.joints) for place in places_of(n, joint)]
+    except ValueError as error:
+        raise ProfileError(f"{spec.name}: {error}") from error
+
+
+def _levels(spec: LineSpec, place: Place) -> dict[str, tuple[float, float]]:
+    return bridge_of(spec.joints[place.joint]).levels.get(place.pin, _LOW)
+
+
+def _open_inputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
+    if not places:
+        return
+    wanted = [Wanted(line=place.gpio, purpose=place.purpose) for place in places]
+    opened.inputs_fd = request_inputs(spec.pins.gpio_chip, wanted, f"motord {spec.name}")
+    for bit, place in enumerate(places):
+        opened.fault_masks[place.joint] |= 1 << bit
+        opened.low_inputs |= place.inverted << bit
+
+
+def _open_outputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
+    if not places:
+        return
+    wanted = [
+        Wanted(
+            line=place.gpio,
+            purpose=place.purpose,
+            high=(_levels(spec, place)["coast"][0] >= 0.5) != place.inverted,
+        )
+        for place in places
+    ]
+    opened.outputs_fd = request_outputs(spec.pins.gpio_chip, wanted, f"motord {spec.name}")
+    for bit, place in enumerate(places):
+        levels = _levels(spec, place)
+        opened.names.append(place.purpose)
+        opened.pins.append(
+            Pin(joint=place.joint, fd=-1, bit=bit, inverted=place.inverted, period_ns=0,
+                levels=levels, pumps=place.pin == PUMP)
+        )  # fmt: skip
+
+
+async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
+    if not places:
+        return
+    chip = find_chip(spec.pins.pwm_chip)
+    for place in places:
+        channel = await _open_channel(spec, chip, place)
+        opened.channels.append(channel)
+        opened.names.append(place.purpose)
+        opened.pins.append(
+            Pin(joint=place.joint, fd=channel.duty_fd, bit=0, inverted=place.inverted,
+                period_ns=period_ns(spec, place), levels=_levels(spec, place))
+        )  # fmt: skip
+
+
+async def rest_pins(spec: LineSpec) -> list[str]:
+    """Every pin to no power, whatever another one says; then they are let go. Returns what could
+    not be done, in words. Raises ProfileError."""
+    problems: list[str] = []
+    chip: Path | None = None
+    for place in [place for place in _places(spec) if place.channel is not None]:
+        try:
+            chip = chip or find_chip(spec.pins.pwm_chip)
+            (await _open_channel(spec, chip, place)).close()
+        except PortError as error:
+            problems.append(str(error))
+    lines = [p for p in _places(spec) if p.channel is None and p.pin != FAULT]
+    opened = OpenPins(fault_masks=[0] * len(spec.joints))
+    try:
+        _open_outputs(spec, opened, lines)
+    except PortError as error:
+        problems.append(str(error))
+    finally:
+        opened.close()
+    return problems
+
+
+def period_ns(spec: LineSpec, place: Place) -> int:
+    return round(1e9 / (spec.pins.pwm_hz or bridge_of(spec.joints[place.joint]).pwm_hz))
+
+
+async def _open_channel(spec: LineSpec, chip: Path, place: Place) -> Channel:
+    base, _ = _levels(spec, place)["coast"]
+    period = period_ns(spec, place)
+    high_ns = round(base * period)
+    rest_ns = period - high_ns if place.inverted else high_ns
+    assert place.channel is not None  # a PWM pin
+    try:
+        return await open_channel(chip, place.channel, period, rest_ns)
+    except PortError as error:
+        raise PortError(f"{place.purpose}: {error}") from error

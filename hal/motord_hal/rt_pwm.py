@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The door to the thread that drives motor bridges. The meaning of each field is in
+csrc/api_bridge.h."""
+
+from __future__ import annotations
+
+import enum
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.errors import HalError
+from motord_hal.rt import Exchange
+
+OUTPUTS_MAX: int = lib.PWM_OUTPUTS_MAX
+MODES = ("coast", "brake", "forward", "reverse")
+"""In the order of the C side."""
+
+
+class Wish(enum.IntEnum):
+    OFF = lib.PWM_OFF
+    STOP = lib.PWM_STOP
+    ARMED = lib.PWM_ARMED
+
+
+class Demoted(enum.IntFlag):
+    OLD = lib.PWM_DEMOTED_OLD
+    NOT_ENABLED = lib.PWM_DEMOTED_NOT_ENABLED
+    LEFT_ALONE = lib.PWM_DEMOTED_LEFT_ALONE
+
+
+_NEVER = Demoted(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pin:
+    """One output."""
+
+    joint: int
+    """Place in the thread's joints."""
+    fd: int
+    """Of a channel's duty_cycle; -1: a GPIO line."""
+    bit: int
+    inverted: bool
+    period_ns: int
+    levels: dict[str, tuple[float, float]]
+    """Mode → (base, slope)."""
+    pumps: bool = False
+    """It changes with every cycle while the motor may move; the levels do not count."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeJoint:
+    index: int
+    """The core's."""
+    brakes_at_rest: bool
+    inverted: bool
+    fault_mask: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeConfig:
+    outputs_fd: int
+    inputs_fd: int
+    low_inputs: int
+    """Inputs that are active when they are low."""
+    event_fd: int
+    priority: int
+    cpu: tuple[int, ...]
+    period_s: float
+    setpoint_timeout_s: float
+    stopping_s: float
+    epoch: int
+    joints: Sequence[BridgeJoint]
+    pins: Sequence[Pin]
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeReport:
+    running: bool = False
+    armed: bool = False
+    stopping: bool = False
+    demoted: Demoted = _NEVER
+    number: int = 0
+    error: int = 0
+    error_output: int = -1
+    active_inputs: int = 0
+    cycles: int = 0
+    late_cycles: int = 0
+    writes: int = 0
+
+
+class BridgeThread:
+    """The thread of one line. `start` may be called again after `stop`."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        self._line = line
+        self._exchange = exchange
+        self._report = ffi.new("bridge_report *")
+        self._number = 0
+
+    def start(self, config: BridgeConfig) -> None:
+        """Raises HalError."""
+        self._number = 0
+        code = lib.pwm_line_start(self._line, _config(config, self._exchange))
+        if code < 0:
+            raise HalError(f"the thread of the bridges did not start: {os.strerror(-code)}")
+
+    def stop(self) -> None:
+        """The pins rest afterwards. Nothing happens when it does not run."""
+        lib.pwm_line_stop(self._line)
+
+    def wish(self, wish: Wish) -> int:
+        """Tell it; the number with which the report says that it was obeyed."""
+        self._number += 1
+        lib.pwm_line_put_control(
+            self._line, ffi.new("bridge_control *", {"wish": int(wish), "number": self._number})
+        )
+        return self._number
+
+    def report(self) -> BridgeReport:
+        raw = self._report
+        if lib.pwm_line_read_report(self._line, raw) < 0:
+            return BridgeReport()
+        return BridgeReport(
+            running=raw.running != 0,
+            armed=raw.armed != 0,
+            stopping=raw.stopping != 0,
+            demoted=Demoted(raw.demoted),
+            number=raw.number,
+            error=raw.error,
+            error_output=raw.error_output,
+            active_inputs=raw.active_inputs,
+            cycles=raw.cycles,
+            late_cycles=raw.late_cycles,
+            writes=raw.writes,
+        )
+
+
+def _config(config: BridgeConfig, exchange: Exchange) -> Any:
+    raw = ffi.new("bridge_config *")
+    raw.exchange = exchange.handle
+    raw.outputs_fd, raw.inputs_fd = config.outputs_fd, config.inputs_fd
+    raw.low_inputs = config.low_inputs
+    raw.event_fd, raw.priority = config.event_fd, config.priority
+    raw.cpu_mask = sum(1 << cpu for cpu in config.cpu)
+    raw.period_ns = round(config.period_s * 1e9)
+    raw.setpoint_timeout_ns = round(config.setpoint_timeout_s * 1e9)
+    raw.stopping_ns = round(config.stopping_s * 1e9)
+    raw.epoch = config.epoch
+    raw.joint_count, raw.output_count = len(config.joints), len(config.pins)
+    if len(config.joints) > len(raw.joint) or len(config.pins) > len(raw.output):
+        raise HalError(f"{len(config.joints)} joints and {len(config.pins)} pins are too many")
+    for place, joint in zip(raw.joint, config.joints, strict=False):
+        place.index = joint.index
+        place.rest_mode = lib.BRIDGE_BRAKE if joint.brakes_at_rest else lib.BRIDGE_COAST
+        place.sign = -1.0 if joint.inverted else 1.0
+        place.fault_mask = joint.fault_mask
+    for place, pin in zip(raw.output, config.pins, strict=False):
+        place.joint, place.fd, place.bit = pin.joint, pin.fd, pin.bit
+        place.inverted, place.period_ns, place.pumps = pin.inverted, pin.period_ns, pin.pumps
+        for number, mode in enumerate(MODES):
+            place.base[number], place.slope[number] = pin.levels[mode]
+    return raw

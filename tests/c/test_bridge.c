@@ -1,0 +1,209 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of bridge.c, and the thread of output_pwm.c on plain files. */
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "check.h"
+#include "rt.h"
+
+static const int64_t MS = 1000000, START_NS = 5000000000;
+static const uint64_t PERIOD_NS = 50000;
+
+static _Alignas(64) uint8_t exchange_memory[16384];
+
+/* One pin with the duty, one that is active low and says backward. */
+static bridge_config config_of(int fd)
+{
+    bridge_config config = {
+        .exchange = (exchange *)exchange_memory,
+        .outputs_fd = 99,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = MS,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS,
+        .joint_count = 1,
+        .output_count = 2,
+        .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}},
+        .output = {{.fd = fd, .period_ns = PERIOD_NS, .slope = {0.0, 0.0, 1.0, 1.0}},
+                   {.fd = -1, .bit = 3, .inverted = 1, .base = {0.0, 0.0, 0.0, 1.0}}},
+    };
+    return config;
+}
+
+static setpoints duty_of(double duty, uint32_t enabled, int64_t stamp_ns)
+{
+    return (setpoints){.stamp_ns = stamp_ns, .enabled = enabled, .joint_count = 1, .joint = {{.duty = duty}}};
+}
+
+static double level_at(bridge_state *state, const bridge_control *control, double duty, uint32_t enabled, int64_t age_ns,
+                       int64_t now_ns)
+{
+    const bridge_config config = config_of(3);
+    setpoints newest = duty_of(duty, enabled, now_ns - age_ns);
+    double level[PWM_OUTPUTS_MAX];
+    bridge_step(state, &config, control, &newest, now_ns, level);
+    return level[0];
+}
+
+static void only_armed_enabled_and_fresh_set_points_move(void)
+{
+    bridge_state state = {0};
+    bridge_control off = {0}, arm = {.wish = PWM_ARMED, .number = 1};
+    CHECK(level_at(&state, &off, 0.5, 1, 0, START_NS) == 0.0);
+    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + MS) == 0.0);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 2 * MS) == 0.5);
+    CHECK(level_at(&state, &arm, -0.5, 1, 0, START_NS + 3 * MS) == 0.5);
+    CHECK(level_at(&state, &arm, 7.0, 1, 0, START_NS + 4 * MS) == 1.0);
+    CHECK(level_at(&state, &arm, -7.0, 1, 0, START_NS + 4 * MS) == 1.0);
+    CHECK(level_at(&state, &arm, (double)NAN, 1, 0, START_NS + 4 * MS) == 0.0);
+    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.demoted == PWM_DEMOTED_NOT_ENABLED);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.0);
+}
+
+static void what_is_old_or_late_brakes_and_then_lets_go(void)
+{
+    bridge_state state = {0};
+    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS) == 0.0 && state.armed == 0);
+    arm.number++;
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.5);
+    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS + 2 * MS) == 0.0 && state.stop_until_ns != 0);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 302 * MS) == 0.0 && state.stop_until_ns == 0);
+    arm.number++;
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 303 * MS) == 0.5);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.demoted == PWM_DEMOTED_LEFT_ALONE);
+    bridge_control stop = {.wish = PWM_STOP, .number = 9};
+    CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 501 * MS) == 0.0 && state.stop_until_ns == 0);
+    arm.number = 10;
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 502 * MS) == 0.5);
+    stop.number = 11;
+    CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.stop_until_ns != 0);
+}
+
+static void a_pump_changes_with_every_cycle_that_may_move_and_with_no_other(void)
+{
+    bridge_config config = config_of(3);
+    config.output[1].pumps = 1;
+    bridge_state state = {0};
+    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    double level[PWM_OUTPUTS_MAX], before = 0.0;
+    for (int i = 0; i < 10; i++) {
+        setpoints newest = duty_of(0.0, 1, START_NS + i * MS);
+        bridge_step(&state, &config, &arm, &newest, START_NS + i * MS, level);
+        CHECK(i == 0 || level[1] == 1.0 - before);
+        before = level[1];
+    }
+    for (int i = 10; i < 14; i++) {
+        setpoints newest = duty_of(0.0, 0, START_NS + i * MS);
+        bridge_step(&state, &config, &arm, &newest, START_NS + i * MS, level);
+        CHECK(level[1] == 0.0);
+    }
+    config.output[1].fd = 3;
+    config.output[1].period_ns = PERIOD_NS;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+}
+
+static void a_level_is_a_part_of_the_period(void)
+{
+    bridge_pin pin = {.period_ns = PERIOD_NS};
+    CHECK(bridge_duty_ns(&pin, 0.5) == 25000 && bridge_duty_ns(&pin, 2.0) == PERIOD_NS);
+    CHECK(bridge_duty_ns(&pin, -1.0) == 0 && bridge_duty_ns(&pin, (double)NAN) == 0);
+    pin.inverted = 1;
+    CHECK(bridge_duty_ns(&pin, 0.2) == 40000);
+}
+
+static void a_config_that_cannot_be_is_refused(void)
+{
+    bridge_config config = config_of(3);
+    CHECK(bridge_config_check(&config) == 0);
+    config.output[0].base[BRIDGE_FORWARD] = (double)NAN;
+    CHECK(bridge_config_check(&config) == -EINVAL && pwm_line_start(0, &config) == -EINVAL);
+    config = config_of(3);
+    config.output[1].bit = 64;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+    config = config_of(3);
+    config.joint[0].sign = 0.5;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+    config = config_of(3);
+    config.output[0].joint = 1;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+    config = config_of(3);
+    config.joint_count = 0;
+    CHECK(bridge_config_check(&config) == -EINVAL && pwm_line_start(LINES_MAX, &config) == -EINVAL);
+}
+
+static unsigned long duty_in(int fd)
+{
+    char text[32] = {0};
+    CHECK(pread(fd, text, sizeof text - 1, 0) >= 0);
+    return strtoul(text, NULL, 10);
+}
+
+static bool comes_true(int fd, unsigned long duty_ns, bool fresh)
+{
+    for (int i = 0; i < 10000; i++) {
+        setpoints newest = duty_of(0.5, 1, clock_now_ns());
+        if (fresh) {
+            exchange_put_setpoints((exchange *)exchange_memory, 1, &newest);
+        }
+        if (duty_in(fd) == duty_ns) {
+            return true;
+        }
+        (void)nanosleep(&(struct timespec){.tv_nsec = MS}, NULL);
+    }
+    return false;
+}
+
+static void the_thread_writes_the_files_and_ends_at_rest(void)
+{
+    int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
+    bridge_config config = config_of(fd);
+    config.output_count = 1;   /* no GPIO lines here */
+    config.outputs_fd = -1;
+    bridge_report report;
+    exchange_init((exchange *)exchange_memory);
+    CHECK(pwm_line_stop(1) == -ESRCH && pwm_line_read_report(1, &report) == -ESRCH);
+    CHECK(pwm_line_start(1, &config) == 0 && pwm_line_start(1, &config) == -EBUSY);
+    CHECK(comes_true(fd, 0, true));
+    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
+    CHECK(comes_true(fd, 25000, true));
+    CHECK(comes_true(fd, 0, false));
+    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 2});
+    CHECK(comes_true(fd, 25000, true));
+    CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
+    CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 && report.cycles > 0);
+    CHECK(close(fd) == 0);
+}
+
+static void the_thread_ends_with_the_errno_and_the_pin(void)
+{
+    int ends[2];
+    CHECK(pipe(ends) == 0);
+    bridge_config config = config_of(ends[1]);   /* pwrite to a pipe: ESPIPE */
+    config.output_count = 1;
+    bridge_report report = {.running = 1};
+    CHECK(pwm_line_start(2, &config) == 0);
+    for (int i = 0; i < 10000 && report.running != 0; i++) {
+        (void)nanosleep(&(struct timespec){.tv_nsec = MS}, NULL);
+        CHECK(pwm_line_read_report(2, &report) == 0);
+    }
+    CHECK(report.running == 0 && report.error == ESPIPE && report.error_output == 0);
+    CHECK(pwm_line_stop(2) == 0 && close(ends[0]) == 0 && close(ends[1]) == 0);
+}
+
+int main(void)
+{
+    only_armed_enabled_and_fresh_set_points_move();
+    what_is_old_or_late_brakes_and_then_lets_go();
+    a_pump_changes_with_every_cycle_that_may_move_and_with_no_other();
+    a_level_is_a_part_of_the_period();
+    a_config_that_cannot_be_is_refused();
+    the_thread_writes_the_files_and_ends_at_rest();
+    the_thread_ends_with_the_errno_and_the_pin();
+    return checks_report("bridge");
+}

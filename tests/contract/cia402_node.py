@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CiA 402 drive made of canopen's LocalNode: its SDO server, NMT slave and heartbeat are that
+project's. PDOs go as they were mapped in its object dictionary, and in no other way."""
+
+from __future__ import annotations
+
+import threading
+
+import canopen
+from canopen.objectdictionary import ODRecord, ODVariable, datatypes
+
+SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
+QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
+U8, U16, U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
+I8, I16, I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
+BITS = {U8: 8, U16: 16, U32: 32, I8: 8, I16: 16, I32: 32}
+SIGNED = (I8, I16, I32)
+
+VARIABLES = {
+    0x1000: (U32, 0x00020192, "ro"), 0x1001: (U8, 0, "ro"), 0x1017: (U16, 0, "rw"),
+    0x603F: (U16, 0, "ro"), 0x6040: (U16, 0, "rww"), 0x6041: (U16, SWITCH_ON_DISABLED, "ro"),
+    0x605A: (I16, 1, "rw"), 0x6060: (I8, 0, "rw"), 0x6061: (I8, 0, "ro"),
+    0x6064: (I32, 0, "ro"), 0x606C: (I32, 0, "ro"), 0x6077: (I16, 0, "ro"),
+    0x6079: (U32, 36500, "ro"), 0x60FF: (I32, 0, "rww"),
+}  # fmt: skip
+
+
+def dictionary(node):
+    """As a drive leaves the factory: PDOs at their default identifiers, mapped to nothing."""
+    od = canopen.ObjectDictionary()
+    for index, (kind, default, access) in VARIABLES.items():
+        od.add_object(_variable(f"o{index:04X}", index, 0, kind, default, access))
+    for index, identifier in ((0x1400, 0x200), (0x1800, 0x180), (0x1801, 0x280)):
+        entries = {0: (U8, 5), 1: (U32, identifier + node), 2: (U8, 1), 3: (U16, 0), 5: (U16, 0)}
+        od.add_object(_record(index, entries))
+    for index in (0x1600, 0x1A00, 0x1A01):
+        od.add_object(_record(index, {0: (U8, 0)} | dict.fromkeys(range(1, 9), (U32, 0))))
+    return od
+
+
+def _variable(name, index, sub, kind, default, access="rw"):
+    variable = ODVariable(name, index, sub)
+    variable.data_type, variable.default, variable.access_type = kind, default, access
+    return variable
+
+
+def _record(index, entries):
+    record = ODRecord(f"o{index:04X}", index)
+    for sub, (kind, default) in entries.items():
+        record.add_member(_variable(f"o{index:04X}s{sub}", index, sub, kind, default))
+    return record
+
+
+class Cia402Node:
+    """Node, state machine and PDO exchange; a thread of its own sends what the event timers ask."""
+
+    def __init__(self, address, node):
+        self.node_id = node
+        self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
+        self.error_code = 0
+        self.position, self.velocity = 0, 0
+        self.stuck = False
+        _, group, port = address.split(":")
+        self.network = canopen.Network()
+        self.network.connect(interface="udp_multicast", channel=group, port=int(port))
+        self.node = canopen.LocalNode(node, dictionary(node))
+        self.network.add_node(self.node)
+        self.node.add_write_callback(self._written)
+        self.network.subscribe(0x200 + node, self._rpdo)
+        self._stopped = threading.Event()
+        self._sender = threading.Thread(target=self._send_pdos)
+        self._sender.start()
+
+    def close(self):
+        self._stopped.set()
+        self._sender.join()
+        self.node.nmt.stop_heartbeat()
+        self.network.disconnect()
+
+    def reboot(self):
+        """Everything as the factory left it."""
+        self.node.nmt.stop_heartbeat()
+        self.node.data_store.clear()
+        self.node.nmt.state = "PRE-OPERATIONAL"
+        self.status = SWITCH_ON_DISABLED
+
+    def get(self, index, sub=0):
+        variable = self.node.object_dictionary.get_variable(index, sub)
+        stored = self.node.data_store.get(index, {}).get(sub)
+        return variable.default if stored is None else variable.decode_raw(stored)
+
+    def put(self, index, value):
+        variable = self.node.object_dictionary[index]
+        self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
+
+    def _written(self, *, index, od, data, **_):
+        if index == 0x6060:
+            self.put(0x6061, od.decode_raw(data))
+
+    def _mapping(self, index):
+        entries = [self.get(index, sub) for sub in range(1, self.get(index, 0) + 1)]
+        return [(entry >> 16, entry & 0xFF) for entry in entries]
+
+    @property
+    def operational(self):
+        return self.node.nmt.state == "OPERATIONAL"
+
+    def _rpdo(self, identifier, data, stamp_s):
+        valid = not self.get(0x1400, 1) & 0x80000000
+        if not self.operational or not valid or self.get(0x1400, 1) != identifier:
+            return
+        at, whole = 0, int.from_bytes(data, "little")
+        for index, bits in self._mapping(0x1600):
+            raw = whole >> at & (1 << bits) - 1
+            at += bits
+            if index == 0x6040:
+                self.control(raw)
+            elif index == 0x60FF:
+                speed = raw - (1 << bits) if raw >> (bits - 1) else raw
+                self.velocities.append(speed)
+                self.velocity = speed if self.status == OPERATION else 0
+
+    def control(self, word):
+        """CiA 402-2, 8.3: one transition a command; a fault is reset by a rising edge of bit 7."""
+        before = self.controls[-1] if self.controls else 0
+        self.controls.append(word)
+        if self.stuck:
+            return
+        rising = word & 0x80 and not before & 0x80
+        if self.status == FAULT:
+            if rising:
+                self.status, self.error_code = SWITCH_ON_DISABLED, 0
+        elif not word & 0x02:
+            self.status = SWITCH_ON_DISABLED
+        elif not word & 0x04:
+            running = self.status in (OPERATION, QUICK_STOP_ACTIVE)
+            self.status = QUICK_STOP_ACTIVE if running else SWITCH_ON_DISABLED
+        elif self.status == SWITCH_ON_DISABLED and word & 0x07 == 0x06:
+            self.status = READY
+        elif self.status == READY and word & 0x07 == 0x07:
+            self.status = SWITCHED_ON
+        elif self.status == SWITCHED_ON and word & 0x0F == 0x0F:
+            self.status = OPERATION
+        elif word & 0x07 == 0x06 and self.status in (SWITCHED_ON, OPERATION):
+            self.status = READY
+
+    def _send_pdos(self):
+        while not self._stopped.wait(0.01):
+            self.put(0x6041, self.status)
+            self.put(0x603F, self.error_code)
+            self.put(0x606C, self.velocity)
+            self.put(0x6064, self.position)
+            for communication, mapping in ((0x1800, 0x1A00), (0x1801, 0x1A01)):
+                identifier = self.get(communication, 1)
+                ready = self.operational and not identifier & 0x80000000
+                if ready and self.get(communication, 5) and self.get(mapping, 0):
+                    self.network.send_message(identifier & 0x7FF, self._packed(mapping))
+
+    def _packed(self, mapping):
+        whole, at = 0, 0
+        for index, bits in self._mapping(mapping):
+            whole |= (self.get(index) & (1 << bits) - 1) << at
+            at += bits
+        return whole.to_bytes(at // 8, "little")

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CiA 402 over CANopen, against a node that another project has written."""
+
+import math
+
+import pytest
+from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
+from loop_side import running, until
+from scripted_odrive import new_address
+
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import DriveFault
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+
+RPM = 2 * math.pi / 60
+NODE = 5
+
+
+@pytest.fixture
+async def node():
+    address = new_address("udp_multicast")
+    node = Cia402Node(address, NODE)
+    node.address = address
+    yield node
+    node.close()
+
+
+def spec_of(node):
+    joint = JointSpec(index=0, name="wheel", profile=find_profile("cia402"), unit=NODE)
+    return LineSpec(
+        index=0, name="can0", kind="can", port=node.address, baudrate=500000, parity="none",
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=(joint,), watchdog_s=0.5,
+    )  # fmt: skip
+
+
+@pytest.fixture
+async def rig(node):
+    async with running(spec_of(node)) as rig:
+        yield rig
+
+
+async def test_the_dictionary_is_written_and_read_back_and_nothing_is_armed(rig, node):
+    await rig.ready()
+    assert node.get(0x1400, 1) == 0x200 + NODE
+    assert [node.get(0x1600, sub) for sub in (0, 1, 2)] == [2, 0x60400010, 0x60FF0020]
+    assert [node.get(0x1A00, sub) for sub in range(4)] == [3, 0x60410010, 0x606C0020, 0x603F0010]
+    assert (node.get(0x1400, 5), node.get(0x1017)) == (500, 100)
+    assert node.get(0x6060) == 3
+    assert node.operational
+    assert node.status != OPERATION
+    assert set(node.velocities) <= {0}
+
+
+async def test_the_state_machine_is_walked_and_velocity_and_position_go_both_ways(rig, node):
+    await rig.arm()
+    assert node.status == OPERATION
+    walked = list(dict.fromkeys(node.controls))
+    assert [word for word in walked if word in (0x06, 0x07, 0x0F)] == [0x06, 0x07, 0x0F]
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: -60 * RPM}
+    node.position = -1234
+    await until(lambda: node.velocity == -60)
+
+    def feedback():
+        return rig.loop.exchange.take_feedback(0)
+
+    await until(lambda: feedback().velocity_rad_s == pytest.approx(-60 * RPM))
+    await until(lambda: feedback().count == (1 << 32) - 1234)
+    assert feedback().enabled is True
+
+
+async def test_the_control_word_stays_while_set_points_go_out(rig, node):
+    await rig.arm()
+    words = len(node.controls)
+    await until(lambda: len(node.controls) > words + 20)
+    assert set(node.controls[words:]) == {0x0F}
+
+
+async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: node.velocity == 60)
+    rig.loop.running = False
+    await until(lambda: rig.states() == {DriveState.READY} or node.status == QUICK_STOP_ACTIVE)
+    await until(lambda: node.status != OPERATION)
+    await until(lambda: node.velocity == 0)
+    await until(lambda: node.controls[-1] in (0x06, 0x00))
+
+
+async def test_a_fault_is_said_and_reset_by_an_edge(rig, node):
+    await rig.arm()
+    node.error_code, node.status = 0x3220, FAULT
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    assert rig.line.drive_faults == {"wheel": ("under-voltage",)}
+    await rig.ready()
+    with pytest.raises(DriveFault, match="under-voltage"):
+        await rig.line.arm()
+    await rig.line.clear_faults()
+    assert node.status != FAULT
+    await rig.line.arm()
+    assert node.status == OPERATION
+
+
+async def test_a_drive_that_does_not_follow_is_not_armed(rig, node):
+    await rig.ready()
+    node.stuck = True
+    with pytest.raises(DriveFault, match="status_word"):
+        await rig.line.arm()
+    assert rig.states() == {DriveState.READY}
+
+
+async def test_a_drive_that_lost_its_power_is_set_up_again_disarmed(rig, node):
+    await rig.arm()
+    node.reboot()
+    await until(lambda: rig.states() == {DriveState.QUIET})
+    await rig.ready()
+    assert node.get(0x1600, 2) == 0x60FF0020
+    assert node.status != OPERATION
+
+
+async def test_an_object_is_read_by_name_and_a_refusal_keeps_it_from_ready(node):
+    del node.node.object_dictionary[0x605A]
+    async with running(spec_of(node)) as rig:
+        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        assert "quick_stop_option refused with 0x06020000" in rig.events[-1].text
+
+
+async def test_registers_are_objects(rig, node):
+    await rig.ready()
+    assert await rig.line.read_register("wheel", "bus_voltage") == pytest.approx(36.5)
+    assert await rig.line.read_register("wheel", "device_type") == 0x00020192
+    assert node.status in (READY, 0x40)

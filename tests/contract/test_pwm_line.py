@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thread of motor bridges on descriptors of plain files: when it writes what. What the kernel
+makes of it is in tests/vm/guest/test_gpio_pwm.py."""
+
+import asyncio
+import contextlib
+import os
+
+import pytest
+from loop_side import GENEROUS_S, running, until
+
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import HalError, PortError
+from motord_hal.lines import halt_line, open_line
+from motord_hal.ports import (
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineSpec,
+    LineState,
+    PinsSpec,
+)
+from motord_hal.rt import Exchange
+
+PERIOD_NS = 50_000
+
+
+class Chip:
+    """Files like those of exported channels; they keep the tail of a longer number."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        for number in range(4):
+            channel = folder / f"pwm{number}"
+            channel.mkdir(parents=True)
+            for name, value in (("period", "0"), ("duty_cycle", "0"), ("enable", "0")):
+                (channel / name).write_text(f"{value}\n")
+            (channel / "polarity").write_text("normal\n")
+
+    def read(self, number, name):
+        return int((self.folder / f"pwm{number}/{name}").read_text().splitlines()[0])
+
+    def duties(self):
+        return [self.read(number, "duty_cycle") for number in range(4)]
+
+
+@pytest.fixture
+def chip(tmp_path):
+    return Chip(tmp_path / "chip")
+
+
+def spec_of(chip, drive="bts7960", **changes):
+    profile = find_profile(drive)
+    joints = (
+        JointSpec(index=0, name="left", profile=profile, unit=1,
+                  pins={"rpwm": "pwm0", "lpwm": "pwm1"}),
+        JointSpec(index=1, name="right", profile=profile, unit=2, inverted=True,
+                  pins={"rpwm": "pwm2", "lpwm": "!pwm3"}),
+    )  # fmt: skip
+    values = {
+        "index": 0, "name": "pins", "kind": "pwm", "port": "", "baudrate": 115200,
+        "parity": "none", "stop_bits": 1, "cycle_hz": 200.0, "gap_s": None, "engine": "auto",
+        "joints": joints, "watchdog_s": 0.5, "priority": 0,
+        "pins": PinsSpec(pwm_chip=str(chip.folder)),
+    }  # fmt: skip
+    return LineSpec(**{**values, **changes})
+
+
+async def armed(rig):
+    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    async with asyncio.timeout(GENEROUS_S):
+        while rig.states() != {DriveState.ARMED}:
+            await rig.ready()
+            with contextlib.suppress(HalError):
+                await rig.line.arm()
+
+
+REST = [0, 0, 0, PERIOD_NS]
+
+
+async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        assert rig.line.engine == "rt"
+        assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
+        assert chip.read(0, "period") == PERIOD_NS
+        assert chip.read(0, "enable") == 1
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 0.25}
+        cycles = rig.line.stats().cycles
+        await until(lambda: rig.line.stats().cycles > cycles + 10)
+        assert chip.duties() == REST
+        await rig.line.arm()
+        await until(lambda: chip.duties() == [25_000, 0, 0, PERIOD_NS - 12_500])
+        rig.loop.duty = {0: -1.0, 1: -0.1}
+        await until(lambda: chip.duties() == [0, PERIOD_NS, 5_000, PERIOD_NS])
+        await rig.line.disarm()
+        await until(lambda: chip.duties() == REST)
+        assert rig.states() == {DriveState.READY}
+
+
+async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        rig.loop.running = False
+        await until(lambda: chip.duties() == REST)
+        await until(lambda: rig.states() == {DriveState.READY})
+        rig.loop.running = True
+        cycles = rig.line.stats().cycles
+        await until(lambda: rig.line.stats().cycles > cycles + 10)
+        assert chip.duties() == REST
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+        await rig.line.arm()
+        await until(lambda: chip.duties()[0] == 25_000)
+
+
+async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        rig.loop.enabled = False
+        await until(lambda: rig.states() == {DriveState.READY})
+        await until(lambda: chip.duties() == REST)
+
+
+async def test_it_cannot_be_armed_without_fresh_set_points(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        rig.loop.running = False
+        with pytest.raises(HalError, match="no fresh set-points"):
+            while True:
+                await rig.line.arm()
+
+
+async def test_cancelling_the_line_leaves_no_pulses(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+    assert chip.duties() == REST
+    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+
+
+async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
+    async with running(spec_of(chip)) as rig:
+        await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
+        first = rig.loop.exchange.take_feedback(0)
+        assert first.enabled is None
+        assert first.velocity_rad_s != first.velocity_rad_s
+        await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > first.stamp_ns)
+        with pytest.raises(LookupError):
+            await rig.line.read_register("left", "duty")
+
+
+async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
+    spec = spec_of(Chip(tmp_path / "other"), pins=PinsSpec(pwm_chip=str(tmp_path / "chip")))
+    async with running(spec) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        assert "joint left, pin rpwm: PWM channel 0" in rig.events[0].text
+        with pytest.raises(PortError):
+            await rig.line.arm()
+        Chip(tmp_path / "new")
+        os.rename(tmp_path / "new", tmp_path / "chip")
+        await until(lambda: rig.line.state is LineState.READY)
+        assert rig.kinds().count(EventKind.LINE_LOST) == 1
+
+
+async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
+    spec = spec_of(chip)
+    async with running(spec) as rig:
+        await rig.ready()
+    for number in (0, 3):
+        (chip.folder / f"pwm{number}/duty_cycle").write_text("30000\n")
+        (chip.folder / f"pwm{number}/enable").write_text("1\n")
+    assert await halt_line(spec) == []
+    assert chip.duties() == REST
+    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+
+
+async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):
+    (chip.folder / "pwm0/period").unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    (problem,) = await halt_line(spec_of(chip))
+    assert "joint left, pin rpwm" in problem
+    assert chip.duties() == REST
+
+
+def test_a_bridge_without_its_pins_is_refused(chip):
+    joint = JointSpec(index=0, name="left", profile=find_profile("bts7960"), unit=1)
+    with pytest.raises(HalError, match="joint left: pin rpwm of bts7960 is not given"):
+        open_line(spec_of(chip, joints=(joint,)), Exchange.private(), print)

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our ROS 2 node on Zenoh, seen by another session through a router of another process. That one
+encodes and decodes with rosbags, and knows keys and tokens from rmw_zenoh's design document."""
+
+import asyncio
+import contextlib
+import json
+import signal
+import time
+from types import SimpleNamespace
+
+import pytest
+import rosbags.typesys as rosbags
+import zenoh
+import zenoh.ext
+from tests.peers.zenoh_router import endpoint, free_port, router
+
+from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.zenoh_names import Attachment, gid
+from motord.bus.ros2.zenoh_node import Router, ZenohNode
+
+STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
+STORE.register(rosbags.get_types_from_msg("bool success\nstring message\n", "peer/msg/Answer"))
+TWIST = "geometry_msgs/msg/Twist"
+STRING = "std_msgs/msg/String"
+TWIST_KEY = (
+    "3/r2/cmd_vel/geometry_msgs::msg::dds_::Twist_/"
+    "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+)
+STRING_KEY = (
+    "3/r2/said/std_msgs::msg::dds_::String_/"
+    "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+)
+STOP_KEY = (
+    "3/r2/stop/std_srvs::srv::dds_::Trigger_/"
+    "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+)
+WITHIN_S = 30.0
+GID = bytes(range(16))
+SENT_IN_VAIN = 1_000
+
+
+async def until(condition):
+    async with asyncio.timeout(WITHIN_S):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+@contextlib.contextmanager
+def peer(port):
+    said = {
+        "mode": "client",
+        "connect": {"endpoints": [endpoint(port)]},
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))) as session:
+        yield session
+
+
+@contextlib.asynccontextmanager
+async def running(node):
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(node.run())
+        try:
+            yield
+        finally:
+            task.cancel()
+
+
+class Robot:
+    """A node with one topic out, one in, and a service that is counted."""
+
+    def __init__(self, port, quality=None):
+        self.node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
+        self.said = self.node.publisher("said", STRING, quality)
+        self.heard = []
+        self.stops = 0
+        self.node.subscribe("cmd_vel", TWIST, self.heard.append)
+        self.node.serve("stop", "std_srvs/srv/Trigger", self.stop)
+
+    async def stop(self, _):
+        self.stops += 1
+        return SimpleNamespace(success=True, message=f"stopped {self.stops} times")
+
+
+class Tokens:
+    """Who is there, by the word of the router."""
+
+    def __init__(self, session):
+        self.alive = set()
+        self.gone = []
+        self._kept = session.liveliness().declare_subscriber(
+            "@ros2_lv/3/**", self._changed, history=True
+        )
+
+    def _changed(self, sample):
+        token = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self.alive.add(token)
+        else:
+            self.alive.discard(token)
+            self.gone.append(token)
+
+    def of(self, what):
+        return [token for token in set(self.alive) if token.split("/")[5] == what]
+
+
+def twist(linear_m_s):
+    zero = STORE.types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+    ahead = STORE.types["geometry_msgs/msg/Vector3"](x=linear_m_s, y=0.0, z=0.0)
+    message = STORE.types[TWIST](linear=ahead, angular=zero)
+    return bytes(STORE.serialize_cdr(message, TWIST))
+
+
+def attached(sequence=1):
+    return Attachment(sequence, time.time_ns(), GID).encode()
+
+
+def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **said):
+    """In a thread: it waits for all answers."""
+    return list(session.get(key, target=target, timeout=10.0, **said))
+
+
+REQUEST = b"\x00\x01\x00\x00\x00"
+
+
+async def test_other_nodes_see_the_node_its_topics_and_its_service():
+    port = free_port()
+    async with router(port):
+        robot = Robot(port)
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: len(tokens.alive) == 4)
+                (node,) = tokens.of("NN")
+                assert node.endswith("/0/0/NN/%/%r2/base")
+                (publisher,) = tokens.of("MP")
+                assert publisher.endswith(f"/%r2%said/{STRING_KEY.split('/', 3)[3]}/::,10:,:,:,,")
+                (server,) = tokens.of("SS")
+                assert f"/%r2%stop/{STOP_KEY.split('/', 3)[3]}/" in server
+                assert len({token.split("/")[2] for token in tokens.alive}) == 1
+                assert len({token.split("/")[4] for token in tokens.alive}) == 4
+            await until(lambda: not tokens.alive)
+
+
+async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers_gid():
+    port = free_port()
+    async with router(port):
+        robot = Robot(port)
+        with peer(port) as session:
+            samples = []
+            kept = session.declare_subscriber(STRING_KEY, samples.append)
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("MP"))
+
+                def told():
+                    robot.said.publish(SimpleNamespace(data="Grüße"))
+                    return samples
+
+                await until(told)
+                sample, (token,) = samples[0], tokens.of("MP")
+                message = STORE.deserialize_cdr(sample.payload.to_bytes(), STRING)
+                assert message.data == "Grüße"
+                assert Attachment.decode(sample.attachment.to_bytes()).gid == gid(token)
+            kept.undeclare()
+
+
+async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():
+    port = free_port()
+    async with router(port):
+        robot = Robot(port)
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("MS"))
+                session.put(TWIST_KEY, b"\x00\x01\x00\x00too short", attachment=attached())
+                session.delete(TWIST_KEY)
+                session.put(TWIST_KEY, twist(0.25), attachment=attached())
+                await until(lambda: robot.heard)
+                assert [message.linear.x for message in robot.heard] == [0.25]
+
+
+async def test_a_service_answers_with_the_questions_number_and_gid():
+    port = free_port()
+    async with router(port):
+        robot = Robot(port)
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("SS"))
+                (reply,) = await asyncio.to_thread(
+                    ask, session, STOP_KEY, payload=REQUEST, attachment=attached(77)
+                )
+                answer = STORE.deserialize_cdr(reply.ok.payload.to_bytes(), "peer/msg/Answer")
+                assert (answer.success, answer.message) == (True, "stopped 1 times")
+                said = Attachment.decode(reply.ok.attachment.to_bytes())
+                assert (said.sequence, said.gid) == (77, GID)
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("3/**", {"payload": REQUEST, "attachment": attached()}),
+        ("**", {}),
+        (STOP_KEY, {}),
+        (STOP_KEY, {"payload": REQUEST}),
+        (STOP_KEY, {"payload": REQUEST, "attachment": b"short"}),
+        (STOP_KEY, {"payload": b"\x00\x01\x00\x00", "attachment": attached()}),
+    ],
+)
+async def test_what_is_no_request_calls_nothing_and_is_refused(key, said):
+    port = free_port()
+    async with router(port):
+        robot = Robot(port)
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("SS"))
+                everybody = zenoh.QueryTarget.ALL
+                replies = await asyncio.to_thread(ask, session, key, everybody, **said)
+                assert len(replies) == 1
+                assert replies[0].err is not None
+                assert robot.stops == 0
+
+
+async def test_who_comes_late_is_told_what_is_latched():
+    port = free_port()
+    async with router(port):
+        robot = Robot(port, Quality(depth=1, latched=True))
+        robot.said.publish(SimpleNamespace(data="before there was a session"))
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("MP"))
+                heard = []
+                kept = zenoh.ext.declare_advanced_subscriber(
+                    session,
+                    STRING_KEY,
+                    lambda sample: heard.append(sample.payload.to_bytes()),
+                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                )
+                await until(lambda: heard)
+                assert STORE.deserialize_cdr(heard[0], STRING).data == "before there was a session"
+                kept.undeclare()
+
+
+async def test_a_router_that_comes_late_or_comes_back_finds_the_node():
+    port = free_port()
+    robot = Robot(port)
+    async with running(robot.node):
+        for _ in range(2):
+            async with router(port):
+                with peer(port) as session:
+                    tokens = Tokens(session)
+                    await until(lambda: len(tokens.alive) == 4)  # noqa: B023
+                    before = robot.stops
+                    (reply,) = await asyncio.to_thread(
+                        ask, session, STOP_KEY, payload=REQUEST, attachment=attached()
+                    )
+                    assert reply.ok is not None
+                    assert robot.stops == before + 1
+
+
+async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
+    port = free_port()
+    async with router(port) as process:
+        robot = Robot(port)
+        with peer(port) as session:
+            heard = []
+            kept = session.declare_subscriber(STRING_KEY, heard.append)
+            tokens = Tokens(session)
+            async with running(robot.node):
+                await until(lambda: tokens.of("MP"))
+
+                def told():
+                    robot.said.publish(SimpleNamespace(data="x"))
+                    return heard
+
+                await until(told)
+                process.send_signal(signal.SIGSTOP)
+                for _ in range(SENT_IN_VAIN):  # more than the sockets hold
+                    robot.said.publish(SimpleNamespace(data="x" * 20_000))
+                process.send_signal(signal.SIGCONT)
+
+                def last():
+                    robot.said.publish(SimpleNamespace(data="last"))
+                    return any(b"last" in sample.payload.to_bytes() for sample in list(heard))
+
+                await until(last)
+                lengths = [len(sample.payload.to_bytes()) for sample in list(heard)]
+                assert sum(length > 20_000 for length in lengths) < SENT_IN_VAIN
+                assert tokens.gone == []
+            kept.undeclare()

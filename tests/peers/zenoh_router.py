@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Zenoh router in a process of its own, to be killed and started again.
+
+zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it lets in who shows a certificate of its authority.
+"""
+
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import sys
+from asyncio import subprocess
+
+import zenoh
+
+START_WITHIN_S = 20.0
+
+
+def endpoint(port):
+    return f"tcp/127.0.0.1:{port}"
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.asynccontextmanager
+async def router(port, *tls):
+    """Its process; it is killed at the end, also when it has been stopped."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, __file__, *map(str, (port, *tls)), stdout=subprocess.PIPE
+    )
+    try:
+        async with asyncio.timeout(START_WITHIN_S):
+            assert await process.stdout.readline() == b"ready\n"
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+
+
+def main():
+    said = {
+        "mode": "router",
+        "listen": {"endpoints": [endpoint(sys.argv[1])]},
+        "scouting": {"multicast": {"enabled": False}},
+    }
+    if len(sys.argv) > 2:
+        folder = sys.argv[3]
+        said["listen"]["endpoints"].append(f"tls/localhost:{sys.argv[2]}")
+        said["transport"] = {
+            "link": {
+                "tls": {
+                    "root_ca_certificate": f"{folder}/ca.pem",
+                    "listen_certificate": f"{folder}/router.pem",
+                    "listen_private_key": f"{folder}/router.key",
+                    "enable_mtls": True,
+                }
+            }
+        }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))):
+        print("ready", flush=True)
+        signal.pause()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board's clock on ours: what waited in a buffer is as old as it is."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord_hal.mcu.stamps import SAMPLES_KEPT, BoardClock
+
+MS = 1_000_000
+WRAP_US = 1 << 32
+
+
+@given(
+    st.integers(0, WRAP_US - 1),
+    st.lists(st.tuples(st.integers(1, 50), st.integers(0, 30)), min_size=1, max_size=60),
+)
+def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
+    clock, board_ms = BoardClock(), 0
+    for step_ms, delay_ms in steps:
+        board_ms += step_ms
+        came_ns = (board_ms + delay_ms) * MS
+        stamp_ns = clock.stamp_ns((start_us + board_ms * 1000) % WRAP_US, came_ns)
+        assert stamp_ns <= came_ns
+
+
+def test_frames_that_waited_get_the_time_at_which_they_were_made():
+    clock = BoardClock()
+    for n in range(10):
+        assert clock.stamp_ns(n * 20_000, n * 20 * MS) == n * 20 * MS
+    late_ns = 1000 * MS  # the process was stopped; all came at once
+    stamps = [clock.stamp_ns(n * 20_000, late_ns) for n in range(10, 20)]
+    assert stamps == [n * 20 * MS for n in range(10, 20)]
+
+
+def test_the_clock_of_the_board_goes_round_without_a_jump():
+    clock = BoardClock()
+    first_ns = clock.stamp_ns(WRAP_US - 10_000, 0)
+    assert clock.stamp_ns(10_000, 20 * MS) - first_ns == 20 * MS
+
+
+def test_a_clock_that_is_slow_makes_stamps_older_by_little():
+    clock = BoardClock()
+    for n in range(1, 1000):
+        came_ns = n * 20 * MS
+        age_ns = came_ns - clock.stamp_ns(round(n * 20_000 * 0.995), came_ns)
+        assert 0 <= age_ns <= 0.006 * SAMPLES_KEPT * 20 * MS
+
+
+def test_a_board_that_was_restarted_is_believed_at_once():
+    clock = BoardClock()
+    for n in range(50):
+        clock.stamp_ns(600_000_000 + n * 20_000, n * 20 * MS)
+    assert clock.stamp_ns(0, 2000 * MS) == pytest.approx(2000 * MS)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pins of motor bridges: what a robot file may name, how chips are found, what is said."""
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+
+from motord.config import ConfigError, load_robot
+from motord_hal.drives.load import find_profile, load_profile
+from motord_hal.errors import PortError, ProfileError
+from motord_hal.gpio.lines import Wanted, request_outputs
+from motord_hal.ports import JointSpec
+from motord_hal.pwm.pins import places_of
+from motord_hal.pwm.sysfs import find_chip, open_channel, overlay_hint
+
+ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
+BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
+LEFT = 'pins = { rpwm = "pwm0", lpwm = "pwm1", r_en = "GPIO5", l_en = "GPIO6" }'
+
+
+def joint(drive, **pins):
+    return JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=pins)
+
+
+def pwm_tree(tmp_path, *devices):
+    """Chips of /sys/class/pwm, as links to their devices' folders."""
+    root = tmp_path / "class"
+    root.mkdir()
+    for number, device in enumerate(devices):
+        chip = tmp_path / "devices" / device / "pwm" / f"pwmchip{number}"
+        chip.mkdir(parents=True)
+        (chip / "device").symlink_to(tmp_path / "devices" / device)
+        (chip / "npwm").write_text("2\n")
+        (root / f"pwmchip{number}").symlink_to(chip)
+    return root
+
+
+# ------------------------------------------------------------------------------------- the places
+def test_a_pin_is_a_channel_or_a_line_and_may_be_active_low():
+    first, second = places_of(0, joint("drv8871", in1="pwm3", in2="!pwm0"))
+    assert (first.channel, first.inverted) == (3, False)
+    assert (second.channel, second.inverted) == (0, True)
+    places = places_of(0, joint("three-wire", pwm="pwm0", in1="GPIO17", in2="27", fault="!4"))
+    assert [(p.pin, p.gpio, p.inverted) for p in places[1:]] == [
+        ("in1", "GPIO17", False),
+        ("in2", "27", False),
+        ("fault", "4", True),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("drive", "pins", "words"),
+    [
+        ("drv8871", {"in1": "pwm0"}, "pin in2 of drv8871 is not given"),
+        ("drv8871", {"in1": "pwm0", "in2": "GPIO4"}, "GPIO4 is a GPIO line: motors are not driven"),
+        ("drv8871", {"in1": "pwm0", "in3": "pwm1"}, "drv8871 has no pin in3"),
+        ("drv8871", {"in1": "pwm0", "in2": "pwm1", "fault": "pwm2"}, "fault is an input"),
+        ("drv8871", {"in1": "pwm0", "in2": "pwm1", "pump": "pwm2"}, "pump is no PWM"),
+        ("drv8871", {"in1": "pwm0", "in2": "!"}, "in2 is nowhere"),
+    ],
+)
+def test_what_a_bridge_cannot_do_with_its_pins_is_said(drive, pins, words):
+    with pytest.raises(ValueError, match=words):
+        places_of(0, joint(drive, **pins))
+
+
+def test_enable_pins_that_are_wired_high_may_be_left_out():
+    assert len(places_of(0, joint("bts7960", rpwm="pwm0", lpwm="pwm1"))) == 2
+    assert len(places_of(0, joint("tb6612fng", pwm="pwm0", in1="1", in2="2"))) == 3
+
+
+# --------------------------------------------------------------------------------------- the chips
+def test_a_pwm_chip_is_found_by_its_device_whatever_its_number(tmp_path):
+    root = pwm_tree(tmp_path, "soc/fan.pwm", "soc/1f00098000.pwm")
+    assert find_chip("1f00098000.pwm", root).name == "pwmchip1"
+    assert find_chip("pwmchip0", root).name == "pwmchip0"
+
+
+def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
+    root = pwm_tree(tmp_path, "soc/fan.pwm", "soc/1f00098000.pwm")
+    with pytest.raises(PortError, match=r'2 PWM chips fit "soc".*pwmchip0 \(fan.pwm\)'):
+        find_chip("soc", root)
+    with pytest.raises(PortError, match=r'no PWM chip "fe20c000\.pwm"; there: pwmchip0'):
+        find_chip("fe20c000.pwm", root)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        ("Raspberry Pi 5 Model B Rev 1.0\0", "dtoverlay=pwm-2chan"),
+        ("NVIDIA Jetson Orin Nano\0", "jetson-io"),
+        ("", "device tree"),
+    ],
+)
+def test_the_step_that_gives_pins_to_pwm_is_that_of_the_machine(tmp_path, model, words):
+    path = tmp_path / "model"
+    path.write_text(model)
+    assert words in overlay_hint(path)
+    assert "device tree" in overlay_hint(tmp_path / "none")
+
+
+def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
+    root = pwm_tree(tmp_path, "soc/1f00098000.pwm")
+    chip = find_chip("pwmchip0", root)
+    chip.chmod(0o555)
+    with pytest.raises(PortError, match=r"PWM channel 5 of .*pwmchip0 \(1f00098000.pwm\)"):
+        asyncio.run(open_channel(chip, 5, 50_000, 0))
+    assert not os.path.lexists(chip / "pwm5")
+
+
+def test_an_absent_gpio_chip_is_said(tmp_path):
+    with pytest.raises(PortError, match='no GPIO chip "pinctrl-rp1"; there: none'):
+        request_outputs("pinctrl-rp1", [Wanted(line="4", purpose="a test")], "x", tmp_path)
+
+
+# ---------------------------------------------------------------------------------------- profiles
+@pytest.mark.parametrize(
+    ("right", "wrong", "words"),
+    [
+        ('rpwm = "duty"', 'rpwm = "dutty"', 'did you mean "duty"'),
+        ('rpwm = "duty"', "rpwm = { base = 0.5, slope = 0.6 }", "not within 0 and 1"),
+        ('[bridge.brake]\nrpwm = "low"\n', "[bridge.brake]\n", 'pin "rpwm" has no level in brake'),
+        ("pwm_hz = 20000", "pwm_hz = 90000", "not within pwm_min_hz and pwm_max_hz"),
+        ('protocol = "pwm"', 'protocol = "ascii"', "if and only if"),
+    ],
+)
+def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
+    assert right in BTS
+    path = tmp_path / "bts7960.toml"
+    path.write_text(BTS.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ProfileError, match=words):
+        load_profile(path)
+
+
+# -------------------------------------------------------------------------------------- robot files
+@pytest.mark.parametrize(
+    ("right", "wrong", "row"),
+    [
+        (LEFT, 'pins = { rpwm = "pwm0" }', "joint.left.pins: pin lpwm of bts7960 is not given"),
+        ('r_en = "GPIO16"', 'r_en = "GPIO5"', "joint.right.pins: pin r_en: GPIO5 is taken already"),
+        ('pwm_chip = "1f00098000.pwm"\n', "", "line.pins.pwm_chip: is missing: joint left, pin"),
+        ('kind = "pwm"', 'kind = "pwm"\npwm_hz = 90000', "line.pins.pwm_hz: 90000 Hz is out of"),
+        ('drive = "bts7960"', 'drive = "zlac8015d"', "joint.left.drive: drive"),
+    ],
+)
+def test_what_a_robot_file_says_wrong_of_pins_is_said(tmp_path, right, wrong, row):
+    assert right in ROBOT
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    found = [f"{problem.key}: {problem.text}" for problem in caught.value.problems]
+    assert any(problem.startswith(row) for problem in found), found

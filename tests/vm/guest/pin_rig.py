@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pins of the kernel's simulated GPIO chip and of its PWM class, as the kernel sees them.
+
+Source: kernel, Documentation/admin-guide/gpio/gpio-sim.rst and Documentation/driver-api/pwm.rst.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+
+CONFIG = Path("/sys/kernel/config/gpio-sim")
+PWM = Path("/sys/class/pwm")
+LABEL = "motord-pins"
+LINES = tuple(f"PIN{n}" for n in range(12))
+DEADLINE_S = 60.0
+
+
+def wait_until(condition, what):
+    """Ask again until it holds. The guest is slow: only what never comes true takes so long."""
+    end_s = time.monotonic() + DEADLINE_S
+    while not (found := condition()):
+        assert time.monotonic() < end_s, f"{what}: never"
+        time.sleep(0.02)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Pins:
+    """Where the levels are to be read, and inputs to be driven."""
+
+    lines: Path
+    chip: Path
+    """Of the PWM class."""
+
+    @property
+    def pwm_chip(self):
+        return Path(self.chip / "device").resolve().name
+
+    def level(self, where):
+        """0 to 1: of a GPIO line's output, or the part of the period of an enabled channel."""
+        if where.startswith("pwm"):
+            folder = self.chip / where
+            period_ns = int((folder / "period").read_text())
+            on = (folder / "enable").read_text().strip() == "1"
+            return on * int((folder / "duty_cycle").read_text()) / period_ns
+        number = LINES.index(where)
+        return float((self.lines / f"sim_gpio{number}/value").read_text())
+
+    def drive(self, where, level):
+        """From outside, into an input."""
+        pull = self.lines / f"sim_gpio{LINES.index(where)}/pull"
+        pull.write_text("pull-up" if level else "pull-down")
+
+
+@contextlib.contextmanager
+def pins():
+    """A GPIO chip with LINES, and the first PWM chip of the machine."""
+    chip = CONFIG / LABEL
+    bank = chip / "bank0"
+    bank.mkdir(parents=True)
+    (bank / "num_lines").write_text(str(len(LINES)))
+    (bank / "label").write_text(LABEL)
+    for offset, name in enumerate(LINES):
+        (bank / f"line{offset}").mkdir()
+        (bank / f"line{offset}/name").write_text(name)
+    (chip / "live").write_text("1")
+    device, number = (chip / "dev_name").read_text().strip(), (bank / "chip_name").read_text()
+    wait_until(Path("/dev", number.strip()).exists, "the chip's device file")
+    try:
+        yield Pins(Path("/sys/devices/platform", device, number.strip()), min(PWM.iterdir()))
+    finally:
+        (chip / "live").write_text("0")
+        for folder in (*(bank / f"line{n}" for n in range(len(LINES))), bank, chip):
+            folder.rmdir()

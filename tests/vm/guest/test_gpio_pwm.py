@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motor bridges on the kernel's own GPIO and PWM: what the pins are when the line says so, also
+when it is stopped, starved, killed, or its pins are somebody else's."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pin_rig import LABEL, LINES, PWM, pins, wait_until
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
+from loop_side import GENEROUS_S, running, until
+
+from motord_hal.drives.load import find_profile, list_profiles
+from motord_hal.errors import DriveFault, HalError, PortError
+from motord_hal.gpio.lines import Wanted, request_outputs
+from motord_hal.ports import (
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineSpec,
+    LineState,
+    PinsSpec,
+)
+
+BRIDGES = [name for name in list_profiles() if find_profile(name).bridge]
+FAILING = Path("/sys/module/pwm_sim/parameters/fail")
+NEAR = 0.001
+pytestmark = [
+    pytest.mark.skipif(not list(PWM.glob("pwmchip*")), reason="no PWM chip (module pwm-sim)"),
+    pytest.mark.skipif(not Path("/sys/kernel/config/gpio-sim").is_dir(), reason="no gpio-sim"),
+]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    with pins() as found:
+        yield found
+
+
+def fail_with(number):
+    """Let the PWM chip refuse everything with this errno; 0: nothing."""
+    FAILING.write_text(str(number))
+
+
+async def armed(line):
+    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    async with asyncio.timeout(GENEROUS_S):
+        while line.states() != {DriveState.ARMED}:
+            await line.ready()
+            with contextlib.suppress(HalError):
+                await line.line.arm()
+
+
+async def reaches(line, condition, what):
+    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    try:
+        async with asyncio.timeout(GENEROUS_S):
+            while not condition():
+                await armed(line)
+                await asyncio.sleep(0.01)
+    except TimeoutError:
+        raise AssertionError(f"never came true: {what}") from None
+
+
+def places(drive, fault=False):
+    """A PWM channel for each pin that needs one, a GPIO line for each other one."""
+    bridge = find_profile(drive).bridge
+    channels = (f"pwm{n}" for n in range(4))
+    lines = iter(LINES)
+    where = {pin: next(channels if bridge.needs_pwm(pin) else lines) for pin in bridge.levels}
+    return where | ({"fault": "!PIN11"} if fault else {})
+
+
+def spec_of(rig, drive, **changes):
+    where = changes.pop("where", None) or places(drive, changes.pop("fault", False))
+    joint = JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=where)
+    values = {
+        "index": 0, "name": "pins", "kind": "pwm", "port": "", "baudrate": 115200,
+        "parity": "none", "stop_bits": 1, "cycle_hz": 50.0, "gap_s": None, "engine": "auto",
+        "joints": (joint,), "watchdog_s": 0.5, "priority": 0,
+        "pins": PinsSpec(pwm_chip=rig.pwm_chip, gpio_chip=LABEL),
+    }  # fmt: skip
+    return LineSpec(**{**values, **changes})
+
+
+def are(rig, drive, mode, duty=0.0):
+    """Whether all pins have the levels of a mode."""
+    levels = find_profile(drive).bridge.levels
+
+    def check():
+        return all(
+            abs(rig.level(where) - (levels[pin][mode][0] + levels[pin][mode][1] * duty)) < NEAR
+            for pin, where in places(drive).items()
+        )
+
+    return check
+
+
+@pytest.mark.parametrize("drive", BRIDGES)
+async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_kernel_sees_it(
+    rig, drive
+):
+    async with running(spec_of(rig, drive)) as line:
+        await line.ready()
+        await until(are(rig, drive, "coast"), "no power before it is armed")
+        line.loop.enabled, line.loop.duty = True, {0: 0.5}
+        cycles = line.line.stats().cycles
+        await until(lambda: line.line.stats().cycles > cycles + 5)
+        assert are(rig, drive, "coast")()
+        await reaches(line, are(rig, drive, "forward", 0.5), "forward")
+        line.loop.duty = {0: -0.25}
+        await reaches(line, are(rig, drive, "reverse", 0.25), "backward")
+        line.loop.duty = {}
+        await reaches(line, are(rig, drive, "brake"), "braked")
+        line.loop.duty = {0: 1.0}
+        await reaches(line, are(rig, drive, "forward", 1.0), "full")
+        await line.line.disarm()
+        await until(are(rig, drive, "coast"), "no power")
+    for where in places(drive).values():
+        assert rig.level(where) == 0.0
+
+
+async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
+    async with running(spec_of(rig, "bts7960")) as line:
+        await armed(line)
+        line.loop.enabled, line.loop.duty = True, {0: 0.5}
+        await reaches(line, are(rig, "bts7960", "forward", 0.5), "forward")
+        line.loop.running = False
+        await until(are(rig, "bts7960", "coast"))
+        assert line.states() == {DriveState.READY}
+        line.loop.running = True
+        cycles = line.line.stats().cycles
+        await until(lambda: line.line.stats().cycles > cycles + 5)
+        assert are(rig, "bts7960", "coast")()
+        assert EventKind.DRIVE_WARNING in line.kinds()
+
+
+async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
+    async with running(spec_of(rig, "tb6612fng")) as line:
+        await armed(line)
+        line.loop.enabled, line.loop.duty = True, {0: -0.7}
+        await reaches(line, are(rig, "tb6612fng", "reverse", 0.7), "backward")
+    assert are(rig, "tb6612fng", "coast")()
+    assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
+
+
+async def test_a_fault_pin_is_seen_said_and_keeps_it_from_being_armed(rig):
+    rig.drive("PIN11", 1)
+    async with running(spec_of(rig, "drv8871", fault=True)) as line:
+        await line.ready()
+        rig.drive("PIN11", 0)
+        await until(lambda: EventKind.DRIVE_FAULT in line.kinds())
+        await until(lambda: line.loop.exchange.take_feedback(0).drive_faults == 1)
+        with pytest.raises(DriveFault):
+            await line.line.arm()
+        rig.drive("PIN11", 1)
+        await until(lambda: EventKind.DRIVE_FAULT_GONE in line.kinds())
+        await line.line.arm()
+
+
+async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
+    where = {**places("three-wire"), "pump": "PIN10"}
+    async with running(spec_of(rig, "three-wire", where=where)) as line:
+        await armed(line)
+        assert rig.level("PIN10") == 0.0
+        line.loop.enabled, line.loop.duty = True, {0: 0.5}
+        for level in (1.0, 0.0, 1.0, 0.0):
+            await reaches(line, lambda level=level: rig.level("PIN10") == level, "it changes")
+        await reaches(line, are(rig, "three-wire", "forward", 0.5), "and the PWM goes on")
+        line.loop.running = False
+        await until(lambda: line.states() == {DriveState.READY})
+        cycles = line.line.stats().cycles
+        await until(lambda: line.line.stats().cycles > cycles + 5)
+        assert rig.level("PIN10") == 0.0
+
+
+async def test_a_line_that_is_somebody_else_s_is_said_with_joint_pin_and_owner(rig):
+    fd = request_outputs(LABEL, [Wanted(line="PIN0", purpose="a test")], "coffee machine")
+    try:
+        async with running(spec_of(rig, "bts7960")) as line:
+            await until(lambda: EventKind.LINE_LOST in line.kinds())
+            text = line.events[0].text
+            assert "joint left, pin r_en" in text
+            assert 'in use by "coffee machine"' in text
+            os.close(fd)
+            fd = -1
+            await until(lambda: line.line.state is LineState.READY, "it gets its pins after all")
+    finally:
+        if fd >= 0:
+            os.close(fd)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"pins": PinsSpec(pwm_chip="1f00098000.pwm", gpio_chip=LABEL)}, 'no PWM chip "1f00'),
+        ({"pins": PinsSpec(pwm_chip="pwmchip0", gpio_chip="pinctrl-rp1")}, 'no GPIO chip "pinc'),
+        ({"where": {"rpwm": "pwm0", "lpwm": "pwm77"}}, "joint left, pin lpwm: PWM channel 77"),
+        ({"where": {"rpwm": "pwm0", "lpwm": "pwm1", "r_en": "GPIO99"}}, "pin r_en: no GPIO line"),
+    ],
+)
+async def test_what_is_not_there_is_said_with_what_there_is(rig, changes, words):
+    async with running(spec_of(rig, "bts7960", **changes)) as line:
+        await until(lambda: EventKind.LINE_LOST in line.kinds())
+        assert words in line.events[0].text
+        with pytest.raises(PortError):
+            await line.line.arm()
+
+
+async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
+    async with running(spec_of(rig, "cytron-mdd")) as line:
+        await line.ready()
+    folder = rig.chip / "pwm0"
+    (folder / "period").write_text("1000000")
+    (folder / "duty_cycle").write_text("900000")
+    (folder / "enable").write_text("1")
+    async with running(spec_of(rig, "cytron-mdd")) as line:
+        await line.ready()
+        assert (folder / "period").read_text().strip() == "62500"
+        await until(are(rig, "cytron-mdd", "coast"))
+
+
+@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
+async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(rig):
+    async with running(spec_of(rig, "pwm-pwm")) as line:
+        await armed(line)
+        line.loop.enabled, line.loop.duty = True, {0: 0.5}
+        await reaches(line, are(rig, "pwm-pwm", "forward", 0.5), "forward")
+        fail_with(5)
+        line.loop.duty = {0: 0.6}
+        await until(lambda: EventKind.LINE_LOST in line.kinds())
+        assert "joint left, pin forward: Input/output error" in line.events[-1].text
+        fail_with(0)
+        await until(lambda: line.states() == {DriveState.READY})
+        await until(are(rig, "pwm-pwm", "coast"))
+
+
+KILLED = """
+import asyncio, sys
+sys.path[:0] = {path!r}
+import test_gpio_pwm as here
+from pin_rig import Pins
+from pathlib import Path
+rig = Pins(Path({lines!r}), Path({chip!r}))
+async def main():
+    async with here.running(here.spec_of(rig, "bts7960")) as line:
+        await here.armed(line)
+        line.loop.enabled, line.loop.duty = True, {{0: 0.5}}
+        await here.reaches(line, here.are(rig, "bts7960", "forward", 0.5), "forward")
+        print("turning", flush=True)
+        await asyncio.sleep(600)
+asyncio.run(main())
+"""
+
+
+def test_what_kill_9_leaves_behind_is_known_and_the_next_start_ends_it(rig):
+    """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here, so the
+    bridge's enables go low; not every chip does that."""
+    code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
+        assert child.stdout.readline().strip() == b"turning"
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+    assert rig.level("pwm0") == pytest.approx(0.5, abs=NEAR)
+    wait_until(lambda: rig.level("PIN0") == 0.0, "the enables fall back to their pull")
+
+    async def start_again():
+        async with running(spec_of(rig, "bts7960")) as line:
+            await line.ready()
+            await until(are(rig, "bts7960", "coast"))
+
+    with contextlib.closing(asyncio.new_event_loop()) as loop:
+        loop.run_until_complete(start_again())
