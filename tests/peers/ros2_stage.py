@@ -11,6 +11,8 @@ from pathlib import Path
 
 from tests.sim.daemon_stage import PATIENT, running, wait_until
 
+from motord.client import ClientError
+
 PEER = Path(__file__).with_name("ros2_peer.py")
 DOMAIN = 100 + os.getpid() % 100  # several suites on one machine do not meet
 NAMESPACE = "/r2"
@@ -64,7 +66,7 @@ class Peer:
 
 @contextlib.contextmanager
 def peer(*words, program=(sys.executable, str(PEER)), decode=json.loads):
-    made = Peer([*program, str(DOMAIN), *map(str, words)], decode)
+    made = Peer(["nice", "-n", "10", *program, str(DOMAIN), *map(str, words)], decode)
     try:
         yield made
     finally:
@@ -78,3 +80,19 @@ def called(name, kind="Trigger", **values):
 
 def nobody_commands(stage):
     wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
+
+
+def settle(stage):
+    """Disarmed and ready, also where a busy machine was a fault to the drives."""
+    nobody_commands(stage)
+
+    def settled():
+        state = stage.state()
+        with contextlib.suppress(ClientError):
+            if state in ("fault", "estop"):
+                stage.robot.call("reset")
+            elif state not in ("idle", "configuring"):
+                stage.robot.call("disarm")
+        return state == "idle"
+
+    wait_until(settled, "idle")

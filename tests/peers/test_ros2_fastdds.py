@@ -6,7 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.peers.ros2_stage import NAMESPACE, called, nobody_commands, peer, ros2_stage
+from tests.peers.ros2_stage import NAMESPACE, called, peer, ros2_stage, settle
+from tests.sim.daemon_stage import wait_until
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
@@ -47,7 +48,7 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(program, stage):
     def fast(*words):
         return peer(*words, program=(str(program),), decode=decode)
 
-    assert called("arm")["success"]
+    wait_until(lambda: called("arm")["success"], "armed")
     with (
         fast("odom", f"rt{NAMESPACE}/odom") as ear,
         fast("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0),
@@ -55,5 +56,5 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(program, stage):
         moved = ear.find(lambda told: told["x_m"] > 0.1, "a way")
     assert moved["frames"] == ("odom", "base_link")
     assert moved["linear_m_s"] > 0.0
-    nobody_commands(stage)
-    stage.wait_for("armed")
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+    settle(stage)

@@ -21,6 +21,7 @@ from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.sparing import Sparing
 from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
@@ -39,8 +40,7 @@ class Ros2Commands:
         self._name = name
         self._desk = Desk(name, section, station)
         self._node = node_of(station, section)
-        self._asked: set[str] = set()
-        self._asking = asyncio.Event()
+        self._asked = {method: asyncio.Event() for method in URGENT}
         kind = "TwistStamped" if section.stamped else "Twist"
         self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
         for method in TRIGGERS:
@@ -55,7 +55,8 @@ class Ros2Commands:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._desk.source.run())
             tasks.create_task(self._node.run())
-            tasks.create_task(self._act())
+            for method in URGENT:
+                tasks.create_task(self._act(method))
 
     def _drive(self, message: SimpleNamespace) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
@@ -72,25 +73,25 @@ class Ros2Commands:
         return answer
 
     def _urgent(self, method: str) -> Callable[[SimpleNamespace], None]:
+        voice = Sparing(_log)
+
         def ask(message: SimpleNamespace) -> None:
-            if method not in self._asked:
-                _log.warning("input.%s: %s by topic: %s", self._name, method, message.data[:200])
-            self._asked.add(method)
-            self._asking.set()
+            voice.say(f"input.{self._name}: {method} by topic: {message.data[:200]!r}")
+            self._asked[method].set()
 
         return ask
 
-    async def _act(self) -> None:
-        """What was asked for by topic: the graver first, the same only once at a time."""
+    async def _act(self, method: str) -> None:
+        """As often as it is asked for by topic, but once at a time. Each method has a task of its
+        own: an emergency stop does not wait for a stop to end."""
+        asked, voice = self._asked[method], Sparing(_log)
         while True:
-            await self._asking.wait()
-            self._asking.clear()
-            for method in [method for method in URGENT if method in self._asked]:
-                self._asked.discard(method)
-                try:
-                    await self._desk.act(method)
-                except NotTaken as error:
-                    _log.error("input.%s: %s: %s", self._name, method, error)
+            await asked.wait()
+            asked.clear()
+            try:
+                await self._desk.act(method)
+            except NotTaken as error:
+                voice.say(f"input.{self._name}: {method}: {error}")
 
 
 def _as_mapping(value: Any) -> Any:

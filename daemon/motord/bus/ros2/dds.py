@@ -185,6 +185,7 @@ class Participant:
         self._arrived = asyncio.Event()
         self._taken = threading.Event()
         self._ending = False
+        self._broken: DDSException | None = None
 
     def writer(
         self, topic: str, kind: str, quality: Quality, user_data: str, *, service: bool = False
@@ -226,7 +227,7 @@ class Participant:
         return self._topics[name]
 
     async def run(self) -> None:
-        """Deliver what arrives, until cancelled."""
+        """Deliver what arrives, until cancelled. Raises DdsError when the library fails."""
         loop = asyncio.get_running_loop()
         waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
         waiting.start()
@@ -244,6 +245,8 @@ class Participant:
         while True:
             await self._arrived.wait()
             self._arrived.clear()
+            if self._broken is not None:
+                raise DdsError(f"DDS does not wait any more: {self._broken.msg}")
             for reader in self.readers:
                 reader.deliver()
             self._taken.set()
@@ -262,7 +265,13 @@ class Participant:
         for reader in self.readers:
             waitset.attach(reader.condition)
         while not self._ending:
-            if waitset.wait(duration(seconds=_LOOK_EVERY_S)) > 0 and not self._ending:
+            try:
+                arrived = waitset.wait(duration(seconds=_LOOK_EVERY_S)) > 0
+            except DDSException as error:
+                self._broken = error
+                loop.call_soon_threadsafe(self._arrived.set)
+                return
+            if arrived and not self._ending:
                 self._taken.clear()
                 loop.call_soon_threadsafe(self._arrived.set)
                 self._taken.wait(_LOOK_EVERY_S)

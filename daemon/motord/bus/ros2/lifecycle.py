@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from motord.bus.inputs.desk import Desk, NotTaken
 from motord.bus.messages import state_name
 from motord.bus.ros2.nodes import Node
+from motord.bus.ros2.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -46,6 +47,7 @@ class Lifecycle:
     def __init__(self, station: Station, desk: Desk) -> None:
         self._station = station
         self._desk = desk
+        self._voice = Sparing(_log)
 
     def serve(self, node: Node) -> None:
         """What `ros2 lifecycle` asks for. Raises DdsError."""
@@ -81,10 +83,10 @@ class Lifecycle:
                 try:
                     await self._desk.act(method)
                 except NotTaken as error:
-                    _log.warning("lifecycle: %s: %s", label, error)
+                    self._voice.say(f"lifecycle: {label}: {error}")
                     return SimpleNamespace(success=False)
                 return SimpleNamespace(success=True)
-        _log.warning("lifecycle: no transition %s from %s", wanted.label or wanted.id, now[1])
+        self._voice.say(f"lifecycle: no transition {wanted.label or wanted.id!r} from {now[1]}")
         return SimpleNamespace(success=False)
 
 

@@ -15,6 +15,7 @@ from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.service import Service
+from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
 
 _GRAPH_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -90,12 +91,13 @@ class Node:
     ) -> None:
         """`take` is called for each message. Raises DdsError."""
         topic = names.topic(self.full(name))
+        voice = Sparing(_log)
 
         def taken(raw: bytes, _: Any) -> None:
             try:
                 message = decode(kind, raw)
             except ValueError as error:
-                _log.warning("%s: not understood: %s", topic, error)
+                voice.say(f"{topic}: not understood: {error}")
                 return
             take(message)
 

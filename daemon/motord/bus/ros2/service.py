@@ -19,6 +19,7 @@ from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
 
 WAITING_MAX = 32
@@ -45,6 +46,7 @@ class Service:
         self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
         self._answer = answer
         self._name = name
+        self._voice = Sparing(_log)
         self._waiting: asyncio.Queue[tuple[bytes, SimpleNamespace, int]] = asyncio.Queue(
             WAITING_MAX
         )
@@ -68,12 +70,12 @@ class Service:
             # The header is 16 bytes long: what follows is aligned as if it were not there.
             request = decode(self._request, HEADER + raw[_BODY:])
         except ValueError as error:
-            _log.warning("service %s: not understood: %s", self._name, error)
+            self._voice.say(f"service {self._name}: not understood: {error}")
             return
         try:
             self._waiting.put_nowait((raw[len(HEADER) : _BODY], request, info.publication_handle))
         except asyncio.QueueFull:
-            _log.warning("service %s: %d requests wait, one is lost", self._name, WAITING_MAX)
+            self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is lost")
 
     async def run(self) -> None:
         """Answer one after the other, until cancelled."""
@@ -94,7 +96,7 @@ class Service:
                 while name not in self._hearing():  # noqa: ASYNC110  DDS has no event for it
                     await asyncio.sleep(_MATCHED_EVERY_S)
         except TimeoutError:
-            _log.warning("service %s: the client does not hear replies", self._name)
+            self._voice.say(f"service {self._name}: the client does not hear replies")
 
     def _client_id(self, handle: int) -> bytes | None:
         try:
