@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 
 from motord_hal.clock import now_ns
+from motord_hal.errors import HalError
 from motord_hal.lines import open_line
 from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineSpec
 from motord_hal.rt import Exchange, JointSetpoint, Setpoints
@@ -75,9 +76,17 @@ class Rig:
         await until(lambda: self.states() == {DriveState.READY}, "every drive is ready")
 
     async def arm(self) -> None:
-        await self.ready()
-        await self.line.arm()
-        assert self.states() == {DriveState.ARMED}
+        """Once more if a peer was quiet meanwhile, as one is when the machine is too busy."""
+        async with asyncio.timeout(GENEROUS_S):
+            while True:
+                await self.ready()
+                with contextlib.suppress(HalError):
+                    await self.line.arm()
+                if self.states() == {DriveState.ARMED}:
+                    return
+                with contextlib.suppress(HalError):
+                    await self.line.disarm()
+                await asyncio.sleep(0.01)
 
 
 @contextlib.asynccontextmanager

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import threading
@@ -49,6 +50,8 @@ class McuPeer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
+        with contextlib.suppress(PermissionError):  # a board does not wait for a CPU
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, -15)
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
 

@@ -64,7 +64,7 @@ async def test_frames_that_come_make_no_frames_go_out(rig, peer):
         enough = frames + 100 * hundreds
         await until(lambda enough=enough: rig.line.stats().exchanges >= enough)
     sent = len(peer.axes[0].velocities()) - began
-    assert sent <= rig.line.stats().cycles - cycles + 1
+    assert sent <= rig.line.stats().cycles - cycles + 2  # the first and the last under way
     assert rig.states() == {DriveState.ARMED}
 
 

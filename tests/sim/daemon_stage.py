@@ -12,7 +12,7 @@ import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
-from motord.client import Client, ClientError
+from motord.client import Client, ClientError, Refused
 from motord.page_file import FOLDER, PREFIX
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
@@ -60,6 +60,23 @@ class Stage:
     def end(self, number=signal.SIGTERM):
         self.daemon.send_signal(number)
         return self.daemon.wait(DEADLINE_S)
+
+
+def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
+    """Armed, and its wheels fast; a fault that a too busy machine latched on the way is reset."""
+
+    def turning():
+        with contextlib.suppress(Refused):
+            status = stage.robot.status()
+            if status["state"] == "fault":
+                stage.robot.reset()
+            if not status["armed"]:
+                stage.robot.arm()
+            stage.robot.drive(linear_m_s, 0.0)
+        joints = stage.sim.truth().joints.values()
+        return all(abs(joint.velocity_rad_s) > fast_rad_s for joint in joints)
+
+    wait_until(turning, "the wheels turn")
 
 
 def connected(daemon, socket, log):

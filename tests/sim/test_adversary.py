@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 import pytest
-from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
+from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
 
 from motord.client import Client, ClientError, Refused
 
@@ -38,17 +38,6 @@ def reset(stage):
             return stage.robot.reset() == "idle"
 
     wait_until(taken, "the reset")
-
-
-def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
-    stage.wait_for("idle", "armed")
-    stage.robot.arm()
-
-    def turning():
-        stage.robot.drive(linear_m_s, 0.0)
-        return min(wheels_rad_s(stage)) > fast_rad_s
-
-    wait_until(turning, "the wheels turn")
 
 
 def raw_connection(stage):

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from daemon_stage import DEADLINE_S, running, wait_until
+from daemon_stage import DEADLINE_S, running, set_off, wait_until
 
 from motord.client import Refused
 
@@ -33,14 +33,7 @@ def hear_until(listener, last):
 def moving(stage):
     """Armed, and on a lease that outlives the test's own pauses."""
     stage.wait_for("idle")
-    stage.robot.arm()
-
-    def turning():
-        stage.robot.drive(0.5, 0.0)
-        joints = stage.sim.truth().joints.values()
-        return all(abs(joint.velocity_rad_s) > 3.0 for joint in joints)
-
-    wait_until(turning, "the wheels turn")
+    set_off(stage, 0.5)
 
 
 def test_a_supervisor_hears_ready_life_and_the_end(tmp_path, supervisor):

@@ -26,17 +26,22 @@ PHYSICS_SPARE_S = 0.0005
 """The physics waits where something is due on a wire within this time."""
 PHYSICS_LAG_MAX_S = 0.01
 """But no longer than so."""
+NICE = -15
 TIMER_SLACK = Path("/proc/self/timerslack_ns")
 
 
 def set_pace(priority: int) -> None:
     """For a process that does nothing else: wake-ups without slack (50 µs by default: prctl(2),
-    PR_SET_TIMERSLACK), SCHED_FIFO if a priority is given, short collections of garbage. Raises
-    PermissionError where the priority is not allowed."""
+    PR_SET_TIMERSLACK), SCHED_FIFO if a priority is given, else ahead of other programs where that
+    is allowed: a drive that is hardware does not wait for a CPU. Short collections of garbage.
+    Raises PermissionError where the priority is not allowed."""
     with contextlib.suppress(OSError):  # older kernels and sandboxes: the default slack stays
         TIMER_SLACK.write_text("1")
     if priority > 0:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    else:
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, NICE)
     gc.collect()
     gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
 
