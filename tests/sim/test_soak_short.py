@@ -10,12 +10,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "soak"))
 
-from fault_mix import batches, kinds_of
+from fault_mix import SERIAL_KINDS, batches, kinds_of
 from hurt_robot import PROFILE, limit_m_s, live
 from said import Said
 
 from motord_hal.drives.load import load_profile
-from motord_hal.sim.fault_kinds import KINDS
 
 SEED = 20
 FAULTS = 100
@@ -36,7 +35,7 @@ def test_a_moving_robot_gets_through_every_kind_of_fault(outcomes, engine):
     outcome = outcomes[engine]
     assert outcome.violations == []
     assert outcome.faults.total() == FAULTS
-    assert set(outcome.faults) == set(KINDS)
+    assert set(outcome.faults) == set(SERIAL_KINDS)
     assert outcome.checked_counts > FAULTS
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fault_mix import BATCH_S, batches, kinds_of
+from fault_mix import BATCH_S, SERIAL_KINDS, batches, kinds_of
 from said import Said
 
 from motord.client import Client, ClientError, Refused
@@ -28,7 +28,6 @@ from motord.page_file import FOLDER, PREFIX
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl
-from motord_hal.sim.fault_kinds import KINDS
 from motord_hal.sim.plant import WheelModel
 
 HERE = Path(__file__).resolve().parent
@@ -293,7 +292,7 @@ def live(
     engine: str,
     faults: int,
     batch: int,
-    kinds: Sequence[str] = tuple(KINDS),
+    kinds: Sequence[str] = SERIAL_KINDS,
     told: Callable[[str], None] = print,
 ) -> Outcome:
     """One robot from its start to the last fault; what became of it."""

@@ -24,9 +24,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / part) for part in ("tests/soak", "daemon", "hal", ".")]
 
-from hurt_robot import Outcome, live  # noqa: E402  # the path is made above
-
-from motord_hal.sim.fault_kinds import KINDS  # noqa: E402
+from fault_mix import SERIAL_KINDS  # noqa: E402  # the path is made above
+from hurt_robot import Outcome, live  # noqa: E402
 
 LIFE_FAULTS = 500
 BATCH = 40
@@ -104,7 +103,9 @@ def main() -> int:
     parser.add_argument("--engine", choices=ENGINES, default="both")
     parser.add_argument("--workers", type=int, default=3, help="robots at once")
     parser.add_argument("--batch", type=int, default=BATCH, help="faults at once")
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=tuple(KINDS), metavar="KIND")
+    parser.add_argument(
+        "--kinds", nargs="+", choices=SERIAL_KINDS, default=SERIAL_KINDS, metavar="KIND"
+    )
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if arguments.seed is None:
