@@ -390,6 +390,20 @@ void page_write(void *page, const robot_state *state);
 /* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */
 int page_read(const void *page, robot_state *out);
 
+/* ------------------------------------------------------------------------------------------- pins of safety
+ * Descriptors of GPIO v2 line requests of one line each; they stay the caller's. */
+enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 };   /* the input; LOST stops like ACTIVE */
+typedef struct {
+    uint32_t estop;             /* 1: estop_fd is an input, not blocking, with both edges */
+    int32_t estop_fd;
+    uint32_t estop_high;        /* the level that stops */
+    uint32_t watchdog;          /* 1: watchdog_fd is an output that changes while all threads live */
+    int32_t watchdog_fd;
+    uint32_t watchdog_every_ticks;
+    int64_t heartbeat_timeout_ns;
+    int64_t line_timeout_ns[LINES_MAX];   /* to take set-points again while drives are enabled; 0: there is no such line */
+} guard_config;
+
 /* ---------------------------------------------------------------------------------------------------- loop
  * One loop a process: its state is static, so that the thread needs no memory. */
 typedef struct {
@@ -404,6 +418,7 @@ typedef struct {
     int32_t command_fd[COMMAND_SOCKETS];   /* datagram sockets, not blocking, on which commands come in; -1: none */
     uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
+    guard_config guard;
 } loop_config;
 
 typedef struct {
@@ -419,6 +434,11 @@ typedef struct {
     uint64_t overruns;          /* periods skipped because the one before was still running or the CPU was away */
     uint64_t page_faults;       /* of the thread since its first tick, minor and major */
     int64_t tick_stamp_ns;      /* last tick */
+    uint32_t estop_input;       /* ESTOP_* */
+    uint32_t watchdog_well;     /* 1: the watchdog's pin moves */
+    uint64_t watchdog_edges;
+    int32_t watchdog_errno;     /* of the last write */
+    uint32_t reserved_too;
 } loop_status;
 
 enum {

@@ -89,7 +89,13 @@ int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out)
         return -EINVAL;
     }
     setpoints_box *from = &x->setpoints[line];
+    (void)atomic_fetch_add_explicit(&x->takes[line], 1, memory_order_relaxed);
     return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}
+
+uint64_t exchange_line_takes(const exchange *x, uint32_t line)
+{
+    return atomic_load_explicit(&x->takes[line], memory_order_relaxed);
 }
 
 int exchange_set_line_wake(exchange *x, uint32_t line, int fd)

@@ -38,6 +38,10 @@ struct exchange {
     feedback_box feedback[JOINTS_MAX];
     setpoints_box setpoints[LINES_MAX];
     _Atomic int line_wake_fd[LINES_MAX];
+    _Atomic uint64_t takes[LINES_MAX];
 };
+
+/* How often a line has taken its set-points: it lives while this grows. */
+uint64_t exchange_line_takes(const exchange *x, uint32_t line);
 
 #endif

@@ -72,7 +72,7 @@ static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
            loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd[0] >= -1 &&
-           loop->command_fd[1] >= -1 && loop->command_fd[2] >= -1;
+           loop->command_fd[1] >= -1 && loop->command_fd[2] >= -1 && guard_config_check(&loop->guard) == 0;
 }
 
 /* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */
@@ -209,6 +209,10 @@ void loop_status_read(loop_status *out)
         .overruns = work.overruns,
         .page_faults = work.page_faults,
         .tick_stamp_ns = work.tick_stamp_ns,
+        .estop_input = work.guard.estop_input,
+        .watchdog_well = work.guard.watchdog_well,
+        .watchdog_edges = work.guard.watchdog_edges,
+        .watchdog_errno = work.guard.watchdog_errno,
     };
 }
 

@@ -8,6 +8,7 @@
 #include <stdatomic.h>
 
 #include "exchange.h"
+#include "guard.h"
 #include "ingress.h"
 
 /* All that a tick touches, in one static block that is written before the first tick. */
@@ -19,6 +20,7 @@ typedef struct {
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;
+    guard guard;
     arbiter arbiter;
     lease_grants grants;
     int64_t used_stamp_ns;              /* of the command that was last counted in HISTOGRAM_COMMAND */

@@ -35,6 +35,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
         work->ingress.fd[i] = loop->command_fd[i];
     }
+    guard_init(&work->guard, &loop->guard);
     arbiter_init(&work->arbiter);
     work->used_stamp_ns = 0;
     work->stopping = true;
@@ -135,6 +136,7 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     core_input *input = &work->input;
     input->now_ns = now_ns;
     exchange_take_control(&work->exchange, &input->control);
+    input->control.estop |= guard_read_estop(&work->guard);
     take_commands(work, now_ns);
     for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {
         exchange_take_feedback(&work->exchange, joint, &input->feedback[joint]);
@@ -231,9 +233,24 @@ static void work_once(loop_work *work, int64_t now_ns)
     notify(work, work->ticks == 1);
 }
 
+/* Once a period, so that its pin moves at an even rate. */
+static void drive_watchdog(loop_work *work, int64_t now_ns)
+{
+    watchdog_input input = {
+        .now_ns = now_ns,
+        .heartbeat_ns = work->input.control.heartbeat_ns,
+        .enabled = work->out.enabled != 0,
+    };
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        input.takes[line] = exchange_line_takes(&work->exchange, line);
+    }
+    guard_drive_watchdog(&work->guard, &input);
+}
+
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
 {
     work_once(work, now_ns);
+    drive_watchdog(work, now_ns);
     histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
     if (work->ticks == 1 || work->ticks % PAGE_FAULT_EVERY_TICKS == 0) {
         count_page_faults(work);
@@ -264,6 +281,7 @@ void loop_rest(loop_work *work, int64_t now_ns)
         last->joint[joint].duty = 0;
     }
     hand_on(work);
+    guard_rest(&work->guard);
     notify(work, true);
     count_page_faults(work);
 }

@@ -6,17 +6,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from motord import procedures
 from motord.assembly import core_config, line_specs, loop_settings, profiles_of
+from motord.battery_task import watch_battery
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
 from motord.bus_supervisor import BusSupervisor
 from motord.config import Robot
 from motord.doors import open_doors
+from motord.guards import open_guard
 from motord.health import Health, Heart
 from motord.machine import Event
 from motord.methods import methods
@@ -54,6 +57,7 @@ async def run(
     without.
     """
     profiles, notifier, health = profiles_of(robot), Notifier(), Health()
+    specs = line_specs(robot, profiles)
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
     ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
     feeds = {key: Samples(name, section.rate_hz) for key, section in ours.items()}
@@ -63,21 +67,23 @@ async def run(
         _signals() as (end, hurry),
         listening(path) as listener,
         open_doors(robot, path) as doors,
+        open_guard(robot, {spec.name: spec.cycle_hz for spec in specs}) as guard,
         Loop(
             core_config(robot, profiles),
-            loop_settings(robot, doors.fds),
+            loop_settings(robot, doors.fds, guard),
             name,
             journal=robot.has_journal,
         ) as loop,
     ):
         operation = Operation(robot, loop, notifier)
-        for spec in line_specs(robot, profiles):
+        for spec in specs:
             operation.lines.append(open_line(spec, Exchange.of_loop(), operation.on_line_event))
         operation.take(Event.START)
         async with asyncio.TaskGroup() as tasks:
             work = [tasks.create_task(line.run()) for line in operation.lines]
             work.append(tasks.create_task(_watch(operation, feeds)))
             work.append(tasks.create_task(_beat(operation)))
+            work.append(tasks.create_task(watch_battery(operation)))
             work.append(tasks.create_task(_watch_health(operation, health, notifier)))
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
             if bus is not None:
@@ -149,8 +155,9 @@ async def _watch(operation: Operation, feeds: Mapping[str, Samples]) -> None:
             await woken.wait()
             woken.clear()
             operation.look()
+            battery = operation.battery.report(now_ns()) if operation.battery else None
             for feed in feeds.values():
-                feed.offer(operation.snapshot)
+                feed.offer(operation.snapshot, battery)
     finally:
         asyncio.get_running_loop().remove_reader(operation.loop.fileno())
 
@@ -167,7 +174,11 @@ async def _watch_health(operation: Operation, health: Health, notifier: Notifier
     """Feeds the supervisor's watchdog as long as loop, lines and (by this very task) asyncio
     move."""
     period_s = min(HEALTH_PERIOD_S, (notifier.watchdog_s or 2.0) / 4.0)
+    pin_errno = 0
     while True:
+        before, pin_errno = pin_errno, operation.loop.status().watchdog_errno
+        if pin_errno not in (0, before):
+            _log.warning("safety.watchdog: its pin: %s", os.strerror(pin_errno))
         verdict = health.judge(now_ns(), _hearts(operation))
         for message in verdict.messages:
             _log.warning("%s", message)

@@ -15,6 +15,7 @@ from motord.config.wheels import (
     velocity_range_rad_s,
 )
 from motord.config.wiring import line_specs
+from motord.rt_types import GuardConfig
 from motord_hal.drives.profile import DriveProfile
 
 __all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
@@ -28,7 +29,11 @@ def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
     return {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
 
 
-def loop_settings(robot: Robot, command_fds: tuple[int, ...] = ()) -> rt.LoopSettings:
+def loop_settings(
+    robot: Robot,
+    command_fds: tuple[int, ...] = (),
+    guard: GuardConfig | None = None,
+) -> rt.LoopSettings:
     """How the loop's thread is to run."""
     rates = (publish.rate_hz for publish in robot.publish.values())
     return rt.LoopSettings(
@@ -39,6 +44,7 @@ def loop_settings(robot: Robot, command_fds: tuple[int, ...] = ()) -> rt.LoopSet
         lock_memory=robot.loop.lock_memory,
         hold_dma_latency=robot.loop.hold_dma_latency,
         command_fds=command_fds,
+        guard=guard,
     )
 
 

@@ -82,6 +82,10 @@ class Facts:
     commanding: str | None = None
     """Owner of a lease that asks for motion."""
     at_rest: bool = True
+    estop_input: str = ""
+    """Why the emergency stop's contact stops the robot now."""
+    battery_forbids: bool = False
+    """It is critical, and the robot file lets nobody drive it then."""
 
 
 _SAME = {state: state for state in State}
@@ -148,11 +152,15 @@ def _arm_refusal(facts: Facts) -> Refusal | None:
     """Arming needs every drive ready, heard and without a fault, and nobody asking for motion."""
     if facts.drive_faults:
         return Refusal(f"a drive reports a fault ({_list(facts.drive_faults)}): motord reset")
+    if facts.battery_forbids:
+        return Refusal("the battery is critical: charge it (safety.on_battery_critical)")
     return _presence_refusal(facts) or _command_refusal(facts)
 
 
 def _reset_refusal(facts: Facts) -> Refusal | None:
     """A drive's own fault is no hindrance: clearing it is part of the reset."""
+    if facts.estop_input:
+        return Refusal(facts.estop_input)
     if not facts.at_rest:
         return Refusal("the wheels still turn: wait until the robot is at rest")
     return _presence_refusal(facts) or _command_refusal(facts)

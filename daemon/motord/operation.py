@@ -16,6 +16,7 @@ import logging
 from collections.abc import Callable
 
 from motord.assembly import base_limits
+from motord.battery import BatteryLevel, BatteryWatch
 from motord.commands import LeaseGrant
 from motord.config import Limits, Robot
 from motord.leases import Lease, Leases, NoLease
@@ -26,6 +27,7 @@ from motord.rt import Control, Loop
 from motord.sdnotify import Notifier
 from motord.snapshot import Snapshot
 from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineState
+from motord_hal.rt import now_ns
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +38,10 @@ _WORRYING = {
     EventKind.DRIVE_WARNING,
 }
 _MAY_MOVE = (State.ARMED, State.MOVING)
+_ESTOP_INPUTS = {
+    "active": "the emergency stop's contact ({}) says stop: release the button, or mend the wire",
+    "lost": "the emergency stop's input ({}) cannot be read any more: start the daemon again",
+}
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 
@@ -55,6 +61,8 @@ class Operation:
         """What led to the fault or the emergency stop that is latched."""
         self.stops = 0
         """How often it was brought to rest by a stop, an emergency stop or a fault."""
+        self.battery = BatteryWatch(robot.battery, now_ns()) if robot.battery else None
+        """None: nobody measures it."""
         self.busy = asyncio.Lock()
         """Held by a procedure: one at a time."""
         self.disarming = False
@@ -83,7 +91,23 @@ class Operation:
             ),
             commanding=self.leases.wanting(),
             at_rest=self.snapshot.at_rest,
+            estop_input=self.estop_input(),
+            battery_forbids=self.battery_forbids,
         )
+
+    def estop_input(self) -> str:
+        """Why the emergency stop's contact stops the robot now; empty: it does not."""
+        pin = self.robot.safety.estop
+        found = self.loop.status().estop_input if pin is not None else ""
+        if pin is None or found not in _ESTOP_INPUTS:
+            return ""
+        return _ESTOP_INPUTS[found].format(f"{pin.gpio_line} of {pin.gpio_chip}")
+
+    @property
+    def battery_forbids(self) -> bool:
+        """The battery is critical, and the robot file says that this stops the robot."""
+        stops = self.robot.safety.on_battery_critical == "stop"
+        return stops and self.battery is not None and self.battery.level is BatteryLevel.CRITICAL
 
     def check(self, event: Event) -> State:
         """Where the event would lead. Raises Refused."""
@@ -259,6 +283,7 @@ class Operation:
         """The faults in words, with names where they are known."""
         facts = self.facts()
         details = {
+            "estop": facts.estop_input,
             "feedback_stale": ", ".join(facts.stale_joints),
             "drive": "; ".join(facts.drive_faults),
             "external": self._broken or "",

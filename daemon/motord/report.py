@@ -52,6 +52,7 @@ def status(
             "age_s": _age_s(operation.snapshot.odometry_stamp_ns),
         },
         "joints": _joints(operation, snapshot["joints"]),
+        "battery": operation.battery.report(now_ns()) if operation.battery else None,
         "loop": _loop(operation),
         "lines": {line.spec.name: _line(line) for line in operation.lines},
         "leases": _leases(operation),
@@ -106,6 +107,8 @@ def _loop(operation: Operation) -> dict[str, Any]:
         "lateness_us": _percentiles(loop.percentiles(HistogramKind.LATENESS), 1e3),
         "step_ns": _percentiles(loop.percentiles(HistogramKind.STEP), 1.0),
         "refusals": running.refusals,
+        "estop_input": running.estop_input,
+        "watchdog": running.watchdog,
     }
 
 

@@ -16,7 +16,6 @@ import secrets
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Self
 
 from _motord_rt import ffi, lib
@@ -69,6 +68,7 @@ __all__ = [
 LEASES_MAX: int = lib.LEASES_MAX
 _ENABLED_UNKNOWN = 2
 LEASE_NUMBERS = itertools.count(1)  # of the whole process: the loop tells leases apart by them
+_ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
 # Once: each call gives the GIL up, and a busy thread gives it back late.
 _FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
@@ -210,12 +210,7 @@ class Loop:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start(self) -> None:
@@ -273,6 +268,7 @@ class Loop:
                 "command_fd": [*doors, *[-1] * (lib.COMMAND_SOCKETS - len(doors))],
                 "lock_memory": settings.lock_memory,
                 "hold_dma_latency": settings.hold_dma_latency,
+                "guard": settings.guard or {},
             },
         )
 
@@ -379,6 +375,10 @@ class Loop:
             page_faults=raw.page_faults,
             tick_stamp_ns=raw.tick_stamp_ns,
             refusals=grants.sentences(refused, priority=settings.priority, cpu=settings.cpu),
+            estop_input=_ESTOP_INPUTS[raw.estop_input],
+            watchdog=raw.watchdog_well != 0,
+            watchdog_edges=raw.watchdog_edges,
+            watchdog_errno=raw.watchdog_errno,
         )
 
     def percentiles(self, kind: HistogramKind) -> Percentiles:

@@ -65,6 +65,17 @@ class CoreConfig(TypedDict):
     joint: list[JointConfig]
 
 
+class GuardConfig(TypedDict):
+    estop: int
+    estop_fd: int
+    estop_high: int
+    watchdog: int
+    watchdog_fd: int
+    watchdog_every_ticks: int
+    heartbeat_timeout_ns: int
+    line_timeout_ns: list[int]
+
+
 @dataclass(frozen=True, slots=True)
 class Percentiles:
     """Never told too low: the upper edge of a bucket that is at most 1/16 of its value wide."""
@@ -100,6 +111,8 @@ class LoopSettings:
     hold_dma_latency: bool = True
     command_fds: tuple[int, ...] = ()
     """Datagram sockets, not blocking, on which commands come in too; they stay the caller's."""
+    guard: GuardConfig | None = None
+    """The pins of safety. None: there are none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +127,13 @@ class LoopStatus:
     page_faults: int
     tick_stamp_ns: int
     refusals: dict[str, str]
+    estop_input: str
+    """"none", "clear", "active" or "lost": the emergency stop's contact."""
+    watchdog: bool
+    """The watchdog's pin moves."""
+    watchdog_edges: int
+    watchdog_errno: int
+    """Of the last write to it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

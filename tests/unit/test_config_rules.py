@@ -317,3 +317,71 @@ def test_the_wire_carries_more_with_a_shorter_gap():
     profiles = {"zlac8015d": profile_of(robot, "zlac8015d")}
     (long_gap,), (short_gap,) = line_specs(robot, profiles), line_specs(short, profiles)
     assert 50 < cycle_limit_hz(long_gap) < cycle_limit_hz(short_gap) < 400
+
+
+BATTERY = '[battery]\nsource = "drives"\nlow_v = 22.0\ncritical_v = 20.0\n\n[line.rs485]'
+
+
+@pytest.mark.parametrize(
+    ("edits", "said"),
+    [
+        (
+            [("[line.rs485]", BATTERY.replace("20.0", "22.0"))],
+            "battery.critical_v: must be below low_v (22 V)",
+        ),
+        (
+            [("[line.rs485]", BATTERY.replace("low_v", 'joints = ["lefft"]\nlow_v'))],
+            'battery.joints: there is no joint "lefft"',
+        ),
+        (
+            [("[safety]", '[safety]\non_battery_critical = "stop"')],
+            "safety.on_battery_critical: there is no [battery] that could be critical",
+        ),
+    ],
+    ids=["thresholds", "joint", "nothing to be critical"],
+)
+def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
+    assert said in errors(edited(tmp_path, "demo", *edits))
+
+
+def test_a_battery_that_fits_is_taken(tmp_path):
+    path = edited(tmp_path, "demo", ("[line.rs485]", BATTERY))
+    assert load_robot(path).battery.low_v == 22.0
+
+
+ESTOP = '[safety.estop]\ngpio_chip = "chip"\ngpio_line = "E"\n\n'
+WATCHDOG = '[safety.watchdog]\ngpio_chip = "chip"\ngpio_line = "W"\n\n'
+
+
+def with_pins(tmp_path, text):
+    return edited(tmp_path, "demo", ("[line.rs485]", f"{text}[line.rs485]"))
+
+
+def test_a_contact_is_normally_closed_to_ground_where_nothing_else_is_said(tmp_path):
+    estop = load_robot(with_pins(tmp_path, ESTOP + WATCHDOG)).safety.estop
+    assert (estop.contact, estop.switches_to, estop.stop_is_high) == (
+        "normally-closed",
+        "ground",
+        True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("contact", "switches_to", "stop_is_high"),
+    [
+        ("normally-closed", "supply", False),
+        ("normally-open", "ground", False),
+        ("normally-open", "supply", True),
+    ],
+)
+def test_the_level_that_stops_follows_from_the_wiring(tmp_path, contact, switches_to, stop_is_high):
+    more = f'contact = "{contact}"\nswitches_to = "{switches_to}"\n'
+    path = with_pins(tmp_path, ESTOP.rstrip("\n") + f"\n{more}\n")
+    assert load_robot(path).safety.estop.stop_is_high is stop_is_high
+    said = any("a broken wire" in row for row in warnings(path))
+    assert said is (contact == "normally-open")
+
+
+def test_one_line_cannot_be_both_pins_of_safety(tmp_path):
+    path = with_pins(tmp_path, ESTOP + WATCHDOG.replace('"W"', '"E"'))
+    assert "safety.watchdog.gpio_line: is the emergency stop's line" in errors(path)

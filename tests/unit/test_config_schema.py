@@ -16,7 +16,7 @@ UNITS = {
     "m": "m", "m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²",
     "rad_s3": "rad/s³", "s": "s", "hz": "Hz", "per_s": "1/s", "m2_per_m": "m²/m", "m2": "m²",
     "rad2_per_rad": "rad²/rad", "rad2": "rad²", "m2_s2": "m²/s²", "rad2_s2": "rad²/s²",
-    "mb": "MB",
+    "mb": "MB", "v": "V", "ah": "Ah", "ohm": "Ω",
 }  # fmt: skip
 
 
@@ -24,7 +24,7 @@ def numbers():
     """(name, schema) of every number of the robot file."""
     for section in robot_schema()["$defs"].values():
         for name, node in section["properties"].items():
-            inner = next((part for part in node.get("anyOf", ()) if part["type"] != "null"), {})
+            inner = next((part for part in node.get("anyOf", ()) if part.get("type") != "null"), {})
             if {**node, **inner}.get("type") in ("number", "integer"):
                 yield name, {**node, **inner}
 

@@ -125,9 +125,11 @@ class JointState:
 
 
 class PowerSupply(enum.IntEnum):
-    """Of sensor_msgs/BatteryState: status, health and technology, all unknown to us."""
+    """Of sensor_msgs/BatteryState: status; health and technology are unknown to us."""
 
     UNKNOWN = 0
+    CHARGING = 1
+    DISCHARGING = 2
 
 
 @dataclass(frozen=True, slots=True)

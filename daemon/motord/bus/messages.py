@@ -153,9 +153,23 @@ def joint_state(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> JointSta
     )
 
 
-def battery_state(snapshot: Snapshot, wall_offset_ns: int) -> BatteryState | None:
-    """sensor_msgs/BatteryState: the lowest supply voltage that a fresh drive measures. None: no
-    drive does. What the battery delivers is not the motors' current, and stays NaN."""
+def battery_state(
+    snapshot: Snapshot, wall_offset_ns: int, battery: Mapping[str, Any] | None = None
+) -> BatteryState | None:
+    """sensor_msgs/BatteryState: `battery` of the daemon's `status`; without one the lowest supply
+    voltage that a fresh drive measures. None: nothing does. What the battery delivers is not the
+    motors' current, and stays NaN."""
+    if battery is not None:
+        if battery["voltage_v"] is None:
+            return None
+        return _battery_message(
+            wall_time(snapshot.stamp_ns, wall_offset_ns),
+            battery["voltage_v"],
+            current_a=_or_nan(battery["current_a"]),
+            temperature_c=_or_nan(battery["temperature_c"]),
+            capacity_ah=_or_nan(battery["capacity_ah"]),
+            cells=battery["cells"] or 0,
+        )
     volts = [
         joint.voltage_v
         for joint in snapshot.joints
@@ -163,29 +177,64 @@ def battery_state(snapshot: Snapshot, wall_offset_ns: int) -> BatteryState | Non
     ]
     if not volts:
         return None
+    return _battery_message(wall_time(snapshot.stamp_ns, wall_offset_ns), min(volts))
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _battery_message(
+    stamp: Time,
+    voltage_v: float,
+    *,
+    current_a: float = math.nan,
+    temperature_c: float = math.nan,
+    capacity_ah: float = math.nan,
+    cells: int = 0,
+) -> BatteryState:
+    """Cells that nobody measures one by one are NaN each, as the message's definition has it."""
+    status = PowerSupply.UNKNOWN
+    if math.isfinite(current_a) and current_a != 0.0:
+        status = PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
     return BatteryState(
-        header=Header(wall_time(snapshot.stamp_ns, wall_offset_ns), ""),
-        voltage=min(volts),
-        temperature=math.nan,
-        current=math.nan,
+        header=Header(stamp, ""),
+        voltage=voltage_v,
+        temperature=temperature_c,
+        current=current_a,
         charge=math.nan,
         capacity=math.nan,
-        design_capacity=math.nan,
+        design_capacity=capacity_ah,
         percentage=math.nan,
-        power_supply_status=PowerSupply.UNKNOWN,
+        power_supply_status=status,
         power_supply_health=PowerSupply.UNKNOWN,
         power_supply_technology=PowerSupply.UNKNOWN,
         present=True,
-        cell_voltage=(),
+        cell_voltage=(math.nan,) * cells,
         cell_temperature=(),
         location="",
         serial_number="",
     )
 
 
-def diagnostics(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> DiagnosticArray:
-    """diagnostic_msgs/DiagnosticArray: the base, then each joint."""
+_BATTERY_LEVELS = {"normal": Level.OK, "warning": Level.WARN, "critical": Level.ERROR}
+
+
+def diagnostics(
+    snapshot: Snapshot,
+    body: Body,
+    wall_offset_ns: int,
+    battery: Mapping[str, Any] | None = None,
+) -> DiagnosticArray:
+    """diagnostic_msgs/DiagnosticArray: the base, each joint, and the battery where the daemon
+    watches one."""
     statuses = (_base_diagnostic(snapshot, body), *_joint_diagnostics(snapshot, body))
+    if battery is not None:
+        level, measured = _BATTERY_LEVELS.get(battery["state"], Level.STALE), dict(battery)
+        state = measured.pop("state")
+        values = {key: _word(_or_nan(value)) for key, value in measured.items()}
+        name = f"{body.robot}: battery"
+        statuses += (DiagnosticStatus(level, name, state, body.robot, _pairs(values)),)
     return DiagnosticArray(Header(wall_time(snapshot.stamp_ns, wall_offset_ns), ""), statuses)
 
 

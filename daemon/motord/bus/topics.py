@@ -24,6 +24,10 @@ class View:
     status_ns: int = 0
     """When it was asked for, CLOCK_MONOTONIC."""
 
+    def battery(self) -> Mapping[str, Any] | None:
+        """As the daemon's status has it. None: no [battery], or the daemon has not said yet."""
+        return (self.status or {}).get("battery")
+
     def commander(self) -> Commander | None:
         """Who holds the lease that commands. None: nobody, or the daemon has not said yet."""
         for lease in (self.status or {}).get("leases", ()):
@@ -73,13 +77,17 @@ _ALL = (
         name="battery_state",
         type_name="sensor_msgs/msg/BatteryState",
         message=message_types.BatteryState,
-        build=lambda view, _, offset_ns: messages.battery_state(view.snapshot, offset_ns),
+        build=lambda view, _, offset_ns: messages.battery_state(
+            view.snapshot, offset_ns, view.battery()
+        ),
     ),
     Topic(
         name="diagnostics",
         type_name="diagnostic_msgs/msg/DiagnosticArray",
         message=message_types.DiagnosticArray,
-        build=lambda view, body, offset_ns: messages.diagnostics(view.snapshot, body, offset_ns),
+        build=lambda view, body, offset_ns: messages.diagnostics(
+            view.snapshot, body, offset_ns, view.battery()
+        ),
     ),
     Topic(
         name="motor_status",

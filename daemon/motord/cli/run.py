@@ -23,7 +23,7 @@ from motord.cli.common import (
 from motord.page_file import FOLDER, PREFIX
 from motord.rpc import SocketInUse
 from motord.rt import ConfigRefused, PageInUse
-from motord_hal.errors import ProfileError
+from motord_hal.errors import PortError, ProfileError
 
 
 @click.command
@@ -72,6 +72,8 @@ def run(
         asyncio.run(run_daemon(robot, path, on_ready, starts_bus=bus))
     except (ConfigRefused, ProfileError, LookupError) as error:
         raise Failure(str(error), Exit.USAGE) from error
+    except PortError as error:  # a pin of safety: without it nothing is started
+        raise Failure(str(error), Exit.FAULT) from error
     except (PageInUse, SocketInUse) as error:
         raise Failure(str(error)) from error
     except OSError as error:

@@ -19,7 +19,9 @@ def show_status(found: dict[str, Any]) -> None:
         ("command", _command(found)),
         ("odometry", _odometry(found["odometry"])),
         *((f"joint {name}", _joint(joint)) for name, joint in found["joints"].items()),
+        ("battery", _battery(found["battery"])),
         ("loop", _loop(found["loop"])),
+        ("e-stop", _contact(found["loop"]["estop_input"])),
         *(("", text) for text in found["loop"]["refusals"].values()),
         *((f"line {name}", _line(line)) for name, line in found["lines"].items()),
         *(("lease", _lease(lease)) for lease in found["leases"]),
@@ -63,6 +65,23 @@ def _joint(joint: dict[str, Any]) -> str:
     else:
         parts.append(f"heard {joint['feedback_age_s'] * 1000:.0f} ms ago")
     return ", ".join([*parts, *joint["fault_words"]])
+
+
+def _battery(battery: dict[str, Any] | None) -> str:
+    if battery is None:
+        return ""
+    measures = (("voltage_v", "V", 2), ("current_a", "A", 2), ("temperature_c", "°C", 0))
+    parts = [battery["state"]]
+    parts += [
+        f"{battery[key]:.{digits}f} {unit}"
+        for key, unit, digits in measures
+        if battery[key] is not None
+    ]
+    return ", ".join(parts)
+
+
+def _contact(found: str) -> str:
+    return "" if found == "none" else f"the contact is {found}"
 
 
 def _loop(loop: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file: `load_robot` reads one, and says every problem at once with its line."""
 
+from motord.config.battery_section import Battery, DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
     BusPublish,
@@ -58,6 +59,9 @@ __all__ = [
     "Limits",
     "Safety",
     "Odometry",
+    "Battery",
+    "DrivesBattery",
+    "InaBattery",
     "RtuLine",
     "DdsmLine",
     "TcpLine",

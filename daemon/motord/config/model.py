@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PrivateAttr
 
+from motord.config.battery_section import DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
     FoxglovePublish,
@@ -34,6 +35,7 @@ from motord.config.bus_sections import (
     ZenohInput,
     ZenohPublish,
 )
+from motord.config.guard_sections import EstopInput, WatchdogOutput
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
@@ -175,6 +177,11 @@ class Safety(Section):
     """How to stop when something is wrong."""
     on_estop: StopAction = "brake"
     """How to stop at the emergency stop."""
+    estop: EstopInput | None = None
+    watchdog: WatchdogOutput | None = None
+    on_battery_critical: Literal["none", "stop"] = "none"
+    """What a critical battery does: "none" says it, "stop" stops the robot by on_fault and lets
+    nobody arm. "none" is the default because a robot that still drives can drive to its charger."""
 
 
 class Odometry(Section):
@@ -320,6 +327,7 @@ class Robot(Section):
     limits: Limits = Field(default_factory=Limits)
     safety: Safety = Field(default_factory=Safety)
     odometry: Odometry = Field(default_factory=Odometry)
+    battery: Annotated[DrivesBattery | InaBattery, Field(discriminator="source")] | None = None
     line: dict[Name, LineSection]
     """The wires."""
     joint: dict[Name, Joint]

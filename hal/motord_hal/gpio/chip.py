@@ -28,6 +28,9 @@ _LINE_REQUEST = struct.Struct("=64I32sQI20xI4xQQ216x2I20xi")
 _FLAG_USED = 1
 _FLAG_INPUT = 4
 _FLAG_OUTPUT = 8
+FLAG_BOTH_EDGES = 16 | 32
+FLAG_PULL_UP = 256
+FLAG_PULL_DOWN = 512
 _ATTRIBUTE_OUTPUT_VALUES = 2
 
 
@@ -61,19 +64,23 @@ class Chip:
         name, user, _, _, flags = _LINE_INFO.unpack(fcntl.ioctl(self.fd, _GET_LINE_INFO, asked))
         return _name(name), (_name(user) or "the kernel") if flags & _FLAG_USED else ""
 
-    def request(self, offsets: Sequence[int], consumer: str, outputs: int | None) -> int:
+    def request(
+        self, offsets: Sequence[int], consumer: str, outputs: int | None, flags: int = 0
+    ) -> int:
         """The descriptor of a request of these lines: inputs, or outputs that begin with the bits
-        of `outputs` in the order of `offsets`. Raises OSError."""
-        asked = pack_request(offsets, consumer, outputs)
+        of `outputs` in the order of `offsets`. `flags`: FLAG_*. Raises OSError."""
+        asked = pack_request(offsets, consumer, outputs, flags)
         fd: int = _LINE_REQUEST.unpack(fcntl.ioctl(self.fd, _GET_LINE, asked))[-1]
         return fd
 
 
-def pack_request(offsets: Sequence[int], consumer: str, outputs: int | None) -> bytes:
+def pack_request(
+    offsets: Sequence[int], consumer: str, outputs: int | None, more_flags: int = 0
+) -> bytes:
     """struct gpio_v2_line_request."""
     places = [*offsets, *[0] * (LINES_MAX - len(offsets))]
     name = consumer.encode()[:31]
-    flags = _FLAG_INPUT if outputs is None else _FLAG_OUTPUT
+    flags = more_flags | (_FLAG_INPUT if outputs is None else _FLAG_OUTPUT)
     values = (0, 0, 0, 0)
     if outputs is not None:
         values = (1, _ATTRIBUTE_OUTPUT_VALUES, outputs, (1 << len(offsets)) - 1)

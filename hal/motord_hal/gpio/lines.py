@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import enum
 import errno
 import os
 from collections.abc import Sequence
@@ -10,7 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motord_hal.errors import PortError
-from motord_hal.gpio.chip import LINES_MAX, Chip, open_chip, why
+from motord_hal.gpio.chip import (
+    FLAG_BOTH_EDGES,
+    FLAG_PULL_DOWN,
+    FLAG_PULL_UP,
+    LINES_MAX,
+    Chip,
+    open_chip,
+    why,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +32,14 @@ class Wanted:
     """For the error's sentence, as "joint left, pin in1"."""
     high: bool = False
     """Outputs: the level to begin with."""
+
+
+class Pull(enum.IntEnum):
+    """What the chip does to an input that nobody drives."""
+
+    AS_IT_IS = 0
+    UP = FLAG_PULL_UP
+    DOWN = FLAG_PULL_DOWN
 
 
 def request_outputs(
@@ -41,8 +58,20 @@ def request_inputs(
     return _request(chip, wanted, consumer, None, dev)
 
 
+def request_edges(
+    chip: str, wanted: Wanted, consumer: str, pull: Pull, dev: Path = Path("/dev")
+) -> int:
+    """As `request_inputs`, for one input that also keeps its edges to be read."""
+    return _request(chip, [wanted], consumer, None, dev, FLAG_BOTH_EDGES | pull)
+
+
 def _request(
-    chip: str, wanted: Sequence[Wanted], consumer: str, outputs: int | None, dev: Path
+    chip: str,
+    wanted: Sequence[Wanted],
+    consumer: str,
+    outputs: int | None,
+    dev: Path,
+    flags: int = 0,
 ) -> int:
     if len(wanted) > LINES_MAX:
         raise PortError(f"{len(wanted)} GPIO lines, at most {LINES_MAX}")
@@ -51,7 +80,7 @@ def _request(
         offsets = [_offset(opened, line) for line in wanted]
         _check_twice(offsets, wanted)
         try:
-            return opened.request(offsets, consumer, outputs)
+            return opened.request(offsets, consumer, outputs, flags)
         except OSError as error:
             raise PortError(_refusal(opened, wanted, offsets, error)) from error
     finally:

@@ -34,6 +34,7 @@ def exposition(body: Body, view: View | None) -> str:
         families += [*_base(view), *_joints(body, view)]
         if view.status is not None:
             families += [*_loop(view.status), *_lines(view.status), *_commands(view.status)]
+            families += _battery(view.battery())
     return "".join(_lines_of(family, body.robot) for family in families)
 
 
@@ -126,6 +127,21 @@ def _lines(status: Mapping[str, Any]) -> Iterator[Family]:
         "Exchanges a second with each drive.",
         tuple(({"line": name}, _number(line["cycle_hz"])) for name, line in lines),
     )
+
+
+def _battery(battery: Mapping[str, Any] | None) -> Iterator[Family]:
+    if battery is None:
+        return
+    for name, text, key in (
+        ("voltage_volts", "Measured voltage of the battery.", "voltage_v"),
+        ("current_amperes", "Current of the battery; negative: discharging.", "current_a"),
+    ):
+        yield Family(f"motord_battery_{name}", "gauge", text, (({}, _number(battery[key])),))
+    states = tuple(
+        ({"state": word}, float(word == battery["state"]))
+        for word in ("unknown", "normal", "warning", "critical")
+    )
+    yield Family("motord_battery_state", "gauge", "1 for the battery's state.", states)
 
 
 def _commands(status: Mapping[str, Any]) -> Iterator[Family]:

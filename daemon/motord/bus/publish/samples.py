@@ -6,7 +6,8 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
 
 from motord.snapshot import Snapshot
 
@@ -18,19 +19,20 @@ class Samples:
         self._robot = robot
         self._period_ns = round(1e9 / rate_hz)
         self._due_ns = 0
-        self._newest: Snapshot | None = None
+        self._newest: tuple[Snapshot, Mapping[str, Any] | None] | None = None
         self._filled = asyncio.Event()
         self.taken = 0
         self.dropped = 0
         """Replaced by a newer one before the publisher took it."""
 
-    def offer(self, snapshot: Snapshot) -> None:
-        """Kept when its time has come, by its own stamp; a late one is not caught up."""
+    def offer(self, snapshot: Snapshot, battery: Mapping[str, Any] | None = None) -> None:
+        """Kept when its time has come, by its own stamp; a late one is not caught up. `battery`: as
+        `status` has it; None: nobody measures it."""
         if snapshot.stamp_ns < self._due_ns:
             return
         self._due_ns = max(self._due_ns + self._period_ns, snapshot.stamp_ns)
         self.dropped += self._newest is not None
-        self._newest = snapshot
+        self._newest = (snapshot, battery)
         self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
@@ -38,14 +40,23 @@ class Samples:
         while True:
             await self._filled.wait()
             self._filled.clear()
-            snapshot, self._newest = self._newest, None
-            if snapshot is not None:
+            newest, self._newest = self._newest, None
+            if newest is not None:
                 self.taken += 1
-                yield encode(self._robot, snapshot, time.time_ns(), time.monotonic_ns())
+                snapshot, battery = newest
+                yield encode(self._robot, snapshot, time.time_ns(), time.monotonic_ns(), battery)
 
 
-def encode(robot: str, snapshot: Snapshot, wall_ns: int, now_ns: int) -> bytes:
+def encode(
+    robot: str,
+    snapshot: Snapshot,
+    wall_ns: int,
+    now_ns: int,
+    battery: Mapping[str, Any] | None = None,
+) -> bytes:
     """The snapshot, its robot, and its own moment as wall time: inside, there is none."""
     stamp_s = (wall_ns - (now_ns - snapshot.stamp_ns)) / 1e9
     sample = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
+    if battery is not None:
+        sample["battery"] = battery
     return json.dumps(sample, allow_nan=False, separators=(",", ":")).encode()

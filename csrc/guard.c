@@ -1,0 +1,68 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * guard.c: when the emergency stop's contact stops the robot, and whether everybody lives for whom the watchdog's pin
+ * moves. Pure: time is an argument. */
+#include "guard.h"
+
+#include <errno.h>
+
+int guard_config_check(const guard_config *config)
+{
+    bool good = config->watchdog == 0 || (config->watchdog_every_ticks > 0 && config->heartbeat_timeout_ns > 0);
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        good = good && config->line_timeout_ns[line] >= 0;
+    }
+    return good ? 0 : -EINVAL;
+}
+
+/* A contact that opens for less than a tick has opened. */
+uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
+{
+    if (!reading->known) {
+        return ESTOP_LOST;
+    }
+    bool stop_high = config->estop_high != 0;
+    bool opened = stop_high ? reading->rose : reading->fell;
+    return reading->high == stop_high || opened ? ESTOP_ACTIVE : ESTOP_CLEAR;
+}
+
+static bool is_within(int64_t now_ns, int64_t stamp_ns, int64_t timeout_ns)
+{
+    return stamp_ns > 0 && now_ns - stamp_ns <= timeout_ns;
+}
+
+/* A line with enabled drives has to go on. One that hangs counts until it goes on again, though the core has long taken
+ * its enable back: nobody but its drives knows what they do. */
+static bool line_lives(watchdog_state *state, const guard_config *config, const watchdog_input *input, uint32_t line)
+{
+    int64_t timeout_ns = config->line_timeout_ns[line];
+    if (timeout_ns == 0) {
+        return true;
+    }
+    bool armed_now = input->enabled && !state->was_enabled;
+    if (input->takes[line] != state->takes[line] || (armed_now && !state->watched[line])) {
+        state->takes[line] = input->takes[line];
+        state->taken_ns[line] = input->now_ns;
+    }
+    bool lives = is_within(input->now_ns, state->taken_ns[line], timeout_ns);
+    state->watched[line] = input->enabled || (state->watched[line] && !lives);
+    return lives || !state->watched[line];
+}
+
+bool watchdog_step(watchdog_state *state, const guard_config *config, const watchdog_input *input)
+{
+    bool well = is_within(input->now_ns, input->heartbeat_ns, config->heartbeat_timeout_ns);
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        bool lives = line_lives(state, config, input, line);
+        well = well && lives;
+    }
+    state->was_enabled = input->enabled;
+    state->ticks++;
+    if (!well) {
+        state->high = false;
+        state->ticks = 0;
+    } else if (state->ticks >= config->watchdog_every_ticks) {
+        state->high = !state->high;
+        state->ticks = 0;
+    }
+    return well;
+}

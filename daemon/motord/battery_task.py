@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Asks whoever measures the battery, again and again, and acts on what it says."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from pathlib import Path
+
+from motord.battery import BatteryLevel, Measure, of_drives
+from motord.config import DrivesBattery, InaBattery
+from motord.log import about
+from motord.operation import Operation
+from motord_hal.errors import HalError
+from motord_hal.i2c.bus import I2cDevice
+from motord_hal.i2c.ina import Ina, Power
+from motord_hal.rt import now_ns
+
+PERIOD_S = 0.5
+READ_WITHIN_S = 4.0
+"""The kernel gives up on a bus that is held after a second and some tries."""
+
+_log = logging.getLogger(__name__)
+
+
+async def watch_battery(operation: Operation) -> None:
+    """Until cancelled. Without [battery] there is nothing to do."""
+    section = operation.robot.battery
+    if section is None:
+        return
+    chip = _Chip(section) if isinstance(section, InaBattery) else None
+    try:
+        while True:
+            if isinstance(section, DrivesBattery):
+                joints = tuple(operation.robot.joint)
+                _take(operation, of_drives(section, joints, operation.snapshot))
+            elif chip is not None:
+                _take(operation, await chip.measure())
+            await asyncio.sleep(PERIOD_S)
+    finally:
+        if chip is not None:
+            chip.close()
+
+
+def _take(operation: Operation, measure: Measure | None) -> None:
+    watch = operation.battery
+    if watch is None:
+        return
+    said = watch.take(measure, now_ns())
+    if said is not None:
+        fine = watch.level is BatteryLevel.NORMAL
+        level = logging.INFO if fine else logging.WARNING
+        _log.log(level, "%s", said, extra=about(event=f"battery_{watch.level}"))
+    if operation.battery_forbids:
+        operation.fault("the battery is critical (safety.on_battery_critical)")
+
+
+class _Chip:
+    """Opened when it is first asked, and again after each failure. What fails is said once."""
+
+    def __init__(self, section: InaBattery) -> None:
+        self._section = section
+        self._open: Ina | None = None
+        self._said = ""
+        self._under_way: asyncio.Future[Power] | None = None
+
+    async def measure(self) -> Measure | None:
+        """None: it cannot be had now."""
+        if self._under_way is None:
+            # a thread: a device that holds the bus blocks for seconds, and the robot must not wait
+            self._under_way = asyncio.get_running_loop().run_in_executor(None, self._read)
+        try:
+            async with asyncio.timeout(READ_WITHIN_S):
+                power = await asyncio.shield(self._under_way)
+        except TimeoutError as error:
+            if self._under_way.done():  # the chip's own NoReply
+                self._fail(error)
+            return None  # still in the kernel: the same call is waited for again
+        except HalError as error:
+            self._fail(error)
+            return None
+        self._under_way, self._said = None, ""
+        sign = 1.0 if self._section.inverted else -1.0
+        return Measure(
+            stamp_ns=now_ns(),
+            voltage_v=power.voltage_v,
+            current_a=sign * power.current_a if math.isfinite(power.current_a) else math.nan,
+        )
+
+    def _read(self) -> Power:
+        if self._open is None:
+            device = I2cDevice.open(Path(self._section.bus), self._section.address)
+            try:
+                self._open = Ina(self._section.source, device, self._section.shunt_ohm)
+            except HalError:
+                device.close()
+                raise
+        return self._open.read()
+
+    def _fail(self, error: Exception) -> None:
+        self._under_way = None
+        self.close()
+        if str(error) != self._said:
+            self._said = str(error)
+            _log.warning("battery: %s", error, extra=about(event="battery_sensor"))
+
+    def close(self) -> None:
+        """Unless a thread is in it still: then the process's end closes it."""
+        if self._open is not None and self._under_way is None:
+            self._open.close()
+            self._open = None

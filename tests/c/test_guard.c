@@ -1,0 +1,202 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of guard.c, and the edges of output_guard.c on descriptors that are no GPIO lines. */
+#include <errno.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "check.h"
+#include "guard.h"
+
+static const int64_t MS = 1000000, START_NS = 5000000000;
+
+/* A contact to ground with a pull-up: open is high. */
+static guard_config open_is_high(void)
+{
+    return (guard_config){.estop = 1, .estop_fd = -1, .estop_high = 1};
+}
+
+static void an_open_contact_stops_and_a_closed_one_does_not(void)
+{
+    guard_config config = open_is_high();
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true}) == ESTOP_ACTIVE);
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = false}) == ESTOP_CLEAR);
+    config.estop_high = 0;
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true}) == ESTOP_CLEAR);
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = false}) == ESTOP_ACTIVE);
+}
+
+static void a_contact_that_was_open_between_two_ticks_stops(void)
+{
+    guard_config config = open_is_high();
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .rose = true, .fell = true}) == ESTOP_ACTIVE);
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .fell = true}) == ESTOP_CLEAR);
+    config.estop_high = 0;
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true, .fell = true}) == ESTOP_ACTIVE);
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true, .rose = true}) == ESTOP_CLEAR);
+}
+
+static void a_level_that_nobody_knows_stops_whatever_else_is_said(void)
+{
+    guard_config config = open_is_high();
+    CHECK(estop_judge(&config, &(estop_reading){.known = false, .high = false}) == ESTOP_LOST);
+}
+
+static void an_input_that_was_lost_stays_lost(void)
+{
+    int ends[2];
+    guard g;
+    CHECK(pipe(ends) == 0);
+    guard_config config = open_is_high();
+    config.estop_fd = ends[0];   /* readable, and no GPIO line */
+    CHECK(write(ends[1], "x", 1) == 1);
+    guard_init(&g, &config);
+    CHECK(g.estop_input == ESTOP_CLEAR);
+    CHECK(guard_read_estop(&g));
+    CHECK(g.estop_input == ESTOP_LOST);
+    CHECK(close(ends[0]) == 0);
+    CHECK(close(ends[1]) == 0);
+    CHECK(guard_read_estop(&g));
+    CHECK(g.estop_input == ESTOP_LOST && g.lost);
+}
+
+static void without_pins_nothing_stops_and_nothing_is_written(void)
+{
+    guard g;
+    guard_init(&g, &(guard_config){0});
+    CHECK(g.estop_input == ESTOP_NONE);
+    CHECK(!guard_read_estop(&g));
+    guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
+    guard_rest(&g);
+    CHECK(g.watchdog_edges == 0 && g.watchdog_errno == 0 && g.watchdog_well == 0);
+}
+
+static void a_pin_that_cannot_be_written_is_told_with_its_reason(void)
+{
+    guard g;
+    guard_init(&g, &(guard_config){.watchdog = 1, .watchdog_fd = -1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = MS});
+    guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
+    CHECK(g.watchdog_edges == 1 && g.watchdog_errno == EBADF && g.watchdog_well == 1);
+    guard_rest(&g);
+    CHECK(g.watchdog_well == 0);
+}
+
+/* ------------------------------------------------------------------------------------------------- the watchdog */
+typedef struct {
+    guard_config config;
+    watchdog_state state;
+    watchdog_input input;
+} rig;
+
+/* Line 1 has 50 ms, a tick is 1 ms, all live. */
+static rig living(void)
+{
+    rig r = {.config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS},
+             .input = {.now_ns = START_NS, .heartbeat_ns = START_NS}};
+    r.config.line_timeout_ns[1] = 50 * MS;
+    return r;
+}
+
+/* Ticks of 1 ms; how often the pin changed. */
+static uint32_t edges_in(rig *r, uint32_t ticks, bool asyncio, bool line)
+{
+    uint32_t edges = 0;
+    for (uint32_t i = 0; i < ticks; i++) {
+        bool before = r->state.high;
+        r->input.now_ns += MS;
+        r->input.heartbeat_ns = asyncio ? r->input.now_ns : r->input.heartbeat_ns;
+        r->input.takes[1] += line;
+        (void)watchdog_step(&r->state, &r->config, &r->input);
+        edges += r->state.high != before;
+    }
+    return edges;
+}
+
+static void while_all_live_the_pin_changes_as_often_as_it_is_told(void)
+{
+    rig r = living();
+    r.input.enabled = true;
+    CHECK(edges_in(&r, 1000, true, true) == 1000);
+    r.config.watchdog_every_ticks = 10;
+    CHECK(edges_in(&r, 1000, true, true) == 100);
+}
+
+static void without_a_first_heartbeat_it_does_not_move(void)
+{
+    rig r = living();
+    r.input.heartbeat_ns = 0;
+    CHECK(edges_in(&r, 100, false, true) == 0 && !r.state.high);
+}
+
+static void when_asyncio_hangs_it_stops_low_and_goes_on_with_it(void)
+{
+    rig r = living();
+    (void)edges_in(&r, 100, true, true);
+    CHECK(edges_in(&r, 500, false, true) == 500);
+    (void)edges_in(&r, 1, false, true);
+    CHECK(edges_in(&r, 500, false, true) == 0 && !r.state.high);
+    CHECK(edges_in(&r, 100, true, true) == 100);
+}
+
+static void a_line_without_enabled_drives_may_stand_still(void)
+{
+    rig r = living();
+    CHECK(edges_in(&r, 1000, true, false) == 1000);
+}
+
+static void drives_that_are_just_enabled_give_their_line_its_time(void)
+{
+    rig r = living();
+    (void)edges_in(&r, 1000, true, false);
+    r.input.enabled = true;
+    CHECK(edges_in(&r, 51, true, false) == 51);
+    (void)edges_in(&r, 1, true, false);
+    CHECK(edges_in(&r, 100, true, false) == 0 && !r.state.high);
+}
+
+static void a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more(void)
+{
+    rig r = living();
+    r.input.enabled = true;
+    (void)edges_in(&r, 100, true, true);
+    (void)edges_in(&r, 52, true, false);
+    r.input.enabled = false;
+    CHECK(edges_in(&r, 1000, true, false) == 0);
+    r.input.enabled = true;   /* to enable again is no sign of life */
+    CHECK(edges_in(&r, 100, true, false) == 0);
+    r.input.enabled = false;
+    CHECK(edges_in(&r, 100, true, true) == 100);
+    CHECK(edges_in(&r, 1000, true, false) == 1000);
+}
+
+static void a_config_that_makes_no_sense_is_refused(void)
+{
+    guard_config config = living().config;
+    CHECK(guard_config_check(&config) == 0);
+    CHECK(guard_config_check(&(guard_config){0}) == 0);
+    config.watchdog_every_ticks = 0;
+    CHECK(guard_config_check(&config) == -EINVAL);
+    config = living().config;
+    config.heartbeat_timeout_ns = 0;
+    CHECK(guard_config_check(&config) == -EINVAL);
+    config = living().config;
+    config.line_timeout_ns[3] = -1;
+    CHECK(guard_config_check(&config) == -EINVAL);
+}
+
+int main(void)
+{
+    an_open_contact_stops_and_a_closed_one_does_not();
+    a_contact_that_was_open_between_two_ticks_stops();
+    a_level_that_nobody_knows_stops_whatever_else_is_said();
+    an_input_that_was_lost_stays_lost();
+    without_pins_nothing_stops_and_nothing_is_written();
+    a_pin_that_cannot_be_written_is_told_with_its_reason();
+    while_all_live_the_pin_changes_as_often_as_it_is_told();
+    without_a_first_heartbeat_it_does_not_move();
+    when_asyncio_hangs_it_stops_low_and_goes_on_with_it();
+    a_line_without_enabled_drives_may_stand_still();
+    drives_that_are_just_enabled_give_their_line_its_time();
+    a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more();
+    a_config_that_makes_no_sense_is_refused();
+    return checks_report("guard");
+}

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""INA219 and INA226 as their data sheets have them, on a bus of registers that this file keeps."""
+
+import math
+
+import pytest
+
+from motord_hal.errors import BadReply, PortError
+from motord_hal.i2c.bus import I2cDevice
+from motord_hal.i2c.ina import Ina
+
+
+class Bus:
+    """A device's registers, as they are after power came on, and who holds on to it."""
+
+    def __init__(self, **words):
+        self.words = {int(name[1:], 16): value for name, value in words.items()}
+        self.closed = False
+
+    def read_word(self, register):
+        return self.words.get(register, 0)
+
+    def write_word(self, register, value):
+        self.words[register] = value
+
+    def close(self):
+        self.closed = True
+
+
+def ina219(**words):
+    return Bus(x00=0x399F, **words)
+
+
+def ina226(**words):
+    return Bus(x00=0x4127, xFE=0x5449, xFF=0x2260, **words)
+
+
+def test_an_ina219_measures_4_mv_and_10_uv_a_count():
+    # 20 mV over 0.1 Ohm; the bus register's lower three bits are no voltage
+    chip = Ina("ina219", ina219(x02=(1492 << 3) | 2, x01=2000), 0.1)
+    power = chip.read()
+    assert power.voltage_v == pytest.approx(5.968)
+    assert power.current_a == pytest.approx(0.2)
+
+
+def test_an_ina226_measures_1_25_mv_and_2_5_uv_a_count():
+    # 0x2570 = 9584 counts; 0x1F40 = 8000 counts: 20 mV over 2 mOhm
+    power = Ina("ina226", ina226(x02=0x2570, x01=0x1F40), 0.002).read()
+    assert power.voltage_v == pytest.approx(11.98)
+    assert power.current_a == pytest.approx(10.0)
+
+
+def test_a_current_that_flows_back_is_negative():
+    power = Ina("ina226", ina226(x02=0x2570, x01=0x10000 - 0x1F40), 0.002).read()
+    assert power.current_a == pytest.approx(-10.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "bus"),
+    [
+        ("ina219", ina219(x02=3000 << 3, x01=32000)),
+        ("ina219", ina219(x02=(3000 << 3) | 1, x01=100)),
+        ("ina226", ina226(x02=9600, x01=0x7FFF)),
+        ("ina226", ina226(x02=9600, x01=0x8000)),
+    ],
+    ids=["end of scale", "overflow bit", "end of scale", "other end"],
+)
+def test_a_current_beyond_the_scale_is_no_number_and_the_voltage_still_is(kind, bus):
+    power = Ina(kind, bus, 0.01).read()
+    assert math.isnan(power.current_a)
+    assert power.voltage_v == pytest.approx(12.0)
+
+
+def test_an_ina226_is_known_by_its_maker_before_anything_is_written():
+    stranger = Bus(x00=0x1234, xFE=0xFFFF)
+    with pytest.raises(BadReply, match="no ina226: register 0xFE reads 0xFFFF"):
+        Ina("ina226", stranger, 0.01)
+    assert stranger.words[0] == 0x1234
+
+
+def test_a_chip_that_lost_power_tells_nothing_until_it_is_set_up_again():
+    bus = ina219(x02=1492 << 3)
+    chip = Ina("ina219", bus, 0.1)
+    bus.words[0] = 0x399F
+    with pytest.raises(BadReply, match=r"0x399F.*0x3FFF"):
+        chip.read()
+    assert Ina("ina219", bus, 0.1).read().voltage_v == pytest.approx(5.968)
+
+
+def test_a_chip_that_keeps_no_configuration_is_another_one():
+    class Deaf(Bus):
+        def write_word(self, register, value):
+            """Acknowledges, and keeps what it had."""
+
+    with pytest.raises(BadReply, match="another chip"):
+        Ina("ina219", Deaf(x00=0x399F), 0.1)
+
+
+def test_a_bus_that_is_not_there_is_named_with_what_helps(tmp_path):
+    with pytest.raises(PortError, match=r"i2c-9 at 0x40: there is no such bus: switch I2C on"):
+        I2cDevice.open(tmp_path / "i2c-9", 0x40)
+
+
+def test_a_file_that_is_no_bus_is_refused_and_closed(tmp_path):
+    path = tmp_path / "file"
+    path.touch()
+    with pytest.raises(PortError, match=r"file at 0x40: Inappropriate ioctl"):
+        I2cDevice.open(path, 0x40)

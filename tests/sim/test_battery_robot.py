@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A daemon that watches its battery by the simulated drives."""
+
+import contextlib
+import json
+import subprocess
+
+import pytest
+from daemon_stage import running, set_off, wait_until
+
+from motord.client import Refused
+
+DRIVES = ("battery.source=drives", "battery.settle_s=0.0", "battery.silent_s=0.5")
+FULL = (*DRIVES, "battery.low_v=3.0", "battery.critical_v=2.0")
+EMPTY = (*DRIVES, "battery.low_v=900.0", "battery.critical_v=800.0")
+STOPS = "safety.on_battery_critical=stop"
+
+
+def level(stage):
+    return stage.robot.status()["battery"]["state"]
+
+
+def test_a_robot_without_the_section_has_no_battery(tmp_path):
+    with running(tmp_path) as stage:
+        assert stage.robot.status()["battery"] is None
+
+
+def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_are_gone(tmp_path):
+    settings = (*FULL, "publish.console.rate_hz=20")
+    with running(tmp_path, *settings, stdout=subprocess.PIPE) as stage, stage.daemon.stdout:
+        wait_until(lambda: level(stage) == "normal", "a measure")
+        battery = stage.robot.status()["battery"]
+        assert battery["voltage_v"] > 3.0
+        assert (battery["current_a"], battery["temperature_c"]) == (None, None)
+
+        def published():
+            sample = json.loads(stage.daemon.stdout.readline())
+            return sample["battery"]["state"] == "normal"
+
+        wait_until(published, "a sample with the battery")
+        stage.sim.pull()
+        wait_until(lambda: level(stage) == "unknown", "unknown")
+        assert stage.robot.status()["battery"]["voltage_v"] is None
+        wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")
+        stage.sim.plug()
+        wait_until(lambda: level(stage) == "normal", "normal again")
+
+
+def test_a_critical_battery_is_said_and_lets_the_robot_drive_unless_the_file_says_stop(tmp_path):
+    with running(tmp_path, *EMPTY) as stage:
+        wait_until(lambda: level(stage) == "critical", "critical")
+        wait_until(lambda: "the battery is critical" in stage.said(), "the log's word")
+        stage.wait_for("idle")
+        set_off(stage)
+
+
+def test_where_the_file_says_stop_a_critical_battery_lets_nobody_arm(tmp_path):
+    with running(tmp_path, *EMPTY, STOPS) as stage:
+        wait_until(lambda: level(stage) == "critical", "critical")
+        stage.wait_for("idle")
+        with pytest.raises(Refused, match="battery is critical: charge it"):
+            stage.robot.arm()
+
+
+def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_path):
+    """The simulated 36 V give way as soon as a motor draws current."""
+    weak = ("battery.low_v=35.997", "battery.critical_v=35.995", "battery.hysteresis_v=0.0")
+    with running(tmp_path, *DRIVES, *weak, STOPS) as stage:
+        wait_until(lambda: level(stage) == "normal", "a measure")
+        stage.wait_for("idle")
+        stage.robot.arm()
+
+        def stopped():
+            with contextlib.suppress(Refused):
+                stage.robot.drive(0.4, 0.0)
+            return stage.state() == "fault"
+
+        wait_until(stopped, "the fault")
+        assert "battery is critical" in stage.robot.status()["why"][0]
+        wait_until(lambda: stage.robot.status()["at_rest"], "rest")

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emergency stop's input and the watchdog's output on the kernel's own GPIO lines."""
+
+import contextlib
+import os
+
+import pytest
+from pin_rig import wait_until
+from safety_rig import CONTACT, LABEL, PUMP, chip, looped, reset
+
+from motord_hal.errors import PortError
+from motord_hal.gpio.lines import Pull, Wanted, request_edges
+
+pytestmark = pytest.mark.timeout(300)
+
+
+def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop():
+    with chip() as lines:
+        lines.drive(CONTACT, 0)
+        with looped() as loop:
+            wait_until(lambda: loop.status().ticks > 20, "ticks")
+            assert loop.read_state().faults == ()
+            assert loop.status().estop_input == "clear"
+            lines.drive(CONTACT, 1)
+            wait_until(lambda: loop.read_state().faults == ("estop",), "the emergency stop")
+            assert loop.status().estop_input == "active"
+
+
+def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
+    with chip() as lines, looped() as loop:
+        assert lines.level(CONTACT) == 1.0  # by the request's bias: nobody drives it
+        assert loop.read_state().faults == ("estop",)
+
+
+def test_an_emergency_stop_is_reset_only_when_the_contact_is_closed():
+    with chip() as lines, looped() as loop:
+        reset(loop, 1)
+        assert loop.read_state().faults == ("estop",)
+        lines.drive(CONTACT, 0)
+        wait_until(lambda: loop.status().estop_input == "clear", "the contact")
+        assert loop.read_state().faults == ("estop",)
+        reset(loop, 2)
+        wait_until(lambda: loop.read_state().faults == (), "the reset")
+
+
+def test_a_contact_that_opens_between_two_ticks_is_an_emergency_stop():
+    with chip() as lines:
+        lines.drive(CONTACT, 0)
+        with looped(rate_hz=10.0) as loop:
+            assert loop.read_state().faults == ()
+            lines.drive(CONTACT, 1)
+            lines.drive(CONTACT, 0)
+            wait_until(lambda: loop.read_state().faults == ("estop",), "the emergency stop")
+
+
+def test_a_chip_that_is_gone_is_an_emergency_stop_that_no_reset_clears():
+    with chip() as lines:
+        lines.drive(CONTACT, 0)
+        with looped() as loop:
+            wait_until(lambda: loop.status().ticks > 20, "ticks")
+            assert loop.read_state().faults == ()
+            lines.remove()
+            wait_until(lambda: loop.read_state().faults == ("estop",), "the emergency stop")
+            assert loop.status().estop_input == "lost"
+            reset(loop, 1)
+            assert loop.read_state().faults == ("estop",)
+
+
+def test_the_watchdogs_pin_changes_while_all_live_and_is_low_when_asyncio_hangs():
+    with chip() as lines, looped() as loop:
+        levels = set()
+
+        def both():
+            loop.beat()
+            levels.add(lines.level(PUMP))
+            return levels == {0.0, 1.0}
+
+        wait_until(both, "both levels")
+        assert loop.status().watchdog_errno == 0
+        wait_until(lambda: not loop.status().watchdog, "the watchdog's end")
+        seen = loop.status().watchdog_edges
+        wait_until(lambda: lines.level(PUMP) == 0.0, "low")
+        assert loop.status().watchdog_edges == seen
+
+
+def test_the_watchdogs_pin_is_low_when_the_loop_has_ended():
+    with chip() as lines:
+        with looped() as loop:
+            loop.beat()
+            wait_until(lambda: loop.status().watchdog_edges > 3, "edges")
+        assert lines.level(PUMP) == 0.0
+
+
+def test_a_line_that_somebody_has_is_named_with_its_owner():
+    wanted = Wanted(line=CONTACT, purpose="safety.estop")
+    with chip(), contextlib.ExitStack() as unless_ended:
+        first = request_edges(LABEL, wanted, "somebody", Pull.UP)
+        unless_ended.callback(os.close, first)
+        with pytest.raises(PortError, match=r'safety.estop: line 0 .* is in use by "somebody"'):
+            request_edges(LABEL, wanted, "motord", Pull.UP)
