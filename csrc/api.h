@@ -394,7 +394,7 @@ int page_read(const void *page, robot_state *out);
  * Descriptors of GPIO v2 line requests of one line each; they stay the caller's. */
 enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 };   /* the input; LOST stops like ACTIVE */
 typedef struct {
-    uint32_t estop;             /* 1: estop_fd is an input, not blocking, with both edges */
+    uint32_t estop;             /* 1: estop_fd is an input, not blocking, with edges to the level that stops */
     int32_t estop_fd;
     uint32_t estop_high;        /* the level that stops */
     uint32_t watchdog;          /* 1: watchdog_fd is an output that changes while all threads live */

@@ -20,9 +20,7 @@ uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
     if (!reading->known) {
         return ESTOP_LOST;
     }
-    bool stop_high = config->estop_high != 0;
-    bool opened = stop_high ? reading->rose : reading->fell;
-    return reading->high == stop_high || opened ? ESTOP_ACTIVE : ESTOP_CLEAR;
+    return reading->opened || reading->high == (config->estop_high != 0) ? ESTOP_ACTIVE : ESTOP_CLEAR;
 }
 
 static bool is_within(int64_t now_ns, int64_t stamp_ns, int64_t timeout_ns)

@@ -9,7 +9,7 @@
 typedef struct {
     bool known;                 /* false: the level could not be read, or its device is gone */
     bool high;                  /* level now */
-    bool rose, fell;            /* edges since the tick before */
+    bool opened;                /* there was an edge to the level that stops since the tick before */
 } estop_reading;
 
 /* What the watchdog goes by, once a tick. */

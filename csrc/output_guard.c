@@ -22,7 +22,8 @@ void guard_init(guard *g, const guard_config *config)
     g->watchdog_errno = 0;
 }
 
-/* The events first: an edge that comes after them is in the level. */
+/* The events first: an edge that comes after them is in the level. The request is for one kind of edge, so each event is
+ * one: of a line with both the kernel tells the edge by the level that it finds later, and a short pulse is lost. */
 static estop_reading read_input(int fd)
 {
     estop_reading reading = {.known = true};
@@ -31,10 +32,7 @@ static estop_reading read_input(int fd)
     if (size < 0 && errno != EAGAIN && errno != EINTR) {
         reading.known = false;
     }
-    for (ssize_t i = 0; i < size / (ssize_t)sizeof events[0]; i++) {
-        reading.rose |= events[i].id == GPIO_V2_LINE_EVENT_RISING_EDGE;
-        reading.fell |= events[i].id == GPIO_V2_LINE_EVENT_FALLING_EDGE;
-    }
+    reading.opened = size > 0;
     struct gpio_v2_line_values values = {.mask = 1};
     if (ioctl(fd, GPIO_V2_LINE_GET_VALUES_IOCTL, &values) != 0) {
         reading.known = false;

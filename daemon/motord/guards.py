@@ -38,7 +38,11 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
             pull = Pull.UP if estop.switches_to == "ground" else Pull.DOWN
             wanted = Wanted(line=estop.gpio_line, purpose="safety.estop")
             fd = request_edges(
-                estop.gpio_chip, wanted, "motord", pull if estop.pull else Pull.AS_IT_IS
+                estop.gpio_chip,
+                wanted,
+                "motord",
+                pull if estop.pull else Pull.AS_IT_IS,
+                rising=estop.stop_is_high,
             )
             unless_ended.callback(os.close, fd)
             os.set_blocking(fd, False)

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from motord_hal.errors import PortError
 from motord_hal.gpio.chip import (
-    FLAG_BOTH_EDGES,
+    FLAG_FALLING,
     FLAG_PULL_DOWN,
     FLAG_PULL_UP,
+    FLAG_RISING,
     LINES_MAX,
     Chip,
     open_chip,
@@ -59,10 +60,18 @@ def request_inputs(
 
 
 def request_edges(
-    chip: str, wanted: Wanted, consumer: str, pull: Pull, dev: Path = Path("/dev")
+    chip: str,
+    wanted: Wanted,
+    consumer: str,
+    pull: Pull,
+    *,
+    rising: bool,
+    dev: Path = Path("/dev"),
 ) -> int:
-    """As `request_inputs`, for one input that also keeps its edges to be read."""
-    return _request(chip, [wanted], consumer, None, dev, FLAG_BOTH_EDGES | pull)
+    """As `request_inputs`, for one input that also keeps its edges to be read: the rising ones, or
+    the falling ones. Of both the kernel says which it was by the level that it finds afterwards."""
+    edge = FLAG_RISING if rising else FLAG_FALLING
+    return _request(chip, [wanted], consumer, None, dev, edge | pull)
 
 
 def _request(

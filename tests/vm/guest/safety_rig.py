@@ -107,11 +107,12 @@ def core_config():
 
 
 @contextlib.contextmanager
-def looped(rate_hz=200.0):
-    """A loop with a normally-closed contact to ground, and a watchdog."""
+def looped(rate_hz=200.0, pull=Pull.AS_IT_IS):
+    """A loop with a normally-closed contact to ground, and a watchdog. The simulated chip takes the
+    bias of a request for the level from outside, so only who tests the bias asks for one."""
     with contextlib.ExitStack() as unless_ended:
         contact = Wanted(line=CONTACT, purpose="safety.estop")
-        estop_fd = request_edges(LABEL, contact, "motord", Pull.UP)
+        estop_fd = request_edges(LABEL, contact, "motord", pull, rising=True)
         unless_ended.callback(os.close, estop_fd)
         os.set_blocking(estop_fd, False)
         pump = Wanted(line=PUMP, purpose="safety.watchdog")

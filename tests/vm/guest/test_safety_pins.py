@@ -27,13 +27,15 @@ def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop(
 
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
-    with chip() as lines, looped() as loop:
+    with chip() as lines, looped(pull=Pull.UP) as loop:
         assert lines.level(CONTACT) == 1.0  # by the request's bias: nobody drives it
         assert loop.read_state().faults == ("estop",)
 
 
 def test_an_emergency_stop_is_reset_only_when_the_contact_is_closed():
     with chip() as lines, looped() as loop:
+        lines.drive(CONTACT, 1)
+        wait_until(lambda: loop.read_state().faults == ("estop",), "the emergency stop")
         reset(loop, 1)
         assert loop.read_state().faults == ("estop",)
         lines.drive(CONTACT, 0)
@@ -94,7 +96,7 @@ def test_the_watchdogs_pin_is_low_when_the_loop_has_ended():
 def test_a_line_that_somebody_has_is_named_with_its_owner():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with chip(), contextlib.ExitStack() as unless_ended:
-        first = request_edges(LABEL, wanted, "somebody", Pull.UP)
+        first = request_edges(LABEL, wanted, "somebody", Pull.UP, rising=True)
         unless_ended.callback(os.close, first)
         with pytest.raises(PortError, match=r'safety.estop: line 0 .* is in use by "somebody"'):
-            request_edges(LABEL, wanted, "motord", Pull.UP)
+            request_edges(LABEL, wanted, "motord", Pull.UP, rising=True)
