@@ -59,6 +59,8 @@ static void each_value_has_a_box_of_its_own(void)
     CHECK(exchange_take_feedback(&x, JOINTS_MAX, &feedback) == -EINVAL);
     CHECK(exchange_put_setpoints(&x, LINES_MAX, &out) == -EINVAL);
     CHECK(exchange_take_setpoints(&x, LINES_MAX, &out) == -EINVAL);
+    uint64_t takes = exchange_line_takes(&x, 1);
+    CHECK(exchange_take_setpoints(&x, 1, &out) == 0 && exchange_line_takes(&x, 1) == takes + 1);
     CHECK(exchange_line_wake(&x, 0) == -1 && exchange_set_line_wake(&x, 0, 7) == 0 && exchange_line_wake(&x, 0) == 7);
     CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL && exchange_line_wake(&x, LINES_MAX) == -1);
 }

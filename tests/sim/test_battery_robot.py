@@ -78,3 +78,13 @@ def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_pa
         wait_until(stopped, "the fault")
         assert "battery is critical" in stage.robot.status()["why"][0]
         wait_until(lambda: stage.robot.status()["at_rest"], "rest")
+
+
+def test_a_sensor_that_is_not_there_is_said_once_and_the_battery_is_unknown(tmp_path):
+    missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
+    with running(tmp_path, *missing, STOPS) as stage:
+        wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")
+        assert stage.said().count("there is no such bus") == 1
+        assert level(stage) == "unknown"
+        stage.wait_for("idle")
+        stage.robot.arm()
