@@ -9,7 +9,7 @@ from motord_hal.drives.load import find_profile
 from motord_hal.ports import DriveState, EventKind
 
 SPEED_RAD_S = 3.0
-DRIVES = ["odrive-0.6", "vesc", "rmd"]
+DRIVES = ["odrive-0.6", "vesc", "rmd", "dbc-example"]
 
 
 @pytest.fixture(params=DRIVES)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from itertools import combinations
 
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
 _STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
@@ -28,7 +28,15 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
         _check_overlaps(name, signals_of(profile.registers, name), problems)
     if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
         problems.add("can.hello", f'"{table.hello}" is no signal that can be read')
+    for channel in profile.channels.values():
+        _check_rest(profile.registers.get(channel.setpoint), problems)
     _check_presence(profile, table, problems)
+
+
+def _check_rest(setpoint: Register | None, problems: Problems) -> None:
+    """Raw 0 of a set-point is rest, and so is what stands in its place when it is not said."""
+    if isinstance(setpoint, Signal) and (setpoint.offset or setpoint.default):
+        problems.add(f"signal.{setpoint.name}", "is a set-point: its offset and default must be 0")
 
 
 def _same_beginning(one: Frame, other: Frame) -> bool:
@@ -67,6 +75,8 @@ def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
         )
     if signal.scale == 0:
         problems.add(f"{key}.scale", "must not be zero")
+    if signal.offset and signal.unit == "count":
+        problems.add(f"{key}.offset", "is not for a counter, which is read as it stands")
     if signal.is_float and signal.length != 32:
         problems.add(f"{key}.length", "a floating-point number has 32 bits")
     low, high = signal.raw_range

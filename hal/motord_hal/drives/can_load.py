@@ -40,6 +40,8 @@ def read_table(can: Table, frames: Table) -> CanTable:
 
 
 def _frame(name: str, table: Table, shift: int, *, extended: bool, fd: bool) -> Frame:
+    extended = table.flag("extended", default=extended)
+    fd = table.flag("fd", default=fd)
     frame = Frame(
         name=name,
         base=table.integer("id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX),
@@ -89,6 +91,7 @@ def _signal(name: str, table: Table, frames: dict[str, Frame], pole_pairs: int) 
         scale=table.number("scale", -_BOUND, _BOUND, 1.0) / per,
         unit="rpm" if electrical else unit,
         access="r" if frame and frame.sender is Sender.DRIVE else "w",
+        offset=table.number("offset", -_BOUND, _BOUND, 0.0) / per,
         minimum=None if minimum is None else minimum / per,
         maximum=None if maximum is None else maximum / per,
         source=table.text("source"),

@@ -72,6 +72,8 @@ class Signal(Register):
     length: int
     """Bits."""
     big_endian: bool
+    offset: float = 0.0
+    """In `unit`: what raw 0 says."""
     reply_frame: str = ""
     """Of a signal that is written and read: the frame in which it is read."""
 
@@ -92,7 +94,7 @@ class Signal(Register):
         if self.is_float:
             ends = sorted((-FLOAT_MAX * self.scale, FLOAT_MAX * self.scale))
         else:
-            ends = sorted(raw * self.scale for raw in self.raw_range)
+            ends = sorted(raw * self.scale + self.offset for raw in self.raw_range)
         low = ends[0] if self.minimum is None else max(ends[0], self.minimum)
         high = ends[1] if self.maximum is None else min(ends[1], self.maximum)
         return low * per_unit, high * per_unit
@@ -102,14 +104,14 @@ class Signal(Register):
         number: float = raw
         if self.is_float:
             number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
-        return number * self.scale * SI_UNITS[self.unit][1]
+        return (number * self.scale + self.offset) * SI_UNITS[self.unit][1]
 
     def from_si(self, value: float) -> int:
         """As Register.from_si; zero is always +0."""
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value} cannot be written")
         low, high = self.si_limits
-        number = min(max(value, low), high) / SI_UNITS[self.unit][1] / self.scale
+        number = (min(max(value, low), high) / SI_UNITS[self.unit][1] - self.offset) / self.scale
         if not self.is_float:
             least, most = self.raw_range
             return min(max(round(number), least), most)
