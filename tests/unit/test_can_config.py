@@ -15,6 +15,7 @@ from motord_hal.paths import config_dir
 from motord_hal.rt import Exchange
 
 ODRIVE = (config_dir() / "drives" / "odrive-0.5.toml").read_text(encoding="utf-8")
+CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"
 
 
@@ -122,3 +123,33 @@ def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
     changed = type(spec)(**{**{f: getattr(spec, f) for f in spec.__slots__}, "joints": joints})
     with pytest.raises(HalError, match="no drive on a CAN bus"):
         open_line(changed, Exchange.private(), lambda event: None)
+
+
+def test_a_cycle_that_a_synchronous_drive_cannot_be_told_is_said_with_its_line():
+    csv = ("joint.left.drive=cia402-csv", "joint.right.drive=cia402-csv")
+    load_robot(CIA402, csv)
+    with pytest.raises(ConfigError) as error:
+        load_robot(CIA402, (*csv, "line.can0.cycle_hz=30"))
+    said = "cycle_hz: cia402-csv: interpolation_time cannot say the line's cycle, 33.33 ms"
+    assert said in "\n".join(map(str, error.value.problems))
+
+
+CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('sync = "sync"', 'sync = "rpdo_1"', '"rpdo_1" must be sent by motord, with addressed'),
+        ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
+        ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
+        ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
+    ],
+)
+def test_a_mistake_about_sync_is_said(tmp_path, right, wrong, said):
+    assert right in CSV
+    path = tmp_path / "cia402-csv.toml"
+    path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        load_profile(path)
+    assert said in str(error.value)

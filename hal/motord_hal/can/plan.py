@@ -17,6 +17,10 @@ from motord_hal.ports import JointSpec
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
 
+CYCLE_TOLERANCE = 0.001
+"""A drive that is told its cycle interpolates over it: one that is off by more drifts by a whole
+cycle in less than a thousand."""
+
 Wanted = Mapping[int, tuple[float, float]]
 """Joint index → (wheel rad/s, duty); empty: everything zero."""
 
@@ -66,6 +70,22 @@ def with_node(profile: DriveProfile, node: int) -> DriveProfile:
     )
 
 
+def with_cycle(profile: DriveProfile, cycle_s: float) -> DriveProfile:
+    """The profile as it is on a line with this cycle. Raises ProfileError."""
+
+    def own(step: Step) -> Step:
+        if not step.cycle:
+            return step
+        register = profile.registers[step.register]
+        raw = register.from_si(cycle_s)
+        if abs(register.to_si(raw) - cycle_s) > CYCLE_TOLERANCE * cycle_s:
+            problem = f"{step.register} cannot say the line's cycle, {cycle_s * 1e3:.4g} ms"
+            raise ProfileError(f"{profile.name}: {problem}: choose another cycle_hz")
+        return replace(step, value=raw, cycle=False)
+
+    return replace(profile, configure=tuple(own(step) for step in profile.configure))
+
+
 class CanPlan:
     """One node with one or more joints on its channels."""
 
@@ -102,6 +122,9 @@ class CanPlan:
         )
         """What goes out with the set-points, as it was written last: a control word."""
         self.hello = self.read_frame_of(self.table.hello) if self.table.hello else None
+        sync = self.table.frames.get(self.table.sync)
+        self.sync = self.write(sync, {}) if sync else None
+        """What the line sends once a cycle, for all its drives."""
         self.measuring = self._frames_of(self._measuring_names())
         """What odometry is made of."""
         self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)

@@ -28,6 +28,9 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
         _check_overlaps(name, signals_of(profile.registers, name), problems)
     if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
         problems.add("can.hello", f'"{table.hello}" is no signal that can be read')
+    sync = table.frames.get(table.sync)
+    if sync and (sync.sender is not Sender.MOTORD or sync.addressed):
+        problems.add("can.sync", f'"{sync.name}" must be sent by motord, with addressed = false')
     for channel in profile.channels.values():
         _check_rest(profile.registers.get(channel.setpoint), problems)
     _check_presence(profile, table, problems)

@@ -36,6 +36,7 @@ def read_table(can: Table, frames: Table) -> CanTable:
         node_max=can.integer("node_max", 0, NODE_MAX),
         idle_setpoints=can.flag("idle_setpoints", default=True),
         hello=can.text("hello") if "hello" in can else "",
+        sync=can.text("sync", choices=list(found)) if "sync" in can else "",
     )
 
 

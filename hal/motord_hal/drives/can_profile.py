@@ -153,6 +153,9 @@ class CanTable:
     switches the motor on, they are not."""
     hello: str = ""
     """The signal that is asked for until the drive is set up, where its frames come only then."""
+    sync: str = ""
+    """The frame that the line sends once in each of its cycles, for all drives at once, after their
+    set-points: what they act on and answer then belongs to one moment."""
     abort: str = ""
     """The frame by which the drive says that it has not taken another one."""
 

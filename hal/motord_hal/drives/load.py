@@ -297,10 +297,14 @@ def _steps(parent: Table, key: str) -> tuple[Step, ...]:
 
 
 def _write(table: Table) -> Step:
-    value = table.integer("value", -(1 << 31), (1 << 32) - 1)
-    verify = table.flag("verify", default=True)
-    plus = table.flag("plus_node", default=False)
-    return Step(register=table.text("write"), value=value, verify=verify, plus_node=plus)
+    cycle = table.flag("cycle", default=False)
+    return Step(
+        register=table.text("write"),
+        value=table.integer("value", -(1 << 31), (1 << 32) - 1, 0 if cycle else None),
+        verify=table.flag("verify", default=True),
+        plus_node=table.flag("plus_node", default=False),
+        cycle=cycle,
+    )
 
 
 def _wait(table: Table) -> Step:

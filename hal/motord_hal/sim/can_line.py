@@ -151,11 +151,15 @@ class SimulatedCanLine:
             bytes((unit,)),
         ):
             return False
-        if not drive.obeys(frame) or (written := content.written(frame, data)) is None:
-            return False
-        drive.execute_can(written, now_s)
+        taken: list[tuple[str, int]] = []
+        for one, its_data in drive.due(frame, data):
+            if not drive.obeys(one) or (written := content.written(one, its_data)) is None:
+                return False
+            taken += written
+        drive.execute_can(taken, now_s)
         for answer in content.answers(frame):
-            self._reply(unit, answer, now_s)
+            if drive.sends(answer):
+                self._reply(unit, answer, now_s)
         return True
 
     def _reply(self, unit: int, frame: Frame, now_s: float) -> None:
