@@ -227,7 +227,7 @@ class CanDrive:
         elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
-        for frame in (self.plan.hello,) if self.plan.hello else self.plan.asked_fast:
+        for frame in (self.plan.hello,) if self.plan.hello else self.plan.probed:
             self._ask(frame)
 
     # ----------------------------------------------------------------------------- the cyclic part

@@ -127,11 +127,19 @@ class CanPlan:
         """What the line sends once a cycle, for all its drives."""
         self.measuring = self._frames_of(self._measuring_names())
         """What odometry is made of."""
-        self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)
-        self.asked_slow = tuple(frame for frame in self.slow if frame.ask and not frame.period_s)
+        self.probed = tuple(frame for frame in self.fast if not frame.period_s)
+        """Asked for when the drive is not heard."""
+        told = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
+        self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in told)
+        """Asked for in every cycle: what does not answer the set-points."""
+        self.asked_slow = tuple(
+            frame
+            for frame in self.slow
+            if frame.ask and not frame.period_s and frame.answers not in told
+        )
         self._by_identifier: dict[tuple[int, bool], list[Frame]] = {}
         for frame in self.table.frames_from(Sender.DRIVE):
-            key = (frame.identifier(self.node), frame.extended)
+            key = (frame.identifier(self.node), frame.is_extended(self.node))
             self._by_identifier.setdefault(key, []).append(frame)
 
     # ------------------------------------------------------------------------------------ building
@@ -188,15 +196,15 @@ class CanPlan:
         data = build(frame, self._signals[frame.name], raw)
         if frame.node_byte is not None:
             data = data[: frame.node_byte] + bytes((self.node,)) + data[frame.node_byte + 1 :]
-        return Sent(frame.identifier(self.node), frame.extended, frame.fd, data)
+        identifier = frame.identifier(self.node)
+        return Sent(identifier, frame.is_extended(self.node), frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:
         """What asks for a frame; None: nothing does."""
         if frame.ask == "rtr":
             identifier = frame.identifier(self.node)
-            return Sent(
-                identifier, frame.extended, fd=False, data=b"", remote_bytes=frame.size_bytes
-            )
+            extended, size_bytes = frame.is_extended(self.node), frame.size_bytes
+            return Sent(identifier, extended, fd=False, data=b"", remote_bytes=size_bytes)
         return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
@@ -278,7 +286,9 @@ class CanPlan:
 
         cycle_s = sum(time_s(frame) for frame in self.setpoint_frames)
         names = [frame.name for frame in self.setpoint_frames]
-        answers = [frame for frame in self.table.frames.values() if frame.ask in names]
+        answers = [
+            frame for frame in self.table.frames.values() if {frame.ask, frame.answers} & {*names}
+        ]
         cycle_s += sum(time_s(frame) for frame in answers)
         cycle_s += sum(asked_s(frame) for frame in self.asked_fast)
         if self.asked_slow:

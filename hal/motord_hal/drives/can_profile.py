@@ -17,6 +17,7 @@ from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 """The greatest finite number of 32 bits (IEEE 754, binary32)."""
+STANDARD_ID_MAX = 0x7FF
 SIZES_FD = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a frame may carry: ISO 11898-1, 8.4.2.4 (a classic frame: up to 8)."""
 
@@ -54,11 +55,30 @@ class Frame:
     """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""
     node_byte: int | None = None
     """The byte of the data that holds the node; None: none does."""
+    open_at: frozenset[int] = frozenset()
+    """Bytes of `begins` that may be anything when it comes: signals stand there. Where it is sent
+    they are 0 under the signals."""
+    short: bool = False
+    """Of an extended one: an identifier that fits 11 bits is sent with 11."""
+    answers: str = ""
+    """The frame of motord's that it answers each time, asked or not; "": none."""
     confirm: str = ""
     """The frame by which the drive says that it has taken this one; "": it does not."""
 
     def identifier(self, node: int) -> int:
         return self.base + (node << self.node_shift) if self.addressed else self.base
+
+    def is_extended(self, node: int) -> bool:
+        """Whether this node's identifier goes with 29 bits."""
+        return self.extended and not (self.short and self.identifier(node) <= STANDARD_ID_MAX)
+
+    def matches(self, data: bytes) -> bool:
+        """Whether data that came may be this frame's."""
+        if len(data) < self.size_bytes or not self.open_at:
+            return len(data) >= self.size_bytes and data.startswith(self.begins)
+        return all(
+            data[at] == byte for at, byte in enumerate(self.begins) if at not in self.open_at
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
