@@ -17,6 +17,7 @@ from typing import Any
 
 from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_dbc import with_dbc
+from motord_hal.drives.can_eds import with_eds
 from motord_hal.drives.can_load import NODE_MAX, read_signals, read_table
 from motord_hal.drives.can_objects import read_objects
 from motord_hal.drives.check import check_profile
@@ -89,7 +90,7 @@ def load_profile(path: Path) -> DriveProfile:
         number = line.group(1) if line else len(text.splitlines())
         raise ProfileError(f"{path}:{number}: toml: {error}") from error
     problems = Problems(path, text)
-    values = with_dbc(values, path, problems)
+    values = with_eds(with_dbc(values, path, problems), path, problems)
     profile = _profile(Table("", values, problems), path)
     check_profile(profile, problems)
     if problems.rows:
