@@ -399,6 +399,7 @@ typedef struct {
                                    at_rest change */
     uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
     int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
+    int32_t journal_fd;         /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
     int32_t event_fd;           /* an eventfd, or -1 */
     int32_t command_fd[COMMAND_SOCKETS];   /* datagram sockets, not blocking, on which commands come in; -1: none */
     uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */

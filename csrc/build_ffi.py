@@ -28,7 +28,7 @@ FLAGS = [
 ]
 
 ffi = FFI()
-for header in ("api.h", "api_command.h", "api_line.h", "api_bridge.h"):
+for header in ("api.h", "api_command.h", "api_line.h", "api_bridge.h", "api_journal.h"):
     ffi.cdef((HERE / header).read_text(encoding="utf-8"))
 ffi.set_source(
     "_motord_rt",

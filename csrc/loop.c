@@ -71,27 +71,35 @@ static void *run(void *unused)
 static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
-           loop->page_fd >= -1 && loop->event_fd >= -1 && loop->command_fd[0] >= -1 && loop->command_fd[1] >= -1 &&
-           loop->command_fd[2] >= -1;
+           loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd[0] >= -1 &&
+           loop->command_fd[1] >= -1 && loop->command_fd[2] >= -1;
 }
 
 /* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */
-static int map_shared_page(int fd)
+static int map_file(int fd, size_t bytes, void **memory, int (*init)(void *))
 {
-    work.shared_page = NULL;
+    *memory = NULL;
     if (fd < 0) {
         return 0;
     }
-    int error = posix_fallocate(fd, 0, PAGE_BYTES);
+    int error = posix_fallocate(fd, 0, (off_t)bytes);
     if (error != 0) {
         return -error;
     }
-    void *page = mmap(NULL, PAGE_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
-    if (page == MAP_FAILED) {
+    void *mapped = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+    if (mapped == MAP_FAILED) {
         return -errno;
     }
-    work.shared_page = page;
-    return page_init(page);
+    *memory = mapped;
+    return init(mapped);
+}
+
+static void unmap_file(void **memory, size_t bytes)
+{
+    if (*memory != NULL) {
+        (void)munmap(*memory, bytes);
+        *memory = NULL;
+    }
 }
 
 static void hold_machine(void)
@@ -115,10 +123,8 @@ static void release_machine(void)
     if (config.lock_memory && grant.memory_lock_errno == 0) {
         (void)munlockall();
     }
-    if (work.shared_page != NULL) {
-        (void)munmap(work.shared_page, PAGE_BYTES);
-        work.shared_page = NULL;
-    }
+    unmap_file(&work.shared_page, PAGE_BYTES);
+    unmap_file(&work.journal, journal_bytes());
     (void)sem_destroy(&ticking);
 }
 
@@ -136,7 +142,10 @@ static int start(const loop_config *loop, const core_config *core)
     if (sem_init(&ticking, 0, 0) != 0) {
         return -errno;
     }
-    error = map_shared_page(loop->page_fd);
+    error = map_file(loop->page_fd, PAGE_BYTES, &work.shared_page, page_init);
+    if (error == 0) {
+        error = map_file(loop->journal_fd, journal_bytes(), &work.journal, journal_init);
+    }
     hold_machine();
     if (error == 0) {
         error = loop_thread_create(&thread, &config, &grant, run, NULL);

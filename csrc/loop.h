@@ -15,6 +15,7 @@ typedef struct {
     exchange exchange;
     _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES];   /* own: readable before, while and after the loop runs */
     void *shared_page;                  /* the caller's, mapped; NULL: none */
+    void *journal;                      /* the caller's, mapped; NULL: none */
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;

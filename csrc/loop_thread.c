@@ -133,7 +133,10 @@ void loop_memory_lock(loop_grant *grant)
         grant->memory_lock_errno = ENOMEM;
         return;
     }
-    grant->memory_lock_errno = mlockall(MCL_CURRENT | MCL_FUTURE) == 0 ? 0 : errno;
+    /* All there is, static memory and code, is brought in now. What comes later is Python's, and stays once it has been
+     * touched: whole stacks of its threads, 8 MB each, need not be there. Threads in C touch theirs before their work. */
+    bool locked = mlockall(MCL_CURRENT | MCL_FUTURE) == 0 && mlockall(MCL_FUTURE | MCL_ONFAULT) == 0;
+    grant->memory_lock_errno = locked ? 0 : errno;
 }
 
 /* Documentation/power/pm_qos_interface.rst of the kernel: a 32-bit number of microseconds, in force while open. */

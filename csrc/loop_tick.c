@@ -207,8 +207,15 @@ static void work_once(loop_work *work, int64_t now_ns)
     clear_histograms_if_asked(work);
     take_inputs(work, now_ns);
     int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
-    core_step(&work->core, &work->input, (double)dt_ns * 1e-9, &work->out, &work->snapshot);
+    double dt_s = (double)dt_ns * 1e-9;
+    if (work->journal != NULL) {
+        journal_before(work->journal, &work->core);
+    }
+    core_step(&work->core, &work->input, dt_s, &work->out, &work->snapshot);
     hand_on(work);
+    if (work->journal != NULL) {
+        journal_after(work->journal, &work->input, dt_s, &work->out, &work->snapshot);
+    }
     bool stopping = moves_nothing(&work->out);
     bool new_wish = !same_wish(&work->input.command, &before);
     /* A new wish, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less

@@ -2,18 +2,17 @@
  * page.c: one writer, any number of readers in any process, who hold no lock and cannot disturb it.
  * The layout is public: docs/state-page.md.
  *
- * Each slot is a sequence lock whose data are atomic words. A release store of each word and an acquire load
- * of each word take the place of the fences of H. Boehm, "Can seqlocks get along with programming language
- * memory models?" (MSPC 2012): fences are what ThreadSanitizer cannot see, and on x86-64 both are plain moves.
- * The writer goes round the slots, so a reader is overtaken only when it sleeps for SLOTS - 1 ticks. */
+ * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is overtaken only when it
+ * sleeps for SLOTS - 1 ticks. */
 #include <errno.h>
 #include <stdatomic.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "rt.h"
+#include "seqlock.h"
 
-enum { SLOTS = 4, WORD_BYTES = 8, WORDS = sizeof(robot_state) / WORD_BYTES, TRIES = 8 };
+enum { SLOTS = 4, WORDS = sizeof(robot_state) / WORD_BYTES, TRIES = 8 };
 static const char MAGIC[WORD_BYTES] = {'M', 'O', 'T', 'O', 'R', 'D', 0, 1};
 
 typedef struct {
@@ -89,13 +88,7 @@ void page_write(void *memory, const robot_state *state)
     page *p = memory;
     uint64_t number = atomic_load_explicit(&p->header.published, memory_order_relaxed) + 1;
     page_slot *slot = &p->slot[(number - 1) % SLOTS];
-    atomic_store_explicit(&slot->sequence, 2 * number - 1, memory_order_relaxed);
-    for (uint32_t w = 0; w < WORDS; w++) {
-        uint64_t word;
-        memcpy(&word, (const char *)state + w * WORD_BYTES, WORD_BYTES);
-        atomic_store_explicit(&slot->word[w], word, memory_order_release);
-    }
-    atomic_store_explicit(&slot->sequence, 2 * number, memory_order_release);
+    seqlock_write(&slot->sequence, slot->word, number, state, WORDS);
     atomic_store_explicit(&p->header.published, number, memory_order_release);
 }
 
@@ -109,19 +102,6 @@ static bool is_our_layout(const page_header *header)
            atomic_load_explicit(&header->slot_offset_bytes, memory_order_relaxed) == offsetof(page, slot);
 }
 
-/* Whether the slot held snapshot `number`, whole, from the first word to the last. */
-static bool copy_slot(const page_slot *slot, uint64_t number, robot_state *out)
-{
-    if (atomic_load_explicit(&slot->sequence, memory_order_acquire) != 2 * number) {
-        return false;
-    }
-    for (uint32_t w = 0; w < WORDS; w++) {
-        uint64_t word = atomic_load_explicit(&slot->word[w], memory_order_acquire);
-        memcpy((char *)out + w * WORD_BYTES, &word, WORD_BYTES);
-    }
-    return atomic_load_explicit(&slot->sequence, memory_order_relaxed) == 2 * number;
-}
-
 int page_read(const void *memory, robot_state *out)
 {
     const page *p = memory;
@@ -133,7 +113,8 @@ int page_read(const void *memory, robot_state *out)
         if (number == 0) {
             return -ENODATA;
         }
-        if (copy_slot(&p->slot[(number - 1) % SLOTS], number, out)) {
+        const page_slot *slot = &p->slot[(number - 1) % SLOTS];
+        if (seqlock_read(&slot->sequence, slot->word, number, out, WORDS)) {
             return 0;
         }
     }

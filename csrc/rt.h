@@ -11,5 +11,6 @@
 #include "api_command.h"
 #include "api_line.h"
 #include "api_bridge.h"
+#include "api_journal.h"
 
 #endif

@@ -63,7 +63,12 @@ async def run(
         _signals() as (end, hurry),
         listening(path) as listener,
         open_doors(robot, path) as doors,
-        Loop(core_config(robot, profiles), loop_settings(robot, doors.fds), name) as loop,
+        Loop(
+            core_config(robot, profiles),
+            loop_settings(robot, doors.fds),
+            name,
+            journal=robot.has_journal,
+        ) as loop,
     ):
         operation = Operation(robot, loop, notifier)
         for spec in line_specs(robot, profiles):

@@ -12,10 +12,12 @@ import fcntl
 import os
 import sys
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 
 FOLDER = Path("/dev/shm")  # noqa: S108  # POSIX shared memory, as shm_open has it
 PREFIX = "motord-"
+JOURNAL_PREFIX = "motord.journal-"
 _PID_OFFSET, _PID_BYTES = 28, 4
 _TRIES = 10
 
@@ -25,14 +27,15 @@ class PageInUse(RuntimeError):
 
 
 class PageFile:
-    """Owner of /dev/shm/motord-NAME, readable by all, from `open` to `close`."""
+    """Owner of /dev/shm/motord-NAME, or of the journal beside it, readable by all, from `open` to
+    `close`."""
 
     def __init__(self, path: Path, fd: int) -> None:
         self.path = path
         self.fd = fd
 
     @classmethod
-    def open(cls, name: str) -> Self:
+    def open(cls, name: str, prefix: str = PREFIX) -> Self:
         """Make the file, or take over that of a dead daemon; its readers stay attached.
 
         Raises PageInUse where a daemon lives that owns it, ValueError for a name that is no file
@@ -40,7 +43,7 @@ class PageFile:
         """
         if not name or "/" in name or "\0" in name:
             raise ValueError(f"{name!r} cannot be part of a file name in {FOLDER}")
-        path = FOLDER / (PREFIX + name)
+        path = FOLDER / (prefix + name)
         for _ in range(_TRIES):
             fd = _open(path)
             with contextlib.ExitStack() as unless_kept:
@@ -51,6 +54,17 @@ class PageFile:
                     unless_kept.pop_all()
                     return cls(path, fd)
         raise PageInUse(f"{path} is made and removed again by others: is one daemon started twice?")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
     def close(self) -> None:
         """Remove the file, if it is still ours, and let go of it."""

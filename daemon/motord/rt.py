@@ -30,7 +30,7 @@ from motord.commands import (
     Refusal,
     datagram,
 )
-from motord.page_file import PageFile, PageInUse
+from motord.page_file import JOURNAL_PREFIX, PageFile, PageInUse
 from motord.rt_types import (
     AxisLimits,
     BaseLimits,
@@ -184,15 +184,22 @@ class Loop:
     """
 
     def __init__(
-        self, core: CoreConfig, settings: LoopSettings, page_name: str | None = None
+        self,
+        core: CoreConfig,
+        settings: LoopSettings,
+        page_name: str | None = None,
+        *,
+        journal: bool = False,
     ) -> None:
-        """Raises ConfigRefused for what the core refuses, ValueError for a CPU beyond 0..63."""
+        """`journal`: one beside the page. Raises ConfigRefused for what the core refuses,
+        ValueError for a CPU beyond 0..63."""
         if any(not 0 <= number <= 63 for number in settings.cpu):
             raise ValueError(f"cpu {settings.cpu}: each is 0..63")
         self._core = _core_config(core)
         self._limits = core["limits"]
         self._settings = settings
         self._page_name = page_name
+        self._has_journal = journal and page_name is not None
         self._buffers = _Buffers()
         self._exchange = lib.loop_exchange()
         self._event_fd = -1
@@ -220,11 +227,12 @@ class Loop:
         without.
         """
         with contextlib.ExitStack() as unless_started:
-            page_fd = -1
+            page_fd = journal_fd = -1
             if self._page_name is not None:
-                page = PageFile.open(self._page_name)
-                unless_started.callback(page.close)
-                page_fd = page.fd
+                page_fd = unless_started.enter_context(PageFile.open(self._page_name)).fd
+            if self._page_name is not None and self._has_journal:
+                journal = PageFile.open(self._page_name, JOURNAL_PREFIX)
+                journal_fd = unless_started.enter_context(journal).fd
             event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             unless_started.callback(os.close, event_fd)
             door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -232,7 +240,9 @@ class Loop:
             unless_started.enter_context(inside)
             os.set_blocking(door.fileno(), False)
             doors = (inside.fileno(), *self._settings.command_fds)
-            code = lib.loop_start(self._loop_config(page_fd, event_fd, doors), self._core)
+            code = lib.loop_start(
+                self._loop_config(page_fd, journal_fd, event_fd, doors), self._core
+            )
             if code == -errno.EBUSY:
                 raise RuntimeError("a loop runs in this process already")
             if code == -errno.EINVAL:
@@ -243,7 +253,9 @@ class Loop:
         self._buffers.control[0] = {"limits": self._limits}
         self.beat()
 
-    def _loop_config(self, page_fd: int, event_fd: int, doors: tuple[int, ...]) -> Any:
+    def _loop_config(
+        self, page_fd: int, journal_fd: int, event_fd: int, doors: tuple[int, ...]
+    ) -> Any:
         settings = self._settings
         if len(doors) > lib.COMMAND_SOCKETS:
             raise ValueError(f"{len(doors)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
@@ -256,6 +268,7 @@ class Loop:
                 "notify_every_ticks": max(every, 1) if settings.notify_hz > 0 else 0,
                 "cpu_mask": sum(1 << number for number in set(settings.cpu)),
                 "page_fd": page_fd,
+                "journal_fd": journal_fd,
                 "event_fd": event_fd,
                 "command_fd": [*doors, *[-1] * (lib.COMMAND_SOCKETS - len(doors))],
                 "lock_memory": settings.lock_memory,

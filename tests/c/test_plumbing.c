@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of mailbox.c, exchange.c, page.c, histogram.c and schedule.c, in one thread. */
+ * Every line of mailbox.c, exchange.c, page.c, journal.c, histogram.c and schedule.c, in one thread. */
 #include <errno.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "check.h"
@@ -109,6 +110,62 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
     CHECK(stride == 8 + sizeof read + (64 - (8 + sizeof read) % 64) % 64);
 }
 
+/* Offsets as docs/replay.md gives them. */
+enum { RECORD_STRIDE_AT = 16, RECORDS_AT = 20, CHECKPOINT_STRIDE_AT = 32, CHECKPOINTS_AT = 36, WRITTEN_AT = 48 };
+
+static uint32_t place(const uint8_t *journal, size_t offset)
+{
+    uint32_t value;
+    memcpy(&value, journal + offset, sizeof value);
+    return value;
+}
+
+/* The slot's whole content, when it holds `number`. */
+static bool holds(const uint8_t *slot, uint64_t number, void *out, size_t bytes)
+{
+    uint64_t sequence;
+    memcpy(&sequence, slot, sizeof sequence);
+    memcpy(out, slot + sizeof sequence, bytes);
+    return sequence == 2 * number;
+}
+
+static void a_journal_holds_what_went_in_and_what_came_out(void)
+{
+    static core_state state, kept;
+    core_input input;
+    setpoints out;
+    robot_state snapshot;
+    journal_record record;
+    uint64_t written[2];
+    uint8_t *journal = aligned_alloc(64, (journal_bytes() + 63) / 64 * 64);
+    CHECK(journal != NULL && journal_init(NULL) == -EINVAL && journal_init(journal + 8) == -EINVAL);
+    CHECK(journal_init(journal) == 0);
+    memset(&input, 1, sizeof input);
+    memset(&out, 2, sizeof out);
+    memset(&snapshot, 3, sizeof snapshot);
+    for (uint64_t tick = 1; tick <= JOURNAL_RECORDS + 1; tick++) {
+        state.tick = tick - 1;
+        journal_before(journal, &state);
+        out.tick = tick;
+        snapshot.tick = tick;
+        journal_after(journal, &input, 0.001, &out, &snapshot);
+    }
+    memcpy(written, journal + WRITTEN_AT, sizeof written);
+    CHECK(written[0] == JOURNAL_RECORDS + 1 && written[1] == 1 + JOURNAL_RECORDS / JOURNAL_CHECKPOINT_EVERY);
+    const uint8_t *records = journal + place(journal, RECORDS_AT);
+    CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record));   /* the first slot, for the second time */
+    CHECK(record.tick == JOURNAL_RECORDS + 1 && record.dt_s == 0.001 && record.digest == journal_digest(&snapshot));
+    CHECK(memcmp(&record.input, &input, sizeof input) == 0 && memcmp(&record.out, &out, sizeof out) == 0);
+    CHECK(holds(records + place(journal, RECORD_STRIDE_AT), 2, &record, sizeof record) && record.tick == 2);
+    const uint8_t *states = journal + place(journal, CHECKPOINTS_AT);
+    CHECK(holds(states + place(journal, CHECKPOINT_STRIDE_AT), 2, &kept, sizeof kept));
+    CHECK(kept.tick == JOURNAL_CHECKPOINT_EVERY);
+    uint64_t digest = journal_digest(&snapshot);
+    snapshot.joint[JOINTS_MAX - 1].jumps ^= 1;
+    CHECK(journal_digest(&snapshot) != digest);
+    free(journal);
+}
+
 static void buckets_are_narrow_and_in_order(void)
 {
     CHECK(histogram_bucket(INT64_MIN) == 0 && histogram_bucket(-1) == 0 && histogram_bucket(0) == 0);
@@ -168,6 +225,7 @@ int main(void)
     each_value_has_a_box_of_its_own();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
+    a_journal_holds_what_went_in_and_what_came_out();
     buckets_are_narrow_and_in_order();
     percentiles_are_never_told_too_low();
     a_late_tick_skips_and_never_bursts();

@@ -218,7 +218,8 @@ static void the_loop_runs_between_asyncio_and_a_line(void)
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM | SOCK_NONBLOCK, 0, door) == 0);
     core_config core = base();
     loop_config loop = {.rate_hz = 1000, .notify_every_ticks = 10, .page_fd = memfd_create("page", 0),
-                        .event_fd = eventfd(0, EFD_NONBLOCK), .command_fd = {door[1], -1, -1}};
+                        .journal_fd = memfd_create("journal", 0), .event_fd = eventfd(0, EFD_NONBLOCK),
+                        .command_fd = {door[1], -1, -1}};
     void *shared_page;
     CHECK(loop.page_fd >= 0 && loop.event_fd >= 0 && ftruncate(loop.page_fd, PAGE_BYTES) == 0);
     shared_page = mmap(NULL, PAGE_BYTES, PROT_READ, MAP_SHARED, loop.page_fd, 0);

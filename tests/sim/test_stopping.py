@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from daemon_stage import ROBOT, ROOT, running, wait_until
+from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
 
 from motord.config import load_robot
 
@@ -160,6 +160,28 @@ def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robo
             assert seconds_to_rest(stage, hurt) < HEARTBEAT_S + ramp_s + BUSY_S
         wait_until(lambda: not powered(stage), "their power is off", 5.0)
         stage.daemon.kill()
+
+
+def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
+    name = f"ended{os.getpid()}"
+    robot = tmp_path / f"{name}.toml"
+    robot.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
+
+    def others():
+        said = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                said.append((process / "cmdline").read_text("utf-8").split("\0"))
+        return [words for words in said if str(robot) in words and "demo" not in words]
+
+    demo = subprocess.Popen([sys.executable, "-m", "motord", "demo", "--robot", robot], cwd=ROOT)
+    try:
+        wait_until(lambda: len(others()) == 2, "the daemon and the drives")
+        demo.terminate()
+        demo.wait(DEADLINE_S)
+        wait_until(lambda: not others(), "their end")
+    finally:
+        demo.kill()
 
 
 def test_the_demonstration_ends_well_and_prints_what_the_contract_says(tmp_path):

@@ -44,6 +44,7 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     content, disk = folder / "content", folder / "project.ext4"
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+    shutil.copy(ROOT / "tests/contract/loop_side.py", content / "tests/vm/guest")
     shutil.copytree(ROOT / "config", content / "config")
     shutil.copy(package, content / "motord.deb")
     (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")

@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),
     "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
     "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
+    "replay": ("motord.cli.replay:replay", "A recording through the core again, bit for bit."),
     "latency": ("motord.cli.latency:latency", "Measure the loop and its handovers."),
 }
 """Name → where it is, and its line in the help; in the order of the help."""

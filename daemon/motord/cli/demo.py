@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from pathlib import Path
@@ -50,6 +51,8 @@ def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path)
     check_simulated(loaded)
+    for number in (signal.SIGTERM, signal.SIGHUP):  # no way to end it leaves its daemon behind
+        signal.signal(number, signal.default_int_handler)
     try:
         result = run_demo(path, loaded.robot.name, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:

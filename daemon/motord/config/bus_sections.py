@@ -149,6 +149,8 @@ class McapPublish(BusPublish):
     total_max_mb: int = number(
         "the oldest files are deleted when all together are larger", 1, 10_000_000, "MB", 1000
     )
+    journal: bool = False
+    """Record also what goes into the core and comes out in every tick, for `motord replay`."""
     free_min_mb: int = number(
         "nothing is written when less of the disk is free", 0, 10_000_000, "MB", 200
     )

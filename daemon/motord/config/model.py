@@ -357,6 +357,14 @@ class Robot(Section):
         own = (StdoutPublish, UdpPublish)
         return inputs or any(not isinstance(section, own) for section in self.publish.values())
 
+    @property
+    def has_journal(self) -> bool:
+        """Somebody records what goes into the core."""
+        return any(
+            isinstance(section, McapPublish) and section.journal
+            for section in self.publish.values()
+        )
+
     def read_from(
         self, path: Path, warnings: Iterable[Problem] = (), overrides: Iterable[str] = ()
     ) -> Robot:

@@ -9,6 +9,7 @@ is full is said once, and tried again.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import threading
 import time
@@ -16,6 +17,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from motord.bus.feed import Sample
+from motord.bus.journal import TOPIC, TYPE_NAME, Journal, NoJournal
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
 from motord.bus.ros2 import cdr
 from motord.config import McapPublish
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 WRITE_EVERY_S = 0.5
 AGAIN_S = 5.0
+JOURNAL_EVERY_S = 0.05
+JOURNAL_AGAIN_S = 0.5
 WAITING_MAX = 20_000
 """Messages that wait for the disk, or that are kept for a fault, at most."""
 
@@ -55,15 +59,39 @@ class McapRecorder:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._collect())
+                if self._section.journal:
+                    tasks.create_task(self._collect_journal())
                 tasks.create_task(self._all() if self._section.mode == "all" else self._faults())
         finally:
             self._finish()
 
     async def _collect(self) -> None:
         async for sample in self._feed:
-            if len(self._waiting) == WAITING_MAX and self._section.mode == "all":
-                self._feed.dropped += 1
-            self._waiting.append(_entry(sample))
+            self._keep(_entry(sample))
+
+    def _keep(self, entry: Entry) -> None:
+        if len(self._waiting) == WAITING_MAX and self._section.mode == "all":
+            self._feed.dropped += 1
+        self._waiting.append(entry)
+
+    async def _collect_journal(self) -> None:
+        """What a replay needs, as long as there is a daemon that writes it."""
+        robot = self._station.body.robot
+        while True:
+            with contextlib.suppress(NoJournal), Journal.open(robot) as journal:
+                try:
+                    while not journal.gone:
+                        self._keep_journal(journal)
+                        await asyncio.sleep(JOURNAL_EVERY_S)
+                finally:
+                    self._keep_journal(journal)
+            await asyncio.sleep(JOURNAL_AGAIN_S)
+
+    def _keep_journal(self, journal: Journal) -> None:
+        message = journal.message()
+        if message is not None:
+            self._keep(Entry(TOPIC, TYPE_NAME, time.time_ns(), message))
+        self._feed.dropped += journal.take_lost()
 
     # --------------------------------------------------------------------------------------- all
     async def _all(self) -> None:
@@ -169,4 +197,4 @@ class McapRecorder:
 
 def _entry(sample: Sample) -> Entry:
     data = bytes(cdr.encode(sample.topic.type_name, sample.message))
-    return Entry(sample.topic.name, sample.stamp_ns, data)
+    return Entry(sample.topic.name, sample.topic.type_name, sample.stamp_ns, data)

@@ -15,7 +15,6 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from motord.bus.ros2.types import definition
-from motord.bus.topics import TOPICS
 from motord.snapshot import SNAPSHOT_VERSION
 
 MB = 1_000_000
@@ -28,6 +27,7 @@ class Entry:
     """One message in ROS 2's encoding. `log_ns` is wall time."""
 
     topic: str
+    type_name: str
     log_ns: int
     data: bytes
 
@@ -52,7 +52,7 @@ class Recording:
         for entry in entries:
             self._sequence += 1
             self._writer.add_message(
-                channel_id=self._channel(entry.topic),
+                channel_id=self._channel(entry.topic, entry.type_name),
                 log_time=entry.log_ns,
                 publish_time=entry.log_ns,
                 sequence=self._sequence,
@@ -60,9 +60,8 @@ class Recording:
             )
         self._file.flush()
 
-    def _channel(self, topic: str) -> int:
+    def _channel(self, topic: str, name: str) -> int:
         if topic not in self._channels:
-            name = TOPICS[topic].type_name
             number = self._writer.register_schema(name, "ros2msg", definition(name).encode())
             self._channels[topic] = self._writer.register_channel(
                 f"/{topic}", "cdr", number, {"offered_qos_profiles": ""}

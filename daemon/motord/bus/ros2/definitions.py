@@ -127,6 +127,12 @@ float64[] temperature_c
 float64[] feedback_age_s
 uint32[] drive_faults
 bool[] stale
+=== motord_msgs/msg/CoreJournal
+uint32 layout_version
+uint32 record_bytes
+uint32 checkpoint_bytes
+uint8[] checkpoints
+uint8[] records
 === motord_msgs/msg/LoopStatistics
 std_msgs/Header header
 float64 rate_hz

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord replay`: a recording through the core again, and on the buses of a robot file."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json, set_option
+
+if TYPE_CHECKING:
+    from motord.rt_replay import ReplayedCore, ReplayPage
+    from motord.tools.replay import Outcome
+
+BUS_ENDS_WITHIN_S = 5.0
+LAST_SHOWN_S = 1.0
+"""The end stays on the state page for so long: rates go down to 1 Hz."""
+
+
+@click.command
+@click.argument(
+    "recording",
+    metavar="F.mcap",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+)
+@click.option(
+    "--publish",
+    "robot_file",
+    metavar="ROBOT.toml",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Play it at its own pace to the buses of that robot file, as a daemon would.",
+)
+@set_option
+@json_option
+def replay(
+    *, recording: Path, robot_file: Path | None, overrides: tuple[str, ...], as_json: bool
+) -> None:
+    """Run the core again on what was recorded, and compare bit for bit.
+
+    Needs a recording of [publish.NAME] kind = "mcap" with journal = true. No line is opened and
+    nothing is driven. Ends with status 1 at a difference.
+
+    \b
+    Example: motord replay recordings/base-20260101T120000-000000000-all.mcap
+             motord replay fault.mcap --publish robot.toml
+    """
+    try:
+        from motord.tools.replay import ReplayError
+        from motord.tools.replay import replay as run
+    except ImportError as error:
+        raise Failure(f"{error.name} is missing: pip install 'motord[mcap]'") from error
+    try:
+        if robot_file is None:
+            outcome = run(recording)
+        else:
+            with _shown(robot_file, overrides) as player:
+                outcome = run(recording, player.show)
+    except (ReplayError, OSError) as error:
+        raise Failure(str(error), Exit.USAGE) from error
+    if as_json:
+        print_json({**asdict(outcome), "identical": outcome.identical})
+    else:
+        click.echo(_words(outcome))
+    if not outcome.identical:
+        sys.exit(Exit.FAILED)
+
+
+def _words(outcome: Outcome) -> str:
+    whole = f"{outcome.ticks} ticks, {outcome.seconds:.1f} s"
+    if outcome.gaps or outcome.skipped:
+        whole += f", {outcome.gaps} gaps, {outcome.skipped} ticks that no recorded state leads to"
+    if outcome.identical:
+        return f"{whole}: bit-identical, {outcome.checkpoints} whole states among them"
+    return f"{whole}: {outcome.differing_ticks} differ, the first at {outcome.first_difference}"
+
+
+class _Player:
+    """Shows each tick at the time that it had, beginning now."""
+
+    def __init__(self, page: ReplayPage) -> None:
+        self._page = page
+        self._shift_ns: int | None = None
+
+    def show(self, core: ReplayedCore) -> None:
+        now_ns = time.monotonic_ns()
+        if self._shift_ns is None:
+            self._shift_ns = now_ns - core.now_ns()
+        wait_ns = core.now_ns() + self._shift_ns - now_ns
+        if wait_ns > 0:
+            time.sleep(wait_ns * 1e-9)
+        core.show(self._page, self._shift_ns)
+
+
+@contextlib.contextmanager
+def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
+    """A state page in the name of that robot, and the process that brings it to the buses."""
+    from motord.page_file import PageInUse
+    from motord.rt_replay import ReplayPage
+
+    robot = load_or_exit(robot_file, overrides)
+    options = [part for option in overrides for part in ("--set", option)]
+    try:
+        page = ReplayPage(robot.robot.name)
+    except PageInUse as error:
+        raise Failure(str(error), Exit.USAGE) from error
+    # the socket does not exist: who wants to command a recording is told that nobody is there
+    nobody = page.path.with_suffix(".replay")
+    command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
+    with (
+        page,
+        subprocess.Popen(
+            [*command, "--socket", str(nobody), "--supervised"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as bus,
+    ):
+        try:
+            assert bus.stdout is not None  # it was asked for
+            if not bus.stdout.readline():
+                raise Failure("motord-bus did not start: see above")
+            yield _Player(page)
+            time.sleep(LAST_SHOWN_S)
+        finally:
+            _end(bus)
+
+
+def _end(bus: subprocess.Popen[bytes]) -> None:
+    """It ends when its standard input does."""
+    assert bus.stdin is not None  # it was asked for
+    bus.stdin.close()
+    try:
+        bus.wait(BUS_ENDS_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        bus.kill()

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording's journal, run through the core again and compared bit for bit."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from motord.rt_replay import (
+    CHECKPOINT_BYTES,
+    LAYOUT_VERSION,
+    RECORD_BYTES,
+    ReplayedCore,
+    tick_of,
+    tick_of_state,
+)
+
+TOPIC = "/core_journal"
+_FIXED = struct.Struct("<3I")
+_LENGTH = struct.Struct("<I")
+_CDR_HEADER_BYTES = 4
+_CHECKPOINTS_KEPT = 8
+_PART_BYTES_MAX = 64 << 20
+
+
+class ReplayError(Exception):
+    """The recording cannot be replayed; the text says why and what to do."""
+
+
+@dataclass
+class Outcome:
+    """What a replay found. Ticks that no recorded state leads to are skipped."""
+
+    ticks: int = 0
+    seconds: float = 0.0
+    checkpoints: int = 0
+    """States that were recorded on the way and compared whole."""
+    skipped: int = 0
+    gaps: int = 0
+    """Places where records are missing: the replay went on from the next recorded state."""
+    differing_ticks: int = 0
+    first_difference: str | None = None
+
+    @property
+    def identical(self) -> bool:
+        """Everything that could be compared is the same, bit for bit."""
+        return self.ticks > 0 and self.differing_ticks == 0
+
+
+Watch = Callable[[ReplayedCore], None]
+
+
+def replay(path: Path, watch: Watch = lambda _: None) -> Outcome:
+    """Step the core through the recording; `watch` is called after each tick. Raises ReplayError,
+    OSError."""
+    run = _Run(watch)
+    for checkpoints, records in _messages(path):
+        for checkpoint in checkpoints:
+            run.note(checkpoint)
+        for record in records:
+            run.take(record)
+    if not run.outcome.ticks:
+        raise ReplayError(f"{path}: no journal of the core in it: record with journal = true")
+    return run.outcome
+
+
+class _Run:
+    def __init__(self, watch: Watch) -> None:
+        self.outcome = Outcome()
+        self._core = ReplayedCore()
+        self._watch = watch
+        self._states: dict[int, bytes] = {}
+        """The newest recorded states, by the tick after which they were."""
+
+    def note(self, checkpoint: bytes) -> None:
+        self._states[tick_of_state(checkpoint)] = checkpoint
+        while len(self._states) > _CHECKPOINTS_KEPT:
+            del self._states[next(iter(self._states))]
+
+    def take(self, record: bytes) -> None:
+        before = tick_of(record) - 1
+        state = self._states.pop(before, None)
+        if self._core.known and self._core.tick == before:
+            if state is not None:
+                self._compare(state)
+        elif state is not None:
+            self.outcome.gaps += self._core.known
+            self._core.load(state)
+        else:
+            self.outcome.skipped += 1
+            return
+        self._step(record)
+
+    def _step(self, record: bytes) -> None:
+        began_ns = self._core.now_ns()
+        differs = self._core.step(record)
+        outcome = self.outcome
+        if outcome.ticks > 0 and self._core.now_ns() > began_ns:
+            outcome.seconds += (self._core.now_ns() - began_ns) * 1e-9
+        outcome.ticks += 1
+        if differs:
+            self._differ(", ".join(differs))
+        self._watch(self._core)
+
+    def _compare(self, state: bytes) -> None:
+        self.outcome.checkpoints += 1
+        if not self._core.is_at(state):
+            self._differ("the core's state")
+            self._core.load(state)
+
+    def _differ(self, what: str) -> None:
+        self.outcome.differing_ticks += 1
+        if self.outcome.first_difference is None:
+            self.outcome.first_difference = f"tick {self._core.tick}: {what}"
+
+
+def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:
+    """States and records, message by message."""
+    try:
+        with path.open("rb") as file:
+            for _, _, message in make_reader(file).iter_messages(topics=[TOPIC]):
+                yield _parsed(path, message.data)
+    except McapError as error:
+        raise ReplayError(
+            f"{path} is no whole MCAP file ({error}): mcap recover mends it"
+        ) from error
+
+
+def _parsed(path: Path, data: bytes) -> tuple[list[bytes], list[bytes]]:
+    try:
+        layout = _FIXED.unpack_from(data, _CDR_HEADER_BYTES)
+        if layout != (LAYOUT_VERSION, RECORD_BYTES, CHECKPOINT_BYTES):
+            raise ReplayError(
+                f"{path} was recorded by another version of motord: replay it with that"
+            )
+        at = _CDR_HEADER_BYTES + _FIXED.size
+        states, at = _part(data, at)
+        records, _ = _part(data, at + -at % 4)
+        if len(states) % CHECKPOINT_BYTES or len(records) % RECORD_BYTES:
+            raise ValueError("a part of a record")
+    except (struct.error, ValueError, zstandard.ZstdError) as error:
+        raise ReplayError(f"{path}: a damaged message of {TOPIC}: {error}") from error
+    return _cut(states, CHECKPOINT_BYTES), _cut(records, RECORD_BYTES)
+
+
+def _part(data: bytes, at: int) -> tuple[bytes, int]:
+    length = _LENGTH.unpack_from(data, at)[0]
+    at += _LENGTH.size
+    packed = data[at : at + length]
+    if len(packed) != length:
+        raise ValueError("it ends early")
+    unpacked = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_PART_BYTES_MAX)
+    return unpacked, at + length
+
+
+def _cut(data: bytes, size: int) -> list[bytes]:
+    return [data[at : at + size] for at in range(0, len(data), size)]

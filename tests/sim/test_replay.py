@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A drive of a whole daemon, recorded and run through the core again."""
+
+import json
+import struct
+import subprocess
+import sys
+
+import pytest
+import zstandard
+from daemon_stage import ROBOT, ROOT, running, set_off, wait_until
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros2.decoder import DecoderFactory
+
+JOURNAL = "/core_journal"
+
+
+def settings(folder):
+    return (
+        "publish.tape.kind=mcap",
+        f"publish.tape.folder={json.dumps(str(folder))}",
+        "publish.tape.journal=true",
+        "publish.tape.rate_hz=20",
+        "publish.tape.free_min_mb=0",
+    )
+
+
+def command(*words, status=0):
+    done = subprocess.run(
+        [sys.executable, "-m", "motord", "replay", *map(str, words)],
+        capture_output=True, text=True, timeout=120, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == status, done.stderr + done.stdout
+    return done
+
+
+def outcome(*words, status=0):
+    return json.loads(command("--json", *words, status=status).stdout)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A robot that has driven, turned, lost its command, and had an emergency stop."""
+    folder = tmp_path_factory.mktemp("tape")
+    with running(folder, *settings(folder / "files")) as stage:
+        stage.wait_for("idle")
+        wait_until(lambda: list((folder / "files").glob("*.mcap")), "a recording")
+        set_off(stage)
+        stage.robot.drive(0.2, 0.8)
+        wait_until(lambda: stage.state() == "armed", "the command has lapsed, and it rests")
+        set_off(stage)
+        stage.robot.estop()
+        wait_until(lambda: stage.sim.truth().at_rest, "rest")
+        assert stage.end() == 0
+    (path,) = (folder / "files").glob("*.mcap")
+    return path
+
+
+def odometry(path):
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [
+            (one.pose.pose.position.x, one.pose.pose.position.y)
+            for *_, one in reader.iter_decoded_messages(topics=["/odom"])
+        ]
+
+
+def rewritten(path, target, change):
+    """A copy in which `change(number, data)` made each journal message anew; None leaves it out."""
+    with path.open("rb") as file, target.open("wb") as sink:
+        writer = Writer(sink)
+        writer.start(profile="ros2", library="test")
+        channel, messages = None, make_reader(file).iter_messages(topics=[JOURNAL])
+        for number, (schema, of, message) in enumerate(messages):
+            if channel is None:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channel = writer.register_channel(of.topic, of.message_encoding, known)
+            data = change(number, message.data)
+            if data is not None:
+                writer.add_message(channel, message.log_time, data, message.publish_time)
+        writer.finish()
+    return target
+
+
+def with_records(data, change):
+    """The message with other records: they lie behind the checkpoints."""
+    at = 16 + 4 + struct.unpack_from("<I", data, 16)[0]
+    at += -at % 4
+    length = struct.unpack_from("<I", data, at)[0]
+    records = zstandard.ZstdDecompressor().decompress(data[at + 4 : at + 4 + length])
+    packed = zstandard.ZstdCompressor().compress(change(records))
+    return data[:at] + struct.pack("<I", len(packed)) + packed
+
+
+def test_a_recorded_drive_is_bit_identical_when_it_is_run_again(recording):
+    found = outcome(recording)
+    assert found["identical"]
+    assert (found["gaps"], found["skipped"], found["differing_ticks"]) == (0, 0, 0)
+    assert found["ticks"] > 1000
+    assert found["checkpoints"] >= 1
+    assert "bit-identical" in command(recording).stdout
+
+
+def test_a_bit_of_the_input_that_is_another_one_is_found(recording, tmp_path):
+    record_bytes = []
+
+    def flip(number, data):
+        if number != 5:
+            return data
+        record_bytes.append(struct.unpack_from("<I", data, 8)[0])
+        size = record_bytes[0]
+        # the time between two ticks, in the second record's second word
+        return with_records(
+            data, lambda raw: raw[: size + 14] + bytes((raw[size + 14] ^ 1,)) + raw[size + 15 :]
+        )
+
+    other = rewritten(recording, tmp_path / "other.mcap", flip)
+    found = outcome(other, status=1)
+    assert not found["identical"]
+    assert found["differing_ticks"] >= 1
+    assert found["first_difference"].startswith("tick ")
+
+
+def test_records_that_are_missing_cost_a_gap_and_the_rest_is_compared(recording, tmp_path):
+    holes = rewritten(recording, tmp_path / "h.mcap", lambda n, data: None if n == 3 else data)
+    found = outcome(holes)
+    assert found["identical"]
+    assert found["gaps"] == 1
+    assert 0 < found["skipped"] <= 1024
+
+
+def test_a_damaged_message_is_said(recording, tmp_path):
+    short = rewritten(recording, tmp_path / "s.mcap", lambda n, d: d[:-9] if n == 2 else d)
+    assert "damaged" in command(short, status=2).stderr
+
+
+def test_what_is_no_recording_or_has_no_journal_is_said(recording, tmp_path):
+    (tmp_path / "no.mcap").write_bytes(b"nothing of that kind" * 9)
+    assert "no whole MCAP file" in command(tmp_path / "no.mcap", status=2).stderr
+    empty = rewritten(recording, tmp_path / "e.mcap", lambda *_: None)
+    assert "journal = true" in command(empty, status=2).stderr
+
+
+def test_a_replay_is_played_to_the_buses_of_a_robot_file(recording, tmp_path):
+    again = tmp_path / "again"
+    name = f"robot.name={tmp_path.name.replace('_', '-')}"
+    overrides = [part for one in (name, *settings(again)) for part in ("--set", one)]
+    assert outcome(recording, "--publish", ROBOT, *overrides)["identical"]
+    (path,) = again.glob("*.mcap")
+    was, now = odometry(recording), odometry(path)
+    assert now[-1] == pytest.approx(was[-1], abs=0.005)
+    assert len(now) > len(was) / 2
+
+
+def test_a_robot_that_runs_is_not_played_over(recording, tmp_path):
+    with running(tmp_path) as stage:
+        name = stage.robot.status()["robot"]
+        said = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=2)
+        assert "living daemon" in said.stderr
+        assert stage.end() == 0
