@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with an EDS file: objects are checked against it before anything is on the wire."""
+"""Drive profiles with an EDS file: objects are checked against it before the wire is."""
 
 import re
 import tomllib
