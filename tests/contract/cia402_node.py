@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CiA 402 drive made of canopen's LocalNode: its SDO server, NMT slave and heartbeat are that
-project's. PDOs go as they were mapped in its object dictionary, and in no other way."""
+project's. PDOs go as they were mapped in its object dictionary, and in no other way: by event, or
+by SYNC where their transmission type says so."""
 
 from __future__ import annotations
 
 import threading
+from functools import partial
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
@@ -24,17 +26,21 @@ VARIABLES = {
     0x6079: (U32, 36500, "ro"), 0x60FF: (I32, 0, "rww"),
 }  # fmt: skip
 
+PDO_IDENTIFIERS = {0x1400: 0x200, 0x1401: 0x300, 0x1800: 0x180, 0x1801: 0x280}
+SYNCHRONOUS_MAX = 240
+
 
 def dictionary(node):
     """As a drive leaves the factory: PDOs at their default identifiers, mapped to nothing."""
     od = canopen.ObjectDictionary()
     for index, (kind, default, access) in VARIABLES.items():
         od.add_object(_variable(f"o{index:04X}", index, 0, kind, default, access))
-    for index, identifier in ((0x1400, 0x200), (0x1800, 0x180), (0x1801, 0x280)):
+    for index, identifier in PDO_IDENTIFIERS.items():
         entries = {0: (U8, 5), 1: (U32, identifier + node), 2: (U8, 1), 3: (U16, 0), 5: (U16, 0)}
         od.add_object(_record(index, entries))
-    for index in (0x1600, 0x1A00, 0x1A01):
+    for index in (0x1600, 0x1601, 0x1A00, 0x1A01):
         od.add_object(_record(index, {0: (U8, 0)} | dict.fromkeys(range(1, 9), (U32, 0))))
+    od.add_object(_record(0x60C2, {0: (U8, 2), 1: (U8, 1), 2: (I8, -3)}))
     return od
 
 
@@ -60,13 +66,17 @@ class Cia402Node:
         self.error_code = 0
         self.position, self.velocity = 0, 0
         self.stuck = False
+        self.syncs, self.waiting = 0, {}
         _, group, port = address.split(":")
         self.network = canopen.Network()
         self.network.connect(interface="udp_multicast", channel=group, port=int(port))
         self.node = canopen.LocalNode(node, dictionary(node))
         self.network.add_node(self.node)
         self.node.add_write_callback(self._written)
-        self.network.subscribe(0x200 + node, self._rpdo)
+        for communication in (0x1400, 0x1401):
+            identifier = PDO_IDENTIFIERS[communication] + node
+            self.network.subscribe(identifier, partial(self._rpdo, communication))
+        self.network.subscribe(0x080, self._sync)
         self._stopped = threading.Event()
         self._sender = threading.Thread(target=self._send_pdos)
         self._sender.start()
@@ -83,6 +93,7 @@ class Cia402Node:
         self.node.data_store.clear()
         self.node.nmt.state = "PRE-OPERATIONAL"
         self.status = SWITCH_ON_DISABLED
+        self.waiting.clear()
 
     def get(self, index, sub=0):
         variable = self.node.object_dictionary.get_variable(index, sub)
@@ -105,12 +116,26 @@ class Cia402Node:
     def operational(self):
         return self.node.nmt.state == "OPERATIONAL"
 
-    def _rpdo(self, identifier, data, stamp_s):
-        valid = not self.get(0x1400, 1) & 0x80000000
-        if not self.operational or not valid or self.get(0x1400, 1) != identifier:
+    def _rpdo(self, communication, identifier, data, stamp_s):
+        if not self.operational or self.get(communication, 1) != identifier:
             return
+        if self.get(communication, 2) <= SYNCHRONOUS_MAX:
+            self.waiting[communication] = data
+        else:
+            self._obey(communication, data)
+
+    def _sync(self, identifier, data, stamp_s):
+        if not self.operational:
+            return
+        self.syncs += 1
+        while self.waiting:
+            self._obey(*self.waiting.popitem())
+        self._measure()
+        self._send_mapped(by_sync=True)
+
+    def _obey(self, communication, data):
         at, whole = 0, int.from_bytes(data, "little")
-        for index, bits in self._mapping(0x1600):
+        for index, bits in self._mapping(communication + 0x200):
             raw = whole >> at & (1 << bits) - 1
             at += bits
             if index == 0x6040:
@@ -146,15 +171,23 @@ class Cia402Node:
 
     def _send_pdos(self):
         while not self._stopped.wait(0.01):
-            self.put(0x6041, self.status)
-            self.put(0x603F, self.error_code)
-            self.put(0x606C, self.velocity)
-            self.put(0x6064, self.position)
-            for communication, mapping in ((0x1800, 0x1A00), (0x1801, 0x1A01)):
-                identifier = self.get(communication, 1)
-                ready = self.operational and not identifier & 0x80000000
-                if ready and self.get(communication, 5) and self.get(mapping, 0):
-                    self.network.send_message(identifier & 0x7FF, self._packed(mapping))
+            self._measure()
+            self._send_mapped(by_sync=False)
+
+    def _measure(self):
+        self.put(0x6041, self.status)
+        self.put(0x603F, self.error_code)
+        self.put(0x606C, self.velocity)
+        self.put(0x6064, self.position)
+
+    def _send_mapped(self, *, by_sync):
+        for communication, mapping in ((0x1800, 0x1A00), (0x1801, 0x1A01)):
+            identifier = self.get(communication, 1)
+            synchronous = self.get(communication, 2) <= SYNCHRONOUS_MAX
+            due = by_sync if synchronous else not by_sync and self.get(communication, 5)
+            valid = self.operational and not identifier & 0x80000000
+            if valid and due and self.get(mapping, 0):
+                self.network.send_message(identifier & 0x7FF, self._packed(mapping))
 
     def _packed(self, mapping):
         whole, at = 0, 0

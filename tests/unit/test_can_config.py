@@ -8,6 +8,8 @@ from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.can.codec import build, parse
+from motord_hal.drives.can_profile import signals_of
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import HalError, ProfileError
 from motord_hal.lines import open_line
@@ -15,6 +17,7 @@ from motord_hal.paths import config_dir
 from motord_hal.rt import Exchange
 
 ODRIVE = (config_dir() / "drives" / "odrive-0.5.toml").read_text(encoding="utf-8")
+CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"
 
 
@@ -43,7 +46,7 @@ def problems(tmp_path, right, wrong, count=1):
         ("bitrate = 250000", "bitrate = 9", "can.bitrate: 9 is out of range"),
         ('type = "u32"', 'type = "u64"', '"u64" is none of'),
         ('unit = "turn"', 'unit = "v"', "must be"),
-        ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "whole numbers, each 0 to 255"),
+        ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "whole numbers, each -1 to 255"),
         ('protocol = "can"', 'protocol = "can"\n[serial]\nunit = 1', "serial: unknown key"),
     ],
 )
@@ -122,3 +125,80 @@ def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
     changed = type(spec)(**{**{f: getattr(spec, f) for f in spec.__slots__}, "joints": joints})
     with pytest.raises(HalError, match="no drive on a CAN bus"):
         open_line(changed, Exchange.private(), lambda event: None)
+
+
+def test_a_cycle_that_a_synchronous_drive_cannot_be_told_is_said_with_its_line():
+    csv = ("joint.left.drive=cia402-csv", "joint.right.drive=cia402-csv")
+    load_robot(CIA402, csv)
+    with pytest.raises(ConfigError) as error:
+        load_robot(CIA402, (*csv, "line.can0.cycle_hz=30"))
+    said = "cycle_hz: cia402-csv: interpolation_time cannot say the line's cycle, 33.33 ms"
+    assert said in "\n".join(map(str, error.value.problems))
+
+
+CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('sync = "sync"', 'sync = "rpdo_1"', '"rpdo_1" must be sent by motord, with addressed'),
+        ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
+        ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
+        ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
+    ],
+)
+def test_a_mistake_about_sync_is_said(tmp_path, right, wrong, said):
+    assert right in CSV
+    path = tmp_path / "cia402-csv.toml"
+    path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        load_profile(path)
+    assert said in str(error.value)
+
+
+MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('answers = "command"', 'answers = "reply"', '"reply" is no frame that motord sends'),
+        ('ask = "query"', 'ask = "queri"', 'did you mean "query"?'),
+        ('reply = "reply"', 'reply = "query"', "is the drive's frame for a signal"),
+        ("start_bit = 120", "start_bit = 100", "overlaps"),
+        ("bytes = 48", "bytes = 16", "watchdog reaches beyond the 16 bytes"),
+        ("0x21, 0x00, -1,", "0x21, 0x00, -2,", "whole numbers, each -1 to 255"),
+        ("node_shift = 8", "node_shift = 24", "with node 127 it is beyond 0x1fffffff"),
+    ],
+)
+def test_a_mistake_about_frames_that_answer_is_said(tmp_path, right, wrong, said):
+    assert right in MOTEUS
+    path = tmp_path / "moteus.toml"
+    path.write_text(MOTEUS.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        load_profile(path)
+    assert said in str(error.value)
+
+
+def test_a_reply_is_known_by_every_byte_that_is_not_a_signal():
+    profile = find_profile("moteus")
+    reply, signals = profile.can.frames["reply"], signals_of(profile.registers, "reply")
+    data = bytearray(build(reply, signals, {"mode_shown": 10, "fault": 33}))
+    assert parse(reply, signals, bytes(data))["fault"] == 33
+    for at, byte in enumerate(reply.begins):
+        other = bytearray(data)
+        other[at] ^= 0xFF
+        assert (parse(reply, signals, bytes(other)) is None) == (at not in reply.open_at), byte
+
+
+def test_a_short_identifier_goes_with_11_bits_where_the_drive_sends_it_so():
+    reply = find_profile("moteus").can.frames["reply"]
+    assert [reply.is_extended(node) for node in (1, 7, 8, 127)] == [False, False, True, True]
+    assert reply.identifier(8) == 0x800
+
+
+def test_a_bus_of_classic_frames_is_no_bus_for_a_drive_that_speaks_can_fd():
+    moteus = ("joint.left.drive=moteus", "joint.right.drive=moteus")
+    load_robot(ROBOT, (*moteus, "line.can0.data_bitrate=5000000"))
+    assert 'is missing: drive "moteus" speaks CAN FD' in wrong(*moteus)

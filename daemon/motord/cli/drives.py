@@ -171,5 +171,7 @@ def _register(register: Register) -> str:
     ]
     text = f"  {register.address:#06x}  {register.name}: {register.type.value} {register.access}"
     if si_unit:
-        text += f", 1 is {register.to_si(1):.4g} {si_unit}"
+        zero = register.to_si(0)  # not 0 where the drive counts from elsewhere
+        text += f", 1 is {register.to_si(1) - zero:.4g} {si_unit}"
+        text += f" above {zero:.4g}" if zero else ""
     return ", ".join([text, *ends])

@@ -12,7 +12,8 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
-from motord_hal.can.plan import CanPlan
+from motord_hal.can.plan import CanPlan, with_cycle
+from motord_hal.errors import ProfileError
 from motord_hal.ports import JointSpec, LineSpec
 
 LOAD_MAX = 1.0
@@ -85,6 +86,18 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 yield Finding((path, on), f"{text} (at least {2 * period_s:.3g} s)")
 
 
+def _cycles(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """A drive that interpolates between set-points is told how far apart they are."""
+    for name, joint in robot.joint.items():
+        line, profile = robot.line[joint.line], profiles[joint.drive]
+        if not isinstance(line, CanLine):
+            continue
+        try:
+            with_cycle(profile, 1.0 / line.cycle_hz)
+        except ProfileError as error:
+            yield Finding((("line", joint.line, "cycle_hz"), ("joint", name, "drive")), str(error))
+
+
 def _frames(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         line, table = robot.line[joint.line], profiles[joint.drive].can
@@ -109,6 +122,7 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 CAN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _load,
     _times,
+    _cycles,
     _frames,
     _counts,
 )

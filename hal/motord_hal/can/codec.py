@@ -34,7 +34,7 @@ def build(frame: Frame, signals: tuple[Signal, ...], raw: Mapping[str, int]) -> 
 
 def parse(frame: Frame, signals: tuple[Signal, ...], data: bytes) -> dict[str, int] | None:
     """Signal → raw; None: it is another frame, or one that was cut short."""
-    if len(data) < frame.size_bytes or not data.startswith(frame.begins):
+    if not frame.matches(data):
         return None
     whole = data[: frame.size_bytes]
     return {signal.name: signal.extract(whole) for signal in signals}

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from motord_hal.can.job_step import StepRunner, merged_writes
-from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted
+from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted, with_cycle
 from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
@@ -67,7 +67,7 @@ class CanDrive:
         self._exchange = exchange
         self._cycle_s = 1.0 / cycle_hz
         self._watchdog_s = watchdog_s
-        self._setup = configure_steps(plan.profile, watchdog_s)
+        self._setup = configure_steps(with_cycle(plan.profile, self._cycle_s), watchdog_s)
         self._say = say
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._set_up_backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
@@ -227,7 +227,7 @@ class CanDrive:
         elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
-        for frame in (self.plan.hello,) if self.plan.hello else self.plan.asked_fast:
+        for frame in (self.plan.hello,) if self.plan.hello else self.plan.probed:
             self._ask(frame)
 
     # ----------------------------------------------------------------------------- the cyclic part
@@ -277,6 +277,8 @@ class CanDrive:
 
     def _ask(self, frame: Frame) -> bool:
         question = self.plan.question(frame)
+        if question == self.plan.sync:  # it goes to all drives: the line sends it, in its time
+            return False
         return question is not None and self._send(question)
 
     # ---------------------------------------------------------------------------- the acyclic part

@@ -59,6 +59,7 @@ class CanLine:
         self._listener = listener
         plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
         identifiers = [one for plan in plans for one in plan.identifiers]
+        self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
         self._bus = CanBus(
             spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame
         )
@@ -195,11 +196,17 @@ class CanLine:
             self._obey_setpoints()
             for drive in self._drives:
                 drive.cycle(self._wanted(drive))
+            self._synchronise()
             if now_s() > opened_s + STEADY_S:
                 self._backoff.reset()
             due_s = max(due_s + period_s, now_s())
             await self._wait_for_cycle(due_s)
             due_s = min(due_s, now_s())
+
+    def _synchronise(self) -> None:
+        """The drives do now, all at once, what they were told in this cycle. Raises PortError."""
+        for sync in self._syncs:
+            self._bus.send(sync)
 
     async def _wait_for_cycle(self, due_s: float) -> None:
         """A stop does not wait for the next cycle of a slow line. Always gives the event loop a
@@ -256,6 +263,7 @@ class CanLine:
                 while stopping and now_s() < stopping_by_s:
                     for drive in stopping:
                         drive.cycle({})
+                    self._synchronise()
                     await asyncio.sleep(STOPPING_CYCLE_S)
                     stopping = [drive for drive in stopping if drive.is_stopping]
                 for drive in self._drives:

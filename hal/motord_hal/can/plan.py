@@ -17,6 +17,10 @@ from motord_hal.ports import JointSpec
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
 
+CYCLE_TOLERANCE = 0.001
+"""A drive that is told its cycle interpolates over it: one that is off by more drifts by a whole
+cycle in less than a thousand."""
+
 Wanted = Mapping[int, tuple[float, float]]
 """Joint index → (wheel rad/s, duty); empty: everything zero."""
 
@@ -66,6 +70,22 @@ def with_node(profile: DriveProfile, node: int) -> DriveProfile:
     )
 
 
+def with_cycle(profile: DriveProfile, cycle_s: float) -> DriveProfile:
+    """The profile as it is on a line with this cycle. Raises ProfileError."""
+
+    def own(step: Step) -> Step:
+        if not step.cycle:
+            return step
+        register = profile.registers[step.register]
+        raw = register.from_si(cycle_s)
+        if abs(register.to_si(raw) - cycle_s) > CYCLE_TOLERANCE * cycle_s:
+            problem = f"{step.register} cannot say the line's cycle, {cycle_s * 1e3:.4g} ms"
+            raise ProfileError(f"{profile.name}: {problem}: choose another cycle_hz")
+        return replace(step, value=raw, cycle=False)
+
+    return replace(profile, configure=tuple(own(step) for step in profile.configure))
+
+
 class CanPlan:
     """One node with one or more joints on its channels."""
 
@@ -102,13 +122,24 @@ class CanPlan:
         )
         """What goes out with the set-points, as it was written last: a control word."""
         self.hello = self.read_frame_of(self.table.hello) if self.table.hello else None
+        sync = self.table.frames.get(self.table.sync)
+        self.sync = self.write(sync, {}) if sync else None
+        """What the line sends once a cycle, for all its drives."""
         self.measuring = self._frames_of(self._measuring_names())
         """What odometry is made of."""
-        self.asked_fast = tuple(frame for frame in self.fast if not frame.period_s)
-        self.asked_slow = tuple(frame for frame in self.slow if frame.ask and not frame.period_s)
+        self.probed = tuple(frame for frame in self.fast if not frame.period_s)
+        """Asked for when the drive is not heard."""
+        told = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
+        self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in told)
+        """Asked for in every cycle: what does not answer the set-points."""
+        self.asked_slow = tuple(
+            frame
+            for frame in self.slow
+            if frame.ask and not frame.period_s and frame.answers not in told
+        )
         self._by_identifier: dict[tuple[int, bool], list[Frame]] = {}
         for frame in self.table.frames_from(Sender.DRIVE):
-            key = (frame.identifier(self.node), frame.extended)
+            key = (frame.identifier(self.node), frame.is_extended(self.node))
             self._by_identifier.setdefault(key, []).append(frame)
 
     # ------------------------------------------------------------------------------------ building
@@ -165,15 +196,15 @@ class CanPlan:
         data = build(frame, self._signals[frame.name], raw)
         if frame.node_byte is not None:
             data = data[: frame.node_byte] + bytes((self.node,)) + data[frame.node_byte + 1 :]
-        return Sent(frame.identifier(self.node), frame.extended, frame.fd, data)
+        identifier = frame.identifier(self.node)
+        return Sent(identifier, frame.is_extended(self.node), frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:
         """What asks for a frame; None: nothing does."""
         if frame.ask == "rtr":
             identifier = frame.identifier(self.node)
-            return Sent(
-                identifier, frame.extended, fd=False, data=b"", remote_bytes=frame.size_bytes
-            )
+            extended, size_bytes = frame.is_extended(self.node), frame.size_bytes
+            return Sent(identifier, extended, fd=False, data=b"", remote_bytes=size_bytes)
         return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
@@ -255,7 +286,9 @@ class CanPlan:
 
         cycle_s = sum(time_s(frame) for frame in self.setpoint_frames)
         names = [frame.name for frame in self.setpoint_frames]
-        answers = [frame for frame in self.table.frames.values() if frame.ask in names]
+        answers = [
+            frame for frame in self.table.frames.values() if {frame.ask, frame.answers} & {*names}
+        ]
         cycle_s += sum(time_s(frame) for frame in answers)
         cycle_s += sum(asked_s(frame) for frame in self.asked_fast)
         if self.asked_slow:

@@ -5,11 +5,18 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.can_profile import (
+    STANDARD_ID_MAX,
+    CanTable,
+    Frame,
+    Sender,
+    Signal,
+    signals_of,
+)
+from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.drives.toml_table import Problems, did_you_mean
 
-_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+_EXTENDED_MAX = 0x1FFF_FFFF
 
 
 def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
@@ -24,39 +31,61 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
     for signal in profile.registers.values():
         if isinstance(signal, Signal) and signal.frame:
             _check_signal(table.frames[signal.frame], signal, problems)
+            _check_reply(table, signal, problems)
     for name in table.frames:
         _check_overlaps(name, signals_of(profile.registers, name), problems)
     if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
         problems.add("can.hello", f'"{table.hello}" is no signal that can be read')
+    sync = table.frames.get(table.sync)
+    if sync and (sync.sender is not Sender.MOTORD or sync.addressed):
+        problems.add("can.sync", f'"{sync.name}" must be sent by motord, with addressed = false')
+    for channel in profile.channels.values():
+        _check_rest(profile.registers.get(channel.setpoint), problems)
     _check_presence(profile, table, problems)
 
 
+def _check_rest(setpoint: Register | None, problems: Problems) -> None:
+    """Raw 0 of a set-point is rest, and so is what stands in its place when it is not said."""
+    if isinstance(setpoint, Signal) and (setpoint.offset or setpoint.default):
+        problems.add(f"signal.{setpoint.name}", "is a set-point: its offset and default must be 0")
+
+
 def _same_beginning(one: Frame, other: Frame) -> bool:
-    common = min(len(one.begins), len(other.begins))
-    return one.begins[:common] == other.begins[:common]
+    """No byte tells them apart."""
+    pairs = enumerate(zip(one.begins, other.begins, strict=False))
+    return not any(
+        mine != theirs and at not in one.open_at | other.open_at for at, (mine, theirs) in pairs
+    )
 
 
 def _check_frame(table: CanTable, frame: Frame, problems: Problems) -> None:
     key = f"frame.{frame.name}"
-    most = _EXTENDED_MAX if frame.extended else _STANDARD_MAX
+    most = _EXTENDED_MAX if frame.extended else STANDARD_ID_MAX
     if frame.identifier(table.node_max) > most:
         problems.add(f"{key}.id", f"with node {table.node_max} it is beyond {most:#x}")
     if len(frame.begins) > frame.size_bytes:
         problems.add(f"{key}.begins", f"is longer than the frame ({frame.size_bytes} bytes)")
     if frame.sender is Sender.MOTORD:
-        for name in ("ask", "period_s", "silence_s"):
+        for name in ("ask", "answers", "period_s", "silence_s"):
             if getattr(frame, name):
                 problems.add(f"{key}.{name}", "is only for frames of the drive")
         return
+    if frame.answers:
+        _check_asking(table, frame, "answers", frame.answers, problems)
     if frame.ask and frame.ask != "rtr":
-        asking = table.frames.get(frame.ask)
-        if asking is None or asking.sender is not Sender.MOTORD:
-            hint = did_you_mean(frame.ask, table.frames)
-            problems.add(f"{key}.ask", f'"{frame.ask}" is no frame that motord sends{hint}')
+        _check_asking(table, frame, "ask", frame.ask, problems)
     if frame.ask == "rtr" and frame.fd:
         problems.add(f"{key}.ask", "CAN FD has no remote frames (ISO 11898-1, 8.4.2.5)")
     if frame.silence_s and frame.silence_s < 2 * frame.period_s:
         problems.add(f"{key}.silence_s", "is shorter than two periods: one lost frame would do")
+
+
+def _check_asking(table: CanTable, frame: Frame, key: str, name: str, problems: Problems) -> None:
+    asking = table.frames.get(name)
+    if asking is None or asking.sender is not Sender.MOTORD:
+        hint = did_you_mean(name, table.frames)
+        problem = f'"{name}" is no frame that motord sends{hint}'
+        problems.add(f"frame.{frame.name}.{key}", problem)
 
 
 def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
@@ -67,6 +96,8 @@ def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
         )
     if signal.scale == 0:
         problems.add(f"{key}.scale", "must not be zero")
+    if signal.offset and signal.unit == "count":
+        problems.add(f"{key}.offset", "is not for a counter, which is read as it stands")
     if signal.is_float and signal.length != 32:
         problems.add(f"{key}.length", "a floating-point number has 32 bits")
     low, high = signal.raw_range
@@ -75,6 +106,18 @@ def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
     least, most = signal.minimum, signal.maximum
     if least is not None and most is not None and least > most:
         problems.add(f"{key}.minimum", "is above maximum")
+
+
+def _check_reply(table: CanTable, signal: Signal, problems: Problems) -> None:
+    """A signal that is written and read stands at one place in both frames."""
+    reply = table.frames.get(signal.reply_frame)
+    if reply is None:
+        return
+    key = f"signal.{signal.name}.reply"
+    if reply.sender is not Sender.DRIVE or table.frames[signal.frame].sender is Sender.DRIVE:
+        problems.add(key, "is the drive's frame for a signal that motord sends")
+    if signal.start_bit + signal.length > 8 * reply.size_bytes:
+        problems.add(key, f"{signal.name} reaches beyond the {reply.size_bytes} bytes of it")
 
 
 def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems) -> None:

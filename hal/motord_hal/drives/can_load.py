@@ -6,16 +6,17 @@ from __future__ import annotations
 
 import re
 
-from motord_hal.drives.can_profile import SIZES_FD, CanTable, Frame, Sender, Signal
+from motord_hal.drives.can_profile import SIZES_FD, STANDARD_ID_MAX, CanTable, Frame, Sender, Signal
 from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 from motord_hal.drives.toml_table import Table
 
-STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
 NODE_MAX = 255
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TYPES = ("u8", "i8", "u16", "i16", "u32", "i32", "f32")
 _BOUND = 1e12
+_ANY_BYTE = -1
+"""Of `begins`: whatever stands there."""
 
 
 def read_table(can: Table, frames: Table) -> CanTable:
@@ -36,10 +37,14 @@ def read_table(can: Table, frames: Table) -> CanTable:
         node_max=can.integer("node_max", 0, NODE_MAX),
         idle_setpoints=can.flag("idle_setpoints", default=True),
         hello=can.text("hello") if "hello" in can else "",
+        sync=can.text("sync", choices=list(found)) if "sync" in can else "",
     )
 
 
 def _frame(name: str, table: Table, shift: int, *, extended: bool, fd: bool) -> Frame:
+    extended = table.flag("extended", default=extended)
+    fd = table.flag("fd", default=fd)
+    begins = table.integers("begins", _ANY_BYTE, 0xFF)
     frame = Frame(
         name=name,
         base=table.integer("id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX),
@@ -48,12 +53,15 @@ def _frame(name: str, table: Table, shift: int, *, extended: bool, fd: bool) -> 
         fd=fd,
         size_bytes=table.one_of("bytes", SIZES_FD if fd else SIZES_FD[:9]),
         sender=Sender(table.text("sender", choices=[one.value for one in Sender]) or "drive"),
-        begins=bytes(table.integers("begins", 0, 0xFF)),
+        begins=bytes(max(byte, 0) for byte in begins),
+        open_at=frozenset(at for at, byte in enumerate(begins) if byte < 0),
         ask=table.text("ask") if "ask" in table else "",
         period_s=table.number("period_s", 0.0005, 60.0, unit="s") if "period_s" in table else 0.0,
         silence_s=table.number("silence_s", 0.001, 60.0, unit="s") if "silence_s" in table else 0.0,
         source=table.text("source"),
         addressed=table.flag("addressed", default=True),
+        short=table.flag("short", default=False),
+        answers=table.text("answers") if "answers" in table else "",
         node_byte=table.integer("node_byte", 0, 63) if "node_byte" in table else None,
     )
     table.finish()
@@ -75,6 +83,8 @@ def read_signals(parent: Table, frames: dict[str, Frame], pole_pairs: int) -> di
 def _signal(name: str, table: Table, frames: dict[str, Frame], pole_pairs: int) -> Signal:
     kind = RegisterType(table.text("type", choices=_TYPES) or "u8")
     frame = frames.get(table.text("frame", choices=list(frames)))
+    reply = table.text("reply", choices=list(frames)) if "reply" in table else ""
+    access = "r" if frame and frame.sender is Sender.DRIVE else "rw" if reply else "w"
     unit = table.text("unit", "", choices=(*SI_UNITS, "erpm"))
     electrical = unit == "erpm"
     if electrical and not pole_pairs:
@@ -88,12 +98,14 @@ def _signal(name: str, table: Table, frames: dict[str, Frame], pole_pairs: int) 
         type=kind,
         scale=table.number("scale", -_BOUND, _BOUND, 1.0) / per,
         unit="rpm" if electrical else unit,
-        access="r" if frame and frame.sender is Sender.DRIVE else "w",
+        access=access,
+        offset=table.number("offset", -_BOUND, _BOUND, 0.0) / per,
         minimum=None if minimum is None else minimum / per,
         maximum=None if maximum is None else maximum / per,
         source=table.text("source"),
         default=table.integer("default", -(1 << 31), (1 << 32) - 1, 0),
         frame=frame.name if frame else "",
+        reply_frame=reply,
         start_bit=table.integer("start_bit", 0, 511),
         length=table.integer("length", 1, kind.bits, kind.bits),
         big_endian=table.text("byte_order", "little", choices=("little", "big")) == "big",

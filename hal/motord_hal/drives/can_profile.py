@@ -17,6 +17,7 @@ from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 """The greatest finite number of 32 bits (IEEE 754, binary32)."""
+STANDARD_ID_MAX = 0x7FF
 SIZES_FD = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a frame may carry: ISO 11898-1, 8.4.2.4 (a classic frame: up to 8)."""
 
@@ -54,11 +55,30 @@ class Frame:
     """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""
     node_byte: int | None = None
     """The byte of the data that holds the node; None: none does."""
+    open_at: frozenset[int] = frozenset()
+    """Bytes of `begins` that may be anything when it comes: signals stand there. Where it is sent
+    they are 0 under the signals."""
+    short: bool = False
+    """Of an extended one: an identifier that fits 11 bits is sent with 11."""
+    answers: str = ""
+    """The frame of motord's that it answers each time, asked or not; "": none."""
     confirm: str = ""
     """The frame by which the drive says that it has taken this one; "": it does not."""
 
     def identifier(self, node: int) -> int:
         return self.base + (node << self.node_shift) if self.addressed else self.base
+
+    def is_extended(self, node: int) -> bool:
+        """Whether this node's identifier goes with 29 bits."""
+        return self.extended and not (self.short and self.identifier(node) <= STANDARD_ID_MAX)
+
+    def matches(self, data: bytes) -> bool:
+        """Whether data that came may be this frame's."""
+        if len(data) < self.size_bytes or not self.open_at:
+            return len(data) >= self.size_bytes and data.startswith(self.begins)
+        return all(
+            data[at] == byte for at, byte in enumerate(self.begins) if at not in self.open_at
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +92,8 @@ class Signal(Register):
     length: int
     """Bits."""
     big_endian: bool
+    offset: float = 0.0
+    """In `unit`: what raw 0 says."""
     reply_frame: str = ""
     """Of a signal that is written and read: the frame in which it is read."""
 
@@ -92,7 +114,7 @@ class Signal(Register):
         if self.is_float:
             ends = sorted((-FLOAT_MAX * self.scale, FLOAT_MAX * self.scale))
         else:
-            ends = sorted(raw * self.scale for raw in self.raw_range)
+            ends = sorted(raw * self.scale + self.offset for raw in self.raw_range)
         low = ends[0] if self.minimum is None else max(ends[0], self.minimum)
         high = ends[1] if self.maximum is None else min(ends[1], self.maximum)
         return low * per_unit, high * per_unit
@@ -102,14 +124,14 @@ class Signal(Register):
         number: float = raw
         if self.is_float:
             number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
-        return number * self.scale * SI_UNITS[self.unit][1]
+        return (number * self.scale + self.offset) * SI_UNITS[self.unit][1]
 
     def from_si(self, value: float) -> int:
         """As Register.from_si; zero is always +0."""
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value} cannot be written")
         low, high = self.si_limits
-        number = min(max(value, low), high) / SI_UNITS[self.unit][1] / self.scale
+        number = (min(max(value, low), high) / SI_UNITS[self.unit][1] - self.offset) / self.scale
         if not self.is_float:
             least, most = self.raw_range
             return min(max(round(number), least), most)
@@ -151,6 +173,9 @@ class CanTable:
     switches the motor on, they are not."""
     hello: str = ""
     """The signal that is asked for until the drive is set up, where its frames come only then."""
+    sync: str = ""
+    """The frame that the line sends once in each of its cycles, for all drives at once, after their
+    set-points: what they act on and answer then belongs to one moment."""
     abort: str = ""
     """The frame by which the drive says that it has not taken another one."""
 

@@ -263,6 +263,10 @@ def _check_steps(
             problems.add(key, f"never true: {step.equals:#x} has bits outside {step.mask:#x}")
         if register is None or step.value is None:
             continue
+        if step.cycle and (register.unit not in ("s", "ms") or name != "configure"):
+            problems.add(key, "cycle is for a time, and only in configure")
+        if step.cycle and profile.can is None:
+            problems.add(key, f"{profile.protocol} has no such thing as cycle")
         low, high = register.raw_range
         if not low <= step.value <= high:
             problems.add(key, f"{step.value} does not fit {register.name}")

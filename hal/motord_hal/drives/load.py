@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from motord_hal.drives.bridge import read_bridge
+from motord_hal.drives.can_dbc import with_dbc
+from motord_hal.drives.can_eds import with_eds
 from motord_hal.drives.can_load import NODE_MAX, read_signals, read_table
 from motord_hal.drives.can_objects import read_objects
 from motord_hal.drives.check import check_profile
@@ -88,6 +90,7 @@ def load_profile(path: Path) -> DriveProfile:
         number = line.group(1) if line else len(text.splitlines())
         raise ProfileError(f"{path}:{number}: toml: {error}") from error
     problems = Problems(path, text)
+    values = with_eds(with_dbc(values, path, problems), path, problems)
     profile = _profile(Table("", values, problems), path)
     check_profile(profile, problems)
     if problems.rows:
@@ -295,10 +298,14 @@ def _steps(parent: Table, key: str) -> tuple[Step, ...]:
 
 
 def _write(table: Table) -> Step:
-    value = table.integer("value", -(1 << 31), (1 << 32) - 1)
-    verify = table.flag("verify", default=True)
-    plus = table.flag("plus_node", default=False)
-    return Step(register=table.text("write"), value=value, verify=verify, plus_node=plus)
+    cycle = table.flag("cycle", default=False)
+    return Step(
+        register=table.text("write"),
+        value=table.integer("value", -(1 << 31), (1 << 32) - 1, 0 if cycle else None),
+        verify=table.flag("verify", default=True),
+        plus_node=table.flag("plus_node", default=False),
+        cycle=cycle,
+    )
 
 
 def _wait(table: Table) -> Step:

@@ -199,6 +199,8 @@ class Step:
     """For a wait: how long it may take."""
     plus_node: bool = False
     """For a write: the drive's own node number is added to the value."""
+    cycle: bool = False
+    """For a write: the value is the time of the line's cycle, in the unit of the register."""
     verify: bool = True
     """For a write: whether the register keeps what was written, so that it can be read back."""
 

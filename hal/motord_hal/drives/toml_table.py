@@ -90,6 +90,10 @@ class Table:
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
 
+    def without(self, *keys: str) -> dict[str, object]:
+        """All of it as it stands in the file, but for some keys."""
+        return {name: value for name, value in self._values.items() if name not in keys}
+
     def text(self, key: str, default: str | None = None, choices: Iterable[str] = ()) -> str:
         """A string that is not empty; without a default the key must be there."""
         value = self._take(key, required=default is None)

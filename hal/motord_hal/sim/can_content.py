@@ -48,4 +48,6 @@ class CanContent(NamedContent):
     def answers(self, asking: Frame) -> tuple[Frame, ...]:
         """The frames that are asked for by this one, or confirm it."""
         own = self.table.frames_from(Sender.DRIVE)
-        return tuple(f for f in own if asking.name == f.ask or asking.confirm == f.name)
+        return tuple(
+            f for f in own if asking.name in (f.ask, f.answers) or asking.confirm == f.name
+        )

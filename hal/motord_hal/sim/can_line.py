@@ -129,7 +129,7 @@ class SimulatedCanLine:
             sender = Sender.DRIVE if message.is_remote_frame else Sender.MOTORD
             for frame in table.frames_from(sender):
                 named = frame.identifier(unit) == message.arbitration_id
-                if named and frame.extended == message.is_extended_id:
+                if named and frame.is_extended(unit) == message.is_extended_id:
                     known |= self._execute(unit, frame, message, now_s)
         self.counters.unanswered += not known
 
@@ -151,11 +151,15 @@ class SimulatedCanLine:
             bytes((unit,)),
         ):
             return False
-        if not drive.obeys(frame) or (written := content.written(frame, data)) is None:
-            return False
-        drive.execute_can(written, now_s)
+        taken: list[tuple[str, int]] = []
+        for one, its_data in drive.due(frame, data):
+            if not drive.obeys(one) or (written := content.written(one, its_data)) is None:
+                return False
+            taken += written
+        drive.execute_can(taken, now_s)
         for answer in content.answers(frame):
-            self._reply(unit, answer, now_s)
+            if drive.sends(answer):
+                self._reply(unit, answer, now_s)
         return True
 
     def _reply(self, unit: int, frame: Frame, now_s: float) -> None:
@@ -192,7 +196,7 @@ class SimulatedCanLine:
                 node = table.node_min + (unit - table.node_min + 1) % (table.node_max + 1)
         message = can.Message(
             arbitration_id=frame.identifier(node),
-            is_extended_id=frame.extended,
+            is_extended_id=frame.is_extended(node),
             is_fd=frame.fd,
             bitrate_switch=frame.fd,
             data=_content(self.drives[unit]).told(frame),

@@ -17,6 +17,8 @@ _FAULT_RESET = 0x80
 _INVALID = 0x8000_0000
 """Of a COB-ID: the PDO is off (CiA 301, 7.5.2.35)."""
 _OPERATIONAL = 5
+_SYNCHRONOUS_MAX = 240
+"""Transmission types up to this one go by SYNC (CiA 301, 7.5.2.35)."""
 _NMT_STATES = {1: _OPERATIONAL, 2: 4, 128: 127, 129: 127, 130: 127}
 """Command → state: CiA 301, 7.2.8.3.1; what is reset ends pre-operational."""
 
@@ -41,6 +43,8 @@ class Cia402Drive(SimulatedDrive):
         super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
         self._state = SWITCH_ON_DISABLED
         self._control = 0
+        self._kept: dict[str, tuple[Frame, bytes]] = {}
+        """PDOs that wait for the next SYNC, by name."""
         self.registers.make_live("status_word", self._status)
 
     def sends(self, frame: Frame) -> bool:
@@ -50,8 +54,23 @@ class Cia402Drive(SimulatedDrive):
             return stored("producer_heartbeat") > 0
         if not frame.name.startswith("tpdo_"):
             return True
-        timed = stored(f"{frame.name}_event_time") > 0 and stored(f"{frame.name}_count") > 0
-        return timed and self._is_on(frame.name)
+        timed = self._is_synchronous(frame.name) or stored(f"{frame.name}_event_time") > 0
+        return timed and stored(f"{frame.name}_count") > 0 and self._is_on(frame.name)
+
+    def _is_synchronous(self, pdo: str) -> bool:
+        return self.registers.stored(f"{pdo}_type") <= _SYNCHRONOUS_MAX
+
+    def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
+        """As SimulatedDrive.due: a synchronous PDO is acted on with the next SYNC, the newest of
+        each (CiA 301, 7.2.2.2)."""
+        if frame.name == "sync":
+            kept = [*self._kept.values()]
+            self._kept.clear()
+            return [*kept, (frame, data)]
+        if frame.name.startswith("rpdo_") and self._is_synchronous(frame.name):
+            self._kept[frame.name] = (frame, data)
+            return []
+        return [(frame, data)]
 
     def obeys(self, frame: Frame) -> bool:
         """Whether it takes this frame now, as it was set up."""
@@ -76,6 +95,7 @@ class Cia402Drive(SimulatedDrive):
 
     def _power_up(self) -> None:
         self._state, self._control = SWITCH_ON_DISABLED, 0
+        self._kept.clear()
         super()._power_up()
 
     def _status(self) -> int:

@@ -176,6 +176,10 @@ class SimulatedDrive:
         del frame
         return True
 
+    def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
+        """What it acts on now that this frame has come."""
+        return [(frame, data)]
+
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
         """A frame to this drive has come, and these signals in it."""
         self.stats.requests += 1

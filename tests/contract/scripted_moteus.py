@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A moteus controller by its documents (docs/protocol/can.md and registers.md there) and not by
+motord's profile: a register server that takes any subframes, in any order."""
+
+import struct
+import threading
+import time
+
+import can
+
+from motord_hal.can.address import bus_arguments
+
+STOPPED, FAULT, ENABLING, POSITION, TIMEOUT, ZERO_VELOCITY = 0, 1, 2, 10, 11, 12
+ENABLING_S = 0.02
+FORMATS = {0: "<b", 1: "<h", 2: "<i", 3: "<f"}
+CURRENT, TORQUE, VOLTAGE = (1, 0.1, 0.001), (0.5, 0.01, 0.001), (0.5, 0.1, 0.001)
+CELSIUS, TURNS, TURNS_S = (1, 0.1, 0.001), (0.01, 0.0001, 0.00001), (0.1, 0.00025, 0.00001)
+SECONDS, WHOLE = (0.01, 0.001, 0.000001), (1, 1, 1)
+# register → what one is worth as int8, int16, int32; as a float it is itself
+SCALES = {
+    0x000: WHOLE, 0x001: TURNS, 0x002: TURNS_S, 0x003: TORQUE, 0x004: CURRENT, 0x00D: VOLTAGE,
+    0x00E: CELSIUS, 0x00F: WHOLE, 0x020: TURNS, 0x021: TURNS_S, 0x022: TORQUE, 0x027: SECONDS,
+}  # fmt: skip
+COMMANDS = (0x020, 0x021, 0x022, 0x027)
+LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+NOTHING = 0x50
+
+
+def varuint(data):
+    """A whole number, seven bits a byte, the lowest first."""
+    value = shift = 0
+    while True:
+        byte = data.pop(0)
+        value |= (byte & 0x7F) << shift
+        shift += 7
+        if not byte & 0x80:
+            return value
+
+
+class Moteus:
+    """One controller on a bus. It turns at once as it is told."""
+
+    def __init__(self, address, node):
+        self.node = node
+        self.values = dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
+        self.modes, self.velocities, self.bad = [], [], []
+        self.bites = 0
+        self.deaf = False
+        self._fed_s = None
+        self._enabled_at_s = 0.0
+        self._bus = can.Bus(**bus_arguments(address, 1_000_000, 5_000_000))
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def close(self):
+        self._stopped.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+    @property
+    def mode(self):
+        return self.values[0x000]
+
+    def fail(self, code):
+        self.values |= {0x000: FAULT, 0x00F: code, 0x002: 0.0}
+
+    def reboot(self):
+        self.values |= dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
+        self._fed_s = None
+
+    def _serve(self):
+        while not self._stopped.is_set():
+            message = self._bus.recv(timeout=0.005)
+            self._watch()
+            mine = message is not None and message.arbitration_id & 0xFF == self.node
+            if mine and message.arbitration_id >> 8 & 0x80 and not self.deaf:
+                self._answer(message)
+
+    def _watch(self):
+        if self.mode == ENABLING and time.monotonic() > self._enabled_at_s:
+            self.values[0x000] = POSITION
+        limit_s = self.values[0x027]
+        fed = self._fed_s is not None and self.mode == POSITION and limit_s > 0
+        if fed and time.monotonic() - self._fed_s > limit_s:
+            self.values |= {0x000: TIMEOUT, 0x002: 0.0}
+            self.bites += 1
+
+    def _answer(self, message):
+        if not (message.is_fd and message.bitrate_switch and message.is_extended_id):
+            self.bad.append(message)
+            return
+        reply = self.execute(bytes(message.data))
+        reply += bytes([NOTHING]) * (min(n for n in LENGTHS if n >= len(reply)) - len(reply))
+        identifier = self.node << 8 | message.arbitration_id >> 8 & 0x7F
+        extended = identifier >= 0x800
+        self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=extended, is_fd=True,
+                                   bitrate_switch=True, data=reply))  # fmt: skip
+
+    def execute(self, frame):
+        """What a frame writes is done, what it reads is told."""
+        data, reply = list(frame), b""
+        wanted = {}
+        while data:
+            kind = data.pop(0)
+            if kind == NOTHING:
+                continue
+            action, width = kind & 0xF0, kind >> 2 & 3
+            count = kind & 3 or varuint(data)
+            first = varuint(data)
+            registers = range(first, first + count)
+            if action == 0x10:
+                self._obey(wanted)
+                wanted = {}
+                reply += self._told(width, registers)
+                continue
+            assert action == 0x00, hex(kind)
+            for register in registers:
+                size = struct.calcsize(FORMATS[width])
+                raw = struct.unpack(FORMATS[width], bytes(data[:size]))[0]
+                del data[:size]
+                wanted[register] = raw if width == 3 else raw * SCALES[register][width]
+        self._obey(wanted)
+        return reply
+
+    def _told(self, width, registers):
+        reply = bytes([0x20 | width << 2 | (len(registers) if len(registers) < 4 else 0)])
+        reply += bytes([len(registers)]) * (len(registers) >= 4) + bytes([registers[0]])
+        for register in registers:
+            value = self.values[register]
+            raw = value if width == 3 else round(value / SCALES[register][width])
+            reply += struct.pack(FORMATS[width], raw)
+        return reply
+
+    def _obey(self, wanted):
+        if 0x000 not in wanted:
+            assert not wanted, "the mode must be written before anything else"
+            return
+        mode = wanted[0x000]
+        self.modes.append(mode)
+        self.values |= dict.fromkeys(COMMANDS, 0.0) | wanted | {0x000: self.mode}
+        self._fed_s = time.monotonic()
+        if mode == STOPPED:
+            self.values |= {0x000: STOPPED, 0x00F: 0}
+        elif self.mode == STOPPED and mode == POSITION:
+            self.values[0x000] = ENABLING
+            self._enabled_at_s = time.monotonic() + ENABLING_S
+        elif self.mode not in (FAULT, TIMEOUT, ENABLING):
+            self.values[0x000] = mode
+        turning = self.mode == POSITION
+        self.velocities.append(wanted.get(0x021, 0.0) if turning else 0.0)
+        self.values[0x002] = self.velocities[-1]

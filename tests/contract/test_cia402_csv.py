@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cyclic synchronous velocity over CANopen, against a node that another project has written."""
+
+import dataclasses
+import math
+
+import can
+import pytest
+from cia402_node import OPERATION, Cia402Node
+from loop_side import running, until
+from scripted_odrive import new_address
+
+from motord_hal.can.address import bus_arguments
+from motord_hal.can.halt import halt_line
+from motord_hal.drives.load import find_profile
+from motord_hal.errors import ProfileError
+from motord_hal.lines import open_line
+from motord_hal.ports import DriveState, JointSpec, LineSpec
+from motord_hal.rt import Exchange
+
+RPM = 2 * math.pi / 60
+NODES = (5, 6)
+CYCLE_HZ = 100.0
+
+
+@pytest.fixture
+def address():
+    return new_address("udp_multicast")
+
+
+@pytest.fixture
+def nodes(address):
+    nodes = [Cia402Node(address, number) for number in NODES]
+    yield nodes
+    for node in nodes:
+        node.close()
+
+
+@pytest.fixture
+def spec(address):
+    profile = find_profile("cia402-csv")
+    joints = tuple(
+        JointSpec(index=index, name=f"wheel_{number}", profile=profile, unit=number)
+        for index, number in enumerate(NODES)
+    )
+    return LineSpec(
+        index=0, name="can0", kind="can", port=address, baudrate=500000, parity="none",
+        stop_bits=1, cycle_hz=CYCLE_HZ, gap_s=None, engine="asyncio", joints=joints,
+        watchdog_s=0.5,
+    )  # fmt: skip
+
+
+@pytest.fixture
+async def rig(nodes, spec):
+    async with running(spec) as rig:
+        yield rig
+
+
+async def test_mode_nine_is_set_with_the_line_s_cycle_and_speeds_that_wait_for_sync(rig, nodes):
+    await rig.ready()
+    for node in nodes:
+        assert (node.get(0x6060), node.get(0x6061)) == (9, 9)
+        assert (node.get(0x60C2, 1), node.get(0x60C2, 2)) == (10, -3)
+        assert (node.get(0x1400, 2), node.get(0x1600, 1)) == (255, 0x60400010)
+        assert (node.get(0x1401, 2), node.get(0x1601, 1)) == (1, 0x60FF0020)
+        assert (node.get(0x1801, 2), node.get(0x1A01, 1)) == (1, 0x60640020)
+        assert node.get(0x1401, 5) == 500
+        assert set(node.velocities) <= {0}
+
+
+async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
+    await rig.arm()
+    assert [node.status for node in nodes] == [OPERATION, OPERATION]
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM, 1: -90 * RPM}
+    await until(lambda: [node.velocity for node in nodes] == [60, -90])
+    nodes[0].position = -1234
+
+    def feedback(index):
+        return rig.loop.exchange.take_feedback(index)
+
+    await until(lambda: feedback(0).velocity_rad_s == pytest.approx(60 * RPM))
+    await until(lambda: feedback(1).velocity_rad_s == pytest.approx(-90 * RPM))
+    await until(lambda: feedback(0).count == (1 << 32) - 1234)
+    cycles, syncs = rig.line.stats().cycles, nodes[0].syncs
+    await until(lambda: rig.line.stats().cycles > cycles + 50)
+    assert abs((rig.line.stats().cycles - cycles) - (nodes[0].syncs - syncs)) <= 2
+
+
+async def test_a_speed_without_a_sync_is_not_obeyed(nodes, spec, address):
+    """By frames of our own: what the node that others wrote does with the mapping it was given."""
+    async with running(spec) as rig:
+        await rig.arm()
+    node = nodes[0]
+    syncs = node.syncs
+    with can.Bus(**bus_arguments(address, 500000, None)) as bus:
+        bus.send(can.Message(arbitration_id=0x305, data=b"\x2a\0\0\0", is_extended_id=False))
+        await until(lambda: node.waiting, "the speed has come")
+        assert (node.velocity, node.syncs) == (0, syncs)
+        bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
+        await until(lambda: 42 in node.velocities, "the SYNC has come")
+
+
+async def test_old_set_points_stop_all_drives_of_the_bus(rig, nodes):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM, 1: 60 * RPM}
+    await until(lambda: [node.velocity for node in nodes] == [60, 60])
+    rig.loop.running = False
+    await until(lambda: all(node.controls[-1] in (0x02, 0x06) for node in nodes))
+    await until(lambda: [node.velocity for node in nodes] == [0, 0])
+    await until(lambda: rig.states() == {DriveState.READY})
+
+
+async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, spec):
+    async with running(spec) as rig:
+        await rig.arm()
+    for node in nodes:
+        node.status, node.velocity = OPERATION, 60  # as after a crash
+    assert await halt_line(spec) == []
+    assert all(node.status != OPERATION for node in nodes)
+    assert [node.velocity for node in nodes] == [0, 0]
+
+
+def test_a_cycle_that_the_drive_cannot_be_told_is_refused(spec):
+    odd = dataclasses.replace(spec, cycle_hz=300.0)
+    with pytest.raises(ProfileError, match=r"cannot say the line's cycle, 3\.333 ms"):
+        open_line(odd, Exchange.private(), lambda event: None)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The moteus profile against a register server that follows mjbots' documents."""
+
+import math
+
+import pytest
+from loop_side import running, until
+from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
+from scripted_odrive import new_address
+
+from motord_hal.can.halt import halt_line
+from motord_hal.can.plan import CanPlan
+from motord_hal.drives.load import find_profile
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+
+TURN = 2 * math.pi
+NODES = (3, 9)
+"""One whose replies have 11 bits of identifier, one whose have 29."""
+WATCHDOG_S = 0.25
+
+
+@pytest.fixture
+def address():
+    return new_address("udp_multicast")
+
+
+@pytest.fixture
+def drives(address):
+    drives = [Moteus(address, node) for node in NODES]
+    yield drives
+    for drive in drives:
+        drive.close()
+    assert not any(drive.bad for drive in drives)
+
+
+@pytest.fixture
+def spec(address):
+    joints = tuple(
+        JointSpec(index=index, name=f"wheel_{node}", profile=find_profile("moteus"), unit=node)
+        for index, node in enumerate(NODES)
+    )
+    return LineSpec(
+        index=0, name="can0", kind="can", port=address, baudrate=1_000_000, parity="none",
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="asyncio", joints=joints,
+        watchdog_s=WATCHDOG_S, data_baudrate=5_000_000,
+    )  # fmt: skip
+
+
+@pytest.fixture
+async def rig(drives, spec):
+    async with running(spec) as rig:
+        yield rig
+
+
+async def turning(rig, drives):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 2 * TURN, 1: -3 * TURN}
+    await until(lambda: [drive.values[0x002] for drive in drives] == [2.0, -3.0])
+
+
+def test_the_server_says_what_the_documents_say_of_their_example(address):
+    """docs/protocol/can.md, Example."""
+    drive = Moteus(address, 1)
+    try:
+        drive.values |= {0: POSITION, 1: 0.008, 2: 0.064, 3: -1.44, 0x00D: 12.0, 0x00E: 20.0}
+        reply = drive.execute(bytes.fromhex("01000a07206000200150ff140400130d"))
+        assert drive.values[0x020] == pytest.approx(0.0096)
+        assert drive.values[0x022] == pytest.approx(-1.76)
+        assert reply[:5].hex() == "2404000a00"
+        assert reply[9:].hex() == "70ff230d181400"
+    finally:
+        drive.close()
+
+
+def test_a_command_that_says_nothing_is_a_stop(address):
+    plan = CanPlan([JointSpec(index=0, name="w", profile=find_profile("moteus"), unit=3)])
+    drive = Moteus(address, 3)
+    try:
+        drive.values[0x000] = POSITION
+        for raw in ({}, plan.setpoints({})):
+            sent = plan.write(plan.table.frames["command"], raw)
+            assert (sent.identifier, sent.extended, sent.fd) == (0x8003, True, True)
+            drive.execute(sent.data)
+            assert drive.mode == STOPPED
+        assert math.isnan(drive.values[0x020])
+        assert drive.values[0x021] == 0.0
+    finally:
+        drive.close()
+
+
+async def test_it_is_set_up_stopped_with_its_watchdog_in_every_command(rig, drives):
+    await rig.ready()
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 10)
+    for drive in drives:
+        assert set(drive.modes) == {STOPPED}
+        assert set(drive.velocities) == {0.0}
+        assert drive.values[0x027] == pytest.approx(WATCHDOG_S)
+
+
+async def test_velocity_and_position_go_both_ways_in_si(rig, drives):
+    await turning(rig, drives)
+    assert all(math.isnan(drive.values[0x020]) for drive in drives)
+    drives[0].values |= {0x001: -1.5, 0x004: 4.25}
+
+    def feedback(index):
+        return rig.loop.exchange.take_feedback(index)
+
+    await until(lambda: feedback(1).velocity_rad_s == pytest.approx(-3 * TURN))
+    await until(lambda: feedback(0).count == (1 << 32) - 12288)
+    await until(lambda: feedback(0).current_a == pytest.approx(4.25))
+    assert feedback(0).voltage_v == pytest.approx(24.0)
+    assert feedback(0).temperature_c == pytest.approx(31.5)
+    assert feedback(0).enabled is True
+
+
+async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(rig, drives):
+    await turning(rig, drives)
+    rig.loop.running = False
+    await until(lambda: all(drive.mode == STOPPED for drive in drives))
+    for drive in drives:
+        last = drive.modes.index(ZERO_VELOCITY)
+        assert POSITION not in drive.modes[last:]
+        assert [drive.velocities[-1], drive.bites] == [0.0, 0]
+
+
+async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(rig, drives):
+    await turning(rig, drives)
+    drives[0].deaf = True
+    await until(lambda: drives[0].mode == TIMEOUT)
+    drives[0].deaf = False
+    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds() or drives[0].mode == STOPPED)
+    await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.READY)
+    assert drives[0].bites == 1
+    assert drives[0].mode == STOPPED
+
+
+async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives):
+    await turning(rig, drives)
+    drives[1].fail(33)
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    assert "motor driver" in next(
+        event.text for event in rig.events if event.kind is EventKind.DRIVE_FAULT
+    )
+    await until(lambda: drives[1].mode in (FAULT, STOPPED))
+    last = len(drives[1].modes)
+    await until(lambda: STOPPED in drives[1].modes[last:])
+    await until(lambda: rig.line.drive_states["wheel_9"] is DriveState.READY)
+    assert drives[1].mode == STOPPED
+
+
+async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, drives):
+    await turning(rig, drives)
+    drives[0].reboot()
+    await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.READY)
+    assert drives[0].mode == STOPPED
+    assert drives[0].velocities[-1] == 0.0
+
+
+async def test_stop_all_stops_both(drives, spec):
+    for drive in drives:
+        drive.values |= {0x000: POSITION, 0x002: 2.0}  # as after a crash
+    assert await halt_line(spec) == []
+    assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
