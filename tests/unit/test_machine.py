@@ -154,3 +154,11 @@ def test_the_numbers_of_the_state_page_stay_what_they_are():
         "off": 0, "configuring": 1, "idle": 2, "armed": 3,
         "moving": 4, "stopping": 5, "fault": 6, "estop": 7,
     }  # fmt: skip
+
+
+def test_the_emergency_stops_contact_forbids_the_reset_and_says_why():
+    why = "the emergency stop's contact (GPIO17 of pinctrl-rp1) says stop"
+    refusal = step(State.ESTOP, Event.RESET, Facts(estop_input=why))
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason == why
+    assert step(State.ESTOP, Event.RESET, Facts()) is State.IDLE
