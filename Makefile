@@ -9,7 +9,7 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check san bench soak fuzz mutants coverage wheel deb vm clean
+.PHONY: help demo test check san bench soak fuzz mutants coverage wheel deb vm arm64 clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
@@ -21,6 +21,7 @@ help:
 	@echo "make mutants   are the tests of rtu.c good?    make mutants FILE=line_drive.c" >&2
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
 	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2
+	@echo "make arm64     unit, rt and C tests on aarch64 (root, Debian 12)" >&2
 	@echo "make clean     all that make made" >&2
 
 # ------------------------------------------------------------------------------------------- environment
@@ -102,6 +103,10 @@ deb: $(VENV)/built
 # Builds the guest, boots it once, runs tests/vm/guest there. Says why, and succeeds, where it cannot.
 vm: $(VENV)/built
 	@$(PYTHON) tests/vm/run.py $(ARGS)
+
+# tests/unit, tests/rt and tests/c on aarch64, by QEMU.
+arm64: $(VENV)/made
+	@tests/arm64/run.sh $(ARGS)
 
 clean:
 	@rm -rf $(VENV) build dist *.egg-info _motord_rt* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -30,7 +30,7 @@ newest_kernel() {
     apt-cache depends linux-image-rt-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-\([0-9].*\)/\1/p' | head -n 1
 }
 
-# Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which asks for a function that modules do not
+# pwm-sim is ours. Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which asks for a function that modules do not
 # get; generic_handle_irq does the same for it.
 make_modules() {
     local tree=linux-source-6.1
@@ -42,7 +42,8 @@ make_modules() {
             $tree/drivers/gpio/gpio-sim.c $tree/drivers/gpio/gpiolib.h $tree/kernel/irq/irq_sim.c
         mv gpio-sim.c chip.c
         sed -i 's/handle_simple_irq(irq_to_desc(irqnum))/generic_handle_irq(irqnum)/' irq_sim.c
-        printf 'obj-m := gpio-sim.o\ngpio-sim-y := chip.o irq_sim.o\n' >Kbuild
+        cp "$here/pwm-sim.c" .
+        printf 'obj-m := gpio-sim.o pwm-sim.o\ngpio-sim-y := chip.o irq_sim.o\n' >Kbuild
         make -s -C "/lib/modules/$kernel/build" M="$PWD" modules)
 }
 
@@ -70,7 +71,7 @@ make_root() {
         install -m 644 -D "$file" "$modules/${file##*"/$kernel/"}"
     done
     cp kernel/lib/modules/"$kernel"/modules.{builtin*,order} "$modules/"
-    install -m 644 -D modules/gpio-sim.ko "$modules/extra/gpio-sim.ko"
+    install -m 644 -D -t "$modules/extra" modules/{gpio,pwm}-sim.ko
     depmod -b root "$kernel"
     install -m 644 "$here/tests.service" root/etc/systemd/system/
     install -d root/etc/systemd/system/multi-user.target.wants root/project
@@ -84,7 +85,7 @@ make_root() {
 
 exec 9>"$dir/lock"
 flock 9
-mark=$(cat "$here"/{image.sh,init,tests.service} | sha256sum)
+mark=$(cat "$here"/{image.sh,init,tests.service,pwm-sim.c} | sha256sum)
 [ "$(cat "$dir/mark" 2>/dev/null)" != "$mark" ] || exit 0
 rm -rf "$dir"/{mark,work}
 mkdir "$dir/work"

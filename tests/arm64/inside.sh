@@ -1,0 +1,21 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Run in the guest by run.sh: everything comes from /wheels and /motord.
+set -euo pipefail
+uname -m
+cd /motord
+python3 -m venv --clear .venv
+pip() { .venv/bin/python -m pip "$@"; }
+pip install --quiet --no-index --find-links /wheels 'setuptools>=77' wheel cffi
+pip wheel --quiet --no-index --find-links /wheels --no-deps --no-build-isolation --wheel-dir dist .
+ls dist
+pip install --quiet --no-index --find-links /wheels --no-build-isolation --editable '.[test]'
+make -C tests/c plain
+# QEMU 7.2 knows no termios2 (any baud rate of a port: ioctl_tty(2)), takes page faults of its own in our threads, and
+# answers for scheduling and capabilities otherwise than the kernel.
+not_emulated=(
+    tests/unit/test_serial_port.py
+    tests/rt/test_loop_kernel.py
+    tests/rt/test_loop.py::test_python_that_starts_processes_costs_the_thread_no_page_fault
+)
+.venv/bin/python -m pytest -q -n 2 --dist loadfile "${not_emulated[@]/#/--deselect=}" "$@"
