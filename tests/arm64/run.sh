@@ -45,7 +45,7 @@ if [ ! -e "$dir/made" ]; then
 fi
 
 inside() { chroot "$dir/root" /usr/bin/env -i PATH=/usr/bin:/bin:/usr/sbin:/sbin HOME=/root LC_ALL=C.UTF-8 "$@"; }
-trap 'umount -l "$dir"/root/{proc,dev} 2>/dev/null || true' EXIT
+trap 'umount -l "$dir/root"/{proc,dev} 2>/dev/null || true' EXIT
 mount -t proc none "$dir/root/proc"
 mount --rbind /dev "$dir/root/dev"
 mount --make-rslave "$dir/root/dev"
