@@ -125,6 +125,7 @@ def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, whe
         ("(0.1,0) [-3000|3000]", "(0.1,5) [-3000|3000]", "its offset and default must be 0"),
         ("(0.1,0) [-3000|3000]", "(0.1,0) [10|3000]", "cannot say zero"),
         ("BO_ 641", "BO_ 385", "cannot be told from frame status"),
+        ("SG_ 641 Supply 2400", "SG_ 513 Command 1", "Command starts with 1 in dbc-example.dbc"),
         ('32|32@1- (1,0) [0|0] "counts"', '32|32@1- (1,3) [0|0] "counts"', "position.offset"),
     ],
 )

@@ -214,10 +214,14 @@ class _Reader:
             "unit": unit,
             "source": f"{self._file.name}, {message.name}, {signal.name}",
         }
-        if isinstance(signal.raw_initial, int) and not signal.is_float:
-            found["default"] = signal.raw_initial
-        if self._drive not in message.senders:
+        by_drive, start = self._drive in message.senders, signal.raw_initial
+        if by_drive and isinstance(start, int) and not signal.is_float:
+            found["default"] = start
+        if not by_drive:
             found |= self._limits(table, said, signal, factor)
+            if start and "default" not in said:  # it might be the command that lets the motor run
+                problem = f"is missing: {signal.name} starts with {start} in {self._file.name},"
+                table.complain("default", f"{problem} motord would send 0 until it is written")
         return self._agreed(table, said, found)
 
     def _is_sayable(self, message: Message, signal: DbcSignal) -> bool:
