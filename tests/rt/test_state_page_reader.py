@@ -63,7 +63,7 @@ def test_the_newest_snapshot_is_read(page):
 
 def test_a_snapshot_is_whole_while_the_writer_races(page):
     name, _, file = page
-    raw, ending = writing(file), threading.Event()
+    raw, begun, ending = writing(file), threading.Event(), threading.Event()
 
     def write():
         state, tick = ffi.new("robot_state *"), 0
@@ -72,9 +72,11 @@ def test_a_snapshot_is_whole_while_the_writer_races(page):
             state.tick, state.x_m, state.joint_count = tick, float(tick), 8
             state.joint[7].duty = float(tick)
             lib.page_write(raw, state)
+            begun.set()
 
     writer = threading.Thread(target=write)
     writer.start()
+    assert begun.wait(60)
     try:
         with StatePage.open(name) as reader:
             seen = [found for _ in range(3000) if (found := reader.read())]
