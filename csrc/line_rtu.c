@@ -1,7 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
  * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is said and when is the machine's. */
-#include "line_rtu.h"
-
 #include <errno.h>
 #include <linux/gpio.h>
 #include <poll.h>
@@ -14,7 +12,9 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "line_machine.h"
 #include "loop.h"
+#include "ring.h"
 
 #ifndef TIOCSER_TEMT
 #define TIOCSER_TEMT 0x01   /* linux/serial.h: the transmitter is empty */
@@ -23,6 +23,8 @@
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t REPORT_EVERY_NS = 40 * 1000000;
 static const int64_t DRAIN_LIMIT_NS = 2 * 1000000;
+
+enum { RING_PLACES = 4 * LINE_ASKS_MAX };
 
 typedef struct {
     mailbox box;
@@ -62,28 +64,6 @@ typedef struct {
 } line_thread;
 
 static line_thread threads[LINES_MAX];
-
-bool ring_put(ring *r, void *places, const void *value, size_t value_bytes)
-{
-    uint32_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
-    if (head - atomic_load_explicit(&r->tail, memory_order_acquire) == RING_PLACES) {
-        return false;
-    }
-    memcpy((char *)places + head % RING_PLACES * value_bytes, value, value_bytes);
-    atomic_store_explicit(&r->head, head + 1, memory_order_release);
-    return true;
-}
-
-bool ring_take(ring *r, const void *places, void *value, size_t value_bytes)
-{
-    uint32_t tail = atomic_load_explicit(&r->tail, memory_order_relaxed);
-    if (atomic_load_explicit(&r->head, memory_order_acquire) == tail) {
-        return false;
-    }
-    memcpy(value, (const char *)places + tail % RING_PLACES * value_bytes, value_bytes);
-    atomic_store_explicit(&r->tail, tail + 1, memory_order_release);
-    return true;
-}
 
 /* --------------------------------------------------------------------------------------------------- the port */
 static void sleep_until(int64_t until_ns)
@@ -202,7 +182,7 @@ static void report_now_and_then(line_thread *t, int64_t now_ns, bool news)
 static void take_asks(line_thread *t)
 {
     line_ask ask;
-    while (t->machine.ask_count < LINE_ASKS_MAX && ring_take(&t->asks, t->ask_place, &ask, sizeof ask)) {
+    while (t->machine.ask_count < LINE_ASKS_MAX && ring_take(&t->asks, t->ask_place, RING_PLACES, &ask, sizeof ask)) {
         (void)line_machine_ask(&t->machine, &ask);
     }
 }
@@ -215,7 +195,7 @@ static void hand_on(line_thread *t, const line_output *out)
         }
     }
     if (out->answered) {
-        (void)ring_put(&t->answers, t->answer_place, &t->machine.answer, sizeof t->machine.answer);
+        (void)ring_put(&t->answers, t->answer_place, RING_PLACES, &t->machine.answer, sizeof t->machine.answer);
     }
     if (t->machine.round_trip_ns > 0) {
         histogram_add(&t->round_trips, t->machine.round_trip_ns);
@@ -403,7 +383,7 @@ int line_put_ask(uint32_t line, const line_ask *ask)
     if (!line_frame_is_good(&ask->frame)) {
         return -EINVAL;
     }
-    if (!ring_put(&threads[line].asks, threads[line].ask_place, ask, sizeof *ask)) {
+    if (!ring_put(&threads[line].asks, threads[line].ask_place, RING_PLACES, ask, sizeof *ask)) {
         return -EAGAIN;
     }
     wake(&threads[line]);
@@ -412,7 +392,7 @@ int line_put_ask(uint32_t line, const line_ask *ask)
 
 int line_take_answer(uint32_t line, line_answer *out)
 {
-    return line < LINES_MAX && ring_take(&threads[line].answers, threads[line].answer_place, out, sizeof *out);
+    return line < LINES_MAX && ring_take(&threads[line].answers, threads[line].answer_place, RING_PLACES, out, sizeof *out);
 }
 
 int line_read_report(uint32_t line, line_report *out)

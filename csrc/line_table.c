@@ -1,34 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  * line_table.c: is a line's table good? Nothing outside it is ever read or written because of what it says. */
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
+#include "finding.h"
 #include "line_machine.h"
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
-
-/* Where the check is, as a path; the first bad field is written out. */
-typedef struct {
-    char *name;
-    char path[FIELD_NAME_BYTES];
-    bool bad;
-} finding;
-
-static void blame(finding *f, const char *field)
-{
-    if (!f->bad) {
-        f->bad = true;
-        (void)snprintf(f->name, FIELD_NAME_BYTES, "%.40s%.23s", f->path, field);
-    }
-}
-
-static void need(finding *f, bool good, const char *field)
-{
-    if (!good) {
-        blame(f, field);
-    }
-}
 
 static void check_frame(finding *f, const line_frame *frame)
 {

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "fault_word.h"
 #include "line_machine.h"
 
 static const double REST_VELOCITY_RAD_S = 0.1;
@@ -96,25 +97,13 @@ uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way)
     return (wanted > 0.0) != (which->inverted != 0) ? WAY_FORWARD : WAY_REVERSE;
 }
 
-static uint32_t stopping_fault(const line_field *field, uint32_t word)
-{
-    if (field->is_code == 0) {
-        return word & ~field->harmless_bits;
-    }
-    for (uint32_t i = 0; i < field->harmless_codes; i++) {
-        if (word == field->harmless[i]) {
-            return 0;
-        }
-    }
-    return word;
-}
-
 static void read_fault(line_machine *m, const line_field *field, uint32_t word)
 {
     line_joint_state *joint = &m->joint[field->joint];
     m->news |= joint->fault_word != word;
     joint->fault_word = word;
-    joint->feedback.drive_faults = stopping_fault(field, word);
+    joint->feedback.drive_faults =
+        fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
 }
 
 static double signed_velocity(const line_drive_state *drive, const line_field *field, double velocity)

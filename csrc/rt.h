@@ -10,6 +10,7 @@
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"
+#include "api_can.h"
 #include "api_bridge.h"
 #include "api_journal.h"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from importlib import import_module
 from types import MappingProxyType
 from typing import cast
@@ -28,8 +29,12 @@ KINDS = MappingProxyType(
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("can", "rt"): "motord_hal.rt_engine.can_line:RtCanLine",
     }
 )
+
+RT_CAN_INTERFACES = ("socketcan", "unix")
+"""Of the others only python-can knows how they are reached."""
 
 HALTS = MappingProxyType(
     {
@@ -51,9 +56,12 @@ LOOK_EVERY_S = 0.02
 
 
 def engine_of(spec: LineSpec) -> str:
-    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one."""
+    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, and of CAN
+    adapters where they are the kernel's."""
     if spec.engine != "auto":
         return spec.engine
+    if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
+        return "asyncio"
     return "rt" if (spec.kind, "rt") in KINDS else "asyncio"
 
 
@@ -61,6 +69,8 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
     """The line for a spec; nothing is opened before its `run()`. Raises HalError for an unknown
     kind or engine and ProfileError for joints that cannot be together."""
     engine = engine_of(spec)
+    if spec.kind == "can" and engine == "rt" and engine_of(replace(spec, engine="auto")) != "rt":
+        raise HalError(f'{spec.name}: engine "rt" needs SocketCAN, not {spec.port}')
     place = KINDS.get((spec.kind, engine))
     if place is None:
         engines = [known for kind, known in KINDS if kind == spec.kind]

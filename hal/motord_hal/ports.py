@@ -137,7 +137,7 @@ class LineSpec:
     gap_s: float | None
     """Silent interval between frames; None: by `gap`."""
     engine: str
-    """"asyncio" | "rt" | "auto": rt where the line has a serial port, else asyncio."""
+    """"asyncio" | "rt" | "auto": rt where the line has a serial port or SocketCAN, else asyncio."""
     data_baudrate: int | None = None
     """Of the data of CAN FD frames; None: a bus of classic frames."""
     gap: Gap | None = None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick] [--json] [--only core,wire,datagram,lateness]
+python tests/bench/run.py [--quick] [--json] [--only core,wire,can,datagram,lateness]
 
 Ends with 1 only where something is wrong (a violation, a page fault), never because a machine is
 slow: the sentences say what was reached.
@@ -16,12 +16,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import can_bus
 import datagram
 import lateness
 import wire
 
 HERE = Path(__file__).parent
-PARTS = ("core", "wire", "datagram", "lateness")
+PARTS = ("core", "wire", "can", "datagram", "lateness")
 Verdicts = list[tuple[str, bool, bool]]
 
 
@@ -37,6 +38,11 @@ def on_the_wire(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
     results = wire.measure(rounds=1 if quick else 3, seconds=2.0 if quick else 3.0)
     said = "\n".join([wire.table(results), *wire.has_bench_tools()])
     return said, {name: found.rounds for name, found in results.items()}, wire.verdicts(results)
+
+
+def on_a_bus(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
+    found = can_bus.measure(rounds=1 if quick else 3, seconds=3.0 if quick else 6.0)
+    return can_bus.table(found), found, can_bus.verdicts(found)
 
 
 def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
@@ -78,8 +84,13 @@ def main() -> int:
         if part == "core":
             text, found, said = core()
         else:
-            measure = {"wire": on_the_wire, "datagram": datagrams, "lateness": wake_ups}[part]
-            text, found, said = measure(asked.quick)
+            measure = {
+                "wire": on_the_wire,
+                "can": on_a_bus,
+                "datagram": datagrams,
+                "lateness": wake_ups,
+            }
+            text, found, said = measure[part](asked.quick)
         results[part] = found
         verdicts += said
         if not asked.json:

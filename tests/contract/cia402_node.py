@@ -8,8 +8,10 @@ from __future__ import annotations
 import threading
 from functools import partial
 
+import can
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
+from scripted_odrive import open_bus
 
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
@@ -67,9 +69,8 @@ class Cia402Node:
         self.position, self.velocity = 0, 0
         self.stuck = False
         self.syncs, self.waiting = 0, {}
-        _, group, port = address.split(":")
-        self.network = canopen.Network()
-        self.network.connect(interface="udp_multicast", channel=group, port=int(port))
+        self.network = canopen.Network(open_bus(address))
+        self.network.notifier = can.Notifier(self.network.bus, self.network.listeners, 0.01)
         self.node = canopen.LocalNode(node, dictionary(node))
         self.network.add_node(self.node)
         self.node.add_write_callback(self._written)

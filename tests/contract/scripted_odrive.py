@@ -8,10 +8,13 @@ import asyncio
 import contextlib
 import socket
 import struct
+import tempfile
 import time
 from dataclasses import dataclass, field
 
 import can
+
+from motord_hal.sim.unix_bus import UnixBus
 
 HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
 MODE, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0D, 0x14, 0x17, 0x18
@@ -29,6 +32,8 @@ def new_address(kind):
     """A bus of its own, as a robot file's line would name it."""
     if kind == "virtual":
         return f"virtual:{time.monotonic_ns()}"
+    if kind == "unix":
+        return f"unix:{tempfile.mkdtemp()}/bus"
     return f"udp_multicast:239.74.163.2:{free_udp_port()}"
 
 
@@ -36,6 +41,8 @@ def open_bus(address):
     interface, _, channel = address.partition(":")
     if interface == "virtual":
         return can.Bus(interface=interface, channel=channel)
+    if interface == "unix":
+        return UnixBus(channel)
     group, _, port = channel.rpartition(":")
     return can.Bus(interface=interface, channel=group, port=int(port))
 

@@ -54,10 +54,26 @@ def joints_of(profile, gear_ratio=1.0):
     )
 
 
+RT = " rt"
+"""At the end of a CAN drive's name: on the bus that the rt engine can be on."""
+
+
+def with_rt(names):
+    """And the CAN drives among them on the rt engine too."""
+    return [*names, *(name + RT for name in names if find_profile(name).can is not None)]
+
+
+def folder_of(variant, tmp_path):
+    """Where what `variant` names, as of `with_rt`, is simulated."""
+    folder = tmp_path / ("rt" if variant.endswith(RT) else "asyncio")
+    folder.mkdir()
+    return folder
+
+
 @functools.cache
 def can_address(folder):
     """A bus of its own for each folder."""
-    return free_address()
+    return f"unix:{folder}/bus" if folder.name == "rt" else free_address()
 
 
 TEXT = TextSpec(
@@ -79,7 +95,7 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
         stop_bits=profile.stop_bits,
         cycle_hz=cycle_hz,
         gap_s=None,
-        engine="rt" if profile.protocol == "ddsm" else "asyncio",
+        engine="rt" if profile.protocol == "ddsm" or str(port)[:5] == "unix:" else "asyncio",
         priority=0,
         joints=joints_of(profile, gear_ratio),
         text=TEXT if profile.protocol == "ascii" else None,

@@ -7,7 +7,7 @@ import can
 import pytest
 from loop_side import running, until
 from scripted_odrive import CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
-from test_can_line import TURN, spec_of
+from test_can_line import BUSES, TURN, spec_of
 
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import Sent
@@ -17,7 +17,7 @@ from motord_hal.ports import DriveState, EventKind
 BUS_OFF, CONTROLLER, NO_ACK = 0x40, 0x04, 0x20
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+@pytest.fixture(params=BUSES)
 async def peer(request):
     async with living(Peer(request.param, nodes=(0, 3))) as peer:
         yield peer
@@ -133,6 +133,7 @@ async def test_a_bus_that_went_away_is_a_port_error_with_its_name(number):
     bus._bus.shutdown()
 
 
+@pytest.mark.parametrize("peer", ["virtual"], indirect=True)  # the rt engine: test_can_rt.py
 async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_cycle(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}

@@ -54,7 +54,10 @@ def spec_of(peer, *nodes, **changes):
     return LineSpec(**{**values, **changes})
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+BUSES = {"virtual": "asyncio", "udp_multicast": "asyncio", "unix": "rt"}
+
+
+@pytest.fixture(params=BUSES)
 async def peer(request):
     async with living(Peer(request.param, nodes=(0, 3))) as peer:
         yield peer
@@ -70,7 +73,7 @@ async def rig(peer):
 async def test_a_drive_is_configured_and_not_armed(rig, peer):
     await rig.ready()
     assert rig.line.state is LineState.READY
-    assert rig.line.engine == "asyncio"
+    assert rig.line.engine == BUSES[peer.address.partition(":")[0]]
     await until(lambda: peer.axes[0].mode == peer.axes[3].mode == (2, 1))
     assert CLOSED_LOOP not in peer.axes[0].states()
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY, EventKind.DRIVE_READY]

@@ -16,9 +16,9 @@ RPM = 2 * math.pi / 60
 NODE = 5
 
 
-@pytest.fixture
-async def node():
-    address = new_address("udp_multicast")
+@pytest.fixture(params=["udp_multicast", "unix"])
+async def node(request):
+    address = new_address(request.param)
     node = Cia402Node(address, NODE)
     node.address = address
     yield node
@@ -111,7 +111,7 @@ async def test_a_drive_that_does_not_follow_is_not_armed(rig, node):
 async def test_a_drive_that_lost_its_power_is_set_up_again_disarmed(rig, node):
     await rig.arm()
     node.reboot()
-    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
     await rig.ready()
     assert node.get(0x1600, 2) == 0x60FF0020
     assert node.status != OPERATION

@@ -3,7 +3,7 @@
 
 import pytest
 from loop_side import running, until
-from sim_bench import simulated, spec_of
+from sim_bench import RT, folder_of, simulated, spec_of, with_rt
 
 from motord_hal.drives.load import find_profile
 from motord_hal.ports import DriveState, EventKind
@@ -14,20 +14,30 @@ LOSSY = ["odrive-0.6", "vesc", "rmd", "dbc-example", "moteus"]
 DRIVES = [*LOSSY, "cia402-csv"]
 
 
-@pytest.fixture(params=DRIVES)
-def profile(request):
-    return find_profile(request.param)
+@pytest.fixture(params=with_rt(DRIVES))
+def variant(request):
+    return request.param
 
 
 @pytest.fixture
-def sim(profile, tmp_path):
-    with simulated(profile, tmp_path) as control:
+def folder(variant, tmp_path):
+    return folder_of(variant, tmp_path)
+
+
+@pytest.fixture
+def profile(variant):
+    return find_profile(variant.removesuffix(RT))
+
+
+@pytest.fixture
+def sim(profile, folder):
+    with simulated(profile, folder) as control:
         yield control
 
 
 @pytest.fixture
-async def rig(profile, sim, tmp_path):
-    async with running(spec_of(profile, tmp_path)) as rig:
+async def rig(profile, sim, folder):
+    async with running(spec_of(profile, folder)) as rig:
         yield rig
 
 
@@ -67,8 +77,9 @@ async def test_a_cut_cable_stops_the_drives_by_their_watchdogs_and_they_come_bac
     rig, sim
 ):
     await set_off(rig, sim)
-    sim.pull("bus")
-    await until(lambda: rig.states() == {DriveState.QUIET}, "both are missed")
+    sim.pull("bus")  # of datagrams nothing comes any more; a socket of its own ends
+    lost = {DriveState.QUIET, DriveState.UNKNOWN}
+    await until(lambda: rig.states() <= lost, "both are missed")
     await until(lambda: not any(_enabled(sim)), "their watchdogs have bitten")
     sim.plug("bus")
     await back_at_rest(rig, sim)
@@ -82,7 +93,7 @@ async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
     assert rig.line.stats().errors["bus_off"] == 1
 
 
-@pytest.mark.parametrize("profile", LOSSY, indirect=True)
+@pytest.mark.parametrize("variant", with_rt(LOSSY), indirect=True)
 async def test_lost_frames_both_ways_are_borne(rig, sim):
     sim.inject("drop:p=0.03")
     sim.inject("unheard:p=0.05")

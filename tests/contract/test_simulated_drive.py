@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from loop_side import running, until
-from sim_bench import GEAR, can_reverse, simulated, spec_of
+from sim_bench import GEAR, RT, can_reverse, folder_of, simulated, spec_of, with_rt
 
 from motord_hal.drives.load import find_profile, list_profiles
 from motord_hal.ports import DriveState, EventKind
@@ -25,28 +25,38 @@ TURNAROUND_S = 0.002
 def profiles_that(have_it):
     """Of the drives that are simulated: bridges on pins are not."""
     found = {name: find_profile(name) for name in list_profiles()}
-    return [name for name, one in found.items() if one.protocol != "pwm" and have_it(one)]
+    return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
 
 
 SERIAL = profiles_that(lambda profile: profile.can is None)
 
 
 @pytest.fixture(params=profiles_that(lambda _: True))
-def profile(request):
-    found = find_profile(request.param)
+def variant(request):
+    return request.param
+
+
+@pytest.fixture
+def folder(variant, tmp_path):
+    return folder_of(variant, tmp_path)
+
+
+@pytest.fixture
+def profile(variant):
+    found = find_profile(variant.removesuffix(RT))
     # a pty has no parity
     return replace(found, baudrate=BAUDRATE, turnaround_s=TURNAROUND_S, parity="none")
 
 
 @pytest.fixture
-def sim(profile, tmp_path):
-    with simulated(profile, tmp_path) as control:
+def sim(profile, folder):
+    with simulated(profile, folder) as control:
         yield control
 
 
 @pytest.fixture
-async def rig(profile, sim, tmp_path):
-    async with running(spec_of(profile, tmp_path)) as rig:
+async def rig(profile, sim, folder):
+    async with running(spec_of(profile, folder)) as rig:
         yield rig
 
 
@@ -118,7 +128,7 @@ async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig,
             await until(agrees, f"{joint.name} says how fast it is")
 
 
-@pytest.mark.parametrize("profile", profiles_that(can_reverse), indirect=True)
+@pytest.mark.parametrize("variant", profiles_that(can_reverse), indirect=True)
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     await set_off(rig, sim, way=-1.0)
     for joint in rig.line.spec.joints:
@@ -129,7 +139,7 @@ async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     assert sim.truth().joints["left"].velocity_rad_s > 0
 
 
-@pytest.mark.parametrize("profile", profiles_that(lambda p: p.counter_bits), indirect=True)
+@pytest.mark.parametrize("variant", profiles_that(lambda p: p.counter_bits), indirect=True)
 async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await rig.ready()
     joints = rig.line.spec.joints
@@ -169,7 +179,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     assert rig.states() == {DriveState.READY}
 
 
-@pytest.mark.parametrize("profile", profiles_that(lambda p: p.faults), indirect=True)
+@pytest.mark.parametrize("variant", profiles_that(lambda p: p.faults), indirect=True)
 async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
@@ -189,7 +199,7 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     await set_off(rig, sim)
 
 
-@pytest.mark.parametrize("profile", SERIAL, indirect=True)
+@pytest.mark.parametrize("variant", SERIAL, indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     sim.pull("bus")
@@ -221,7 +231,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     assert sim.truth().joints["left"].velocity_rad_s == 0.0
 
 
-@pytest.mark.parametrize("profile", SERIAL, indirect=True)
+@pytest.mark.parametrize("variant", SERIAL, indirect=True)
 async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
@@ -234,12 +244,12 @@ def has_check_sums(profile):
     return profile.protocol not in ("ascii", "can")
 
 
-@pytest.mark.parametrize("profile", profiles_that(has_check_sums), indirect=True)
-async def test_a_bad_wire_never_bends_what_the_drive_says(profile, tmp_path):
+@pytest.mark.parametrize("variant", profiles_that(has_check_sums), indirect=True)
+async def test_a_bad_wire_never_bends_what_the_drive_says(profile, folder):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:
-        sim = stack.enter_context(simulated(profile, tmp_path, seed=11))
-        rig = await stack.enter_async_context(running(patient(spec_of(profile, tmp_path))))
+        sim = stack.enter_context(simulated(profile, folder, seed=11))
+        rig = await stack.enter_async_context(running(patient(spec_of(profile, folder))))
         await set_off(rig, sim)
         joints = rig.line.spec.joints
 

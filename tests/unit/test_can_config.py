@@ -108,11 +108,20 @@ def test_a_feedback_time_out_shorter_than_two_samples_is_an_error():
     assert "two samples" in wrong("safety.feedback_timeout_s=0.015")
 
 
-def test_an_engine_that_is_not_there_is_an_error():
-    assert "line.can0.engine" in wrong('line.can0.engine="rt"')
-    _, spec = loaded()
-    line = open_line(spec, Exchange.private(), lambda event: None)
-    assert line.engine == "asyncio"
+def test_the_real_time_engine_is_for_the_kernel_s_adapters():
+    assert "needs SocketCAN" in wrong('line.can0.engine="rt"', 'line.can0.interface="slcan"')
+    for interface, engine in (("socketcan", "rt"), ("slcan", "asyncio"), ("unix", "rt")):
+        _, spec = loaded(f'line.can0.interface="{interface}"')
+        line = open_line(spec, Exchange.private(), lambda event: None)
+        assert line.engine == engine
+
+
+def test_the_thread_of_a_bus_stays_below_the_loop():
+    assert "not below the loop's" in wrong("line.can0.priority=90", "loop.priority=80")
+    _, spec = loaded("line.can0.priority=60", "line.can0.cpu=[1]")
+    assert (spec.priority, spec.cpu) == (60, (1,))
+    _, spec = loaded("loop.priority=50")
+    assert spec.priority == 49
 
 
 def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():

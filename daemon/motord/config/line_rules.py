@@ -22,6 +22,7 @@ from motord.config.toml_lines import Path
 from motord_hal.ascii.dialect import COUNT, check_setpoints, feedback_fields, setpoint_fields
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
+from motord_hal.lines import RT_CAN_INTERFACES
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -44,8 +45,13 @@ def _engine(robot: Robot) -> Iterator[Finding]:
         if isinstance(line, GatewayLine) and line.engine == "rt":
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
-        elif isinstance(line, CanLine | PortLine) and line.engine == "rt":
+        elif isinstance(line, PortLine) and line.engine == "rt":
             yield Finding(at, f'kind "{line.kind}" runs on "asyncio" only')
+        elif isinstance(line, CanLine) and line.engine == "rt":
+            if line.interface not in RT_CAN_INTERFACES:
+                paths = (("line", name, "engine"), ("line", name, "interface"))
+                text = f'"rt" needs SocketCAN: interface "{line.interface}" runs on "asyncio"'
+                yield Finding(paths, text)
         elif isinstance(line, DdsmLine) and line.engine == "asyncio":
             yield Finding(at, 'kind "ddsm" runs on "rt" only')
 
@@ -133,8 +139,9 @@ def _direction(robot: Robot) -> Iterator[Finding]:
 def _priority(robot: Robot) -> Iterator[Finding]:
     loop = robot.loop.priority
     for name, line in robot.line.items():
-        given = isinstance(line, SerialLine) and "priority" in line.model_fields_set
-        if isinstance(line, SerialLine) and given and 0 < loop <= line.priority:
+        if not isinstance(line, SerialLine | CanLine):
+            continue
+        if "priority" in line.model_fields_set and 0 < loop <= line.priority:
             text = f"{line.priority} is not below the loop's ({loop})"
             yield Finding((("line", name, "priority"), ("loop", "priority")), text)
 

@@ -113,9 +113,11 @@ class CanLine(Section):
 
     kind: Literal["can"]
     interface: str = Field(default="socketcan", pattern=r"^[a-z][a-z0-9_]*$")
-    """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ..."""
+    """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ...; or
+    unix, a socket that carries SocketCAN's frames."""
     channel: str = Field(min_length=1)
-    """Which one: network interface (can0), serial port (/dev/ttyACM0), or GROUP:PORT of UDP."""
+    """Which one: network interface (can0), serial port (/dev/ttyACM0), GROUP:PORT of UDP, a
+    path."""
     bitrate: int = number(
         "bits a second; on socketcan as the interface was set up", 10_000, 1_000_000, "1/s", 500_000
     )
@@ -127,8 +129,17 @@ class CanLine(Section):
         None,
     )
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """Who does the cyclic exchange."""
+    """Who does the cyclic exchange; auto: rt on socketcan, asyncio on other adapters."""
     cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
+    priority: int = number(
+        "SCHED_FIFO priority of the bus's thread (rt), below the loop's; 0: ordinary scheduling",
+        0,
+        98,
+        "1",
+        70,
+    )
+    cpu: Cpus = Field(default=(), strict=False)
+    """CPUs the bus's thread may run on, each 0 to 63; none: all of them."""
 
     @property
     def address(self) -> str:

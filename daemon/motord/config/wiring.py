@@ -54,6 +54,9 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         return _with_pins(spec, line, robot.loop.priority)
     if isinstance(line, AsciiLine):
         return replace(spec, text=_text_spec(robot, line, joints))
+    if isinstance(line, CanLine):
+        priority = min(line.priority, max(robot.loop.priority - 1, 0))
+        return replace(spec, priority=priority, cpu=line.cpu)
     return _with_port(spec, line, robot.loop.priority) if isinstance(line, SerialLine) else spec
 
 

@@ -14,14 +14,13 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import can
 
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, error_words
-from motord_hal.can.netlink import restart
+from motord_hal.can.interface import BUS_OFF_TEXT, check_up, restart_controller
 from motord_hal.can.plan import Sent
 from motord_hal.clock import now_ns
 from motord_hal.errors import PortError
@@ -38,8 +37,6 @@ AGE_MAX_S = 1.0
 likely to be wrong."""
 BAD_FRAMES_MAX = 100
 """So many failures to read in a row are no bad frames any more."""
-IFF_UP = 0x1
-"""linux/if.h"""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
 
 Taker = Callable[[can.Message, int], None]
@@ -75,9 +72,13 @@ class CanBus:
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
         """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
-        self._check_interface()
+        check_up(self.address)
         if self._bus_off:
-            await self._restart()
+            refused = await restart_controller(self.address)
+            if refused:
+                self.errors["restart_refused"] += 1
+                _log.info("%s: not restarted: %s", self.address, refused)
+            self._bus_off = False
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
@@ -90,31 +91,6 @@ class CanBus:
         self.trouble = None
         self._bad_in_a_row = 0
         self._listen(self._bus)
-
-    def _check_interface(self) -> None:
-        """A socket on an interface that is down opens, and then says nothing."""
-        interface, channel = split_address(self.address)
-        if interface != "socketcan":
-            return
-        flags = Path("/sys/class/net") / channel / "flags"
-        try:
-            up = int(flags.read_text(encoding="ascii"), 16) & IFF_UP
-        except (OSError, ValueError):
-            raise PortError(f"{self.address}: there is no such interface") from None
-        if not up:
-            how = f"ip link set {channel} up type can bitrate ..."
-            raise PortError(f"{self.address} is down: {how}")
-
-    async def _restart(self) -> None:
-        """Where it is permitted. Where it is not, the kernel may do it (restart-ms), or who may."""
-        interface, channel = split_address(self.address)
-        if interface == "socketcan":
-            try:
-                await asyncio.to_thread(restart, channel)  # at most ANSWER_WITHIN_S
-            except OSError as error:
-                self.errors["restart_refused"] += 1
-                _log.info("%s: not restarted: %s", self.address, error)
-        self._bus_off = False
 
     def _open(self) -> can.BusABC:
         try:
@@ -176,10 +152,7 @@ class CanBus:
         self.errors.update(kinds)
         if trouble is BusTrouble.BUS_OFF:
             self._bus_off = True
-            self.trouble = PortError(
-                f"{self.address}: bus-off: the controller has given up after too many errors "
-                "(cable, termination, bit rate)"
-            )
+            self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     def _fail(self, error: Exception) -> None:
         """A read or a write has failed: is it the bus, or one frame?"""

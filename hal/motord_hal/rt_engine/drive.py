@@ -7,19 +7,21 @@ obeys where it is safe, and sequences of requests.
 
 from __future__ import annotations
 
+import abc
 import asyncio
 from collections.abc import Callable, Sequence
 from types import MappingProxyType
+from typing import Any, Protocol
 
 from motord_hal.clock import NS_PER_S, now_ns
-from motord_hal.drives.profile import Step
+from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.errors import HalError, PortError
 from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.ports import DriveState, EventKind, JointSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt_engine.asks import exception_text
-from motord_hal.rt_engine.jobs import DriveJobs
+from motord_hal.rt_engine.jobs import Check, DriveJobs
 from motord_hal.rt_engine.news import News
 from motord_hal.rt_line import AnswerKind, Demoted, DriveReport, LineThread, Mode
 
@@ -46,30 +48,58 @@ _WARNINGS = MappingProxyType(
 )
 
 
-class RtDrive:
+class DriveSays(Protocol):
+    """What a thread reports of one drive, whatever its medium."""
+
+    @property
+    def mode(self) -> Mode: ...
+    @property
+    def demoted(self) -> Demoted: ...
+    @property
+    def wish_seen(self) -> int: ...
+    @property
+    def cycles(self) -> int: ...
+
+
+class Jobs(Protocol):
+    """Sequences of steps with one drive, beside its cycle."""
+
+    profile: DriveProfile
+    joints: tuple[JointSpec, ...]
+    unit: int
+
+    @property
+    def request_limit_s(self) -> float:
+        """Longest time until a request is on the wire, or will never be."""
+        ...
+
+    async def run(
+        self, name: str, steps: Sequence[Step], *, urgent: bool = ..., check: Check = ...
+    ) -> None: ...
+
+
+class Wishes(Protocol):
+    """The way to what C does with a drive."""
+
+    def wish(self, drive: int, mode: Mode) -> int: ...
+    def allow_arming(self, drive: int, until_ns: int) -> None: ...
+
+
+class RtDrive(abc.ABC):
     """Number `index` of the line's table."""
 
     def __init__(
-        self,
-        index: int,
-        jobs: DriveJobs,
-        watchdog_s: float,
-        thread: LineThread,
-        news: News,
-        say: Say,
-        hint: Callable[[], str],
+        self, index: int, jobs: Jobs, watchdog_s: float, thread: Wishes, news: News, say: Say
     ) -> None:
-        self.jobs = jobs
-        self.frames = jobs.frames
-        self.names = tuple(joint.name for joint in self.frames.joints)
-        self.faults = {name: FaultWatch(name, self.frames.profile, say) for name in self.names}
+        self._jobs = jobs
+        self.names = tuple(joint.name for joint in jobs.joints)
+        self.faults = {name: FaultWatch(name, jobs.profile, say) for name in self.names}
         self._index = index
-        self._setup = configure_steps(self.frames.profile, watchdog_s)
+        self._setup = configure_steps(jobs.profile, watchdog_s)
         self._thread = thread
         self._news = news
         self._say = say
-        self._hint = hint
-        self._report: DriveReport | None = None
+        self._report: DriveSays | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
         self._said_quiet = False
@@ -80,7 +110,23 @@ class RtDrive:
         self._powering_off: asyncio.Future[None] | None = None
 
     def __str__(self) -> str:
-        return f"{', '.join(self.names)} (unit {self.frames.unit})"
+        return f"{', '.join(self.names)} (unit {self._jobs.unit})"
+
+    @abc.abstractmethod
+    def _why_quiet(self, report: Any) -> str:
+        """In words, for people."""
+
+    @abc.abstractmethod
+    def _arming_steps(self) -> tuple[Step, ...]:
+        """Zero in its set-points, then the profile's steps, until it says that it is enabled."""
+
+    def _hint(self) -> str:
+        """What else could be the reason, as its medium shows it."""
+        return ""
+
+    @abc.abstractmethod
+    async def _present(self) -> None:
+        """Returns when it is there to be set up, where that can be known before it is asked."""
 
     # --------------------------------------------------------------------------------- what it is
     @property
@@ -100,18 +146,18 @@ class RtDrive:
         self._stops += 1
         self._powered_off(error)
 
-    def update(self, report: DriveReport, fault_words: Sequence[int]) -> None:
+    def update(self, report: DriveSays, fault_words: Sequence[int]) -> None:
         """Note what C reports, and say what is new."""
         before = self.mode
         said = Demoted(0) if self._report is None else self._report.demoted
         self._report = report
         if report.cycles:  # else its fault words have not been read
-            for joint in self.frames.joints:
+            for joint in self._jobs.joints:
                 self.faults[joint.name].update(fault_words[joint.index])
         if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
             self._is_ready()
         elif report.mode in (Mode.QUIET, Mode.BACK):
-            self._is_quiet(_why_quiet(report))
+            self._is_quiet(self._why_quiet(report))
         for bit in report.demoted & ~said:
             if bit in _WARNINGS:
                 self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
@@ -135,9 +181,10 @@ class RtDrive:
         """Whenever C holds it for not set up: set it up, and wish it ready. For ever."""
         while True:
             await self._news.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
-            self._failed_setup = False
             try:
-                await self.jobs.run("configure", self._setup)
+                await self._present()
+                self._failed_setup = False
+                await self._jobs.run("configure", self._setup)
                 await self._obeyed(self._thread.wish(self._index, Mode.READY))
                 continue
             except PortError:
@@ -153,7 +200,7 @@ class RtDrive:
         while True:
             await self._news.until(lambda: self._powering_off is not None)
             try:
-                await self.jobs.run("disarm", self.frames.profile.disarm, urgent=True)
+                await self._jobs.run("disarm", self._jobs.profile.disarm, urgent=True)
                 await self._obeyed(self._standing_down)
             except HalError as error:
                 self._powered_off(error)
@@ -200,14 +247,52 @@ class RtDrive:
         def check() -> None:
             if self._stops != began or self.mode is not Mode.READY:
                 raise HalError(f"{self}: stopped while it was being armed")
-            limit_ns = round(2 * self.jobs.request_limit_s * NS_PER_S)
+            limit_ns = round(2 * self._jobs.request_limit_s * NS_PER_S)
             self._thread.allow_arming(self._index, now_ns() + limit_ns)
 
-        await self.jobs.run("arm", self._arming_steps(), check=check)
+        await self._jobs.run("arm", self._arming_steps(), check=check)
         check()
 
+    async def go(self) -> None:
+        """The second half: from now on it is told the core's set-points. Raises HalError."""
+        await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
+        if self.mode is not Mode.ARMED:
+            raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+
+    async def clear_faults(self) -> None:
+        """Power off, then the profile's steps. Raises DriveFault if a fault stays."""
+        await asyncio.shield(self.stand_down())
+        await self._jobs.run("clear", clear_steps(self._jobs.profile))
+
+
+class SerialDrive(RtDrive):
+    """A drive on a serial line."""
+
+    def __init__(
+        self,
+        index: int,
+        jobs: DriveJobs,
+        watchdog_s: float,
+        thread: LineThread,
+        news: News,
+        say: Say,
+        hint: Callable[[], str],
+    ) -> None:
+        super().__init__(index, jobs, watchdog_s, thread, news, say)
+        self.jobs = jobs
+        self._line_hint = hint
+
+    def _hint(self) -> str:
+        return self._line_hint()
+
+    async def _present(self) -> None:
+        """Only what it answers says so."""
+
+    def _why_quiet(self, report: DriveReport) -> str:
+        return _last_failure(report)
+
     def _arming_steps(self) -> tuple[Step, ...]:
-        profile = self.frames.profile
+        profile = self.jobs.profile
         said = profile.enabled
         enabled: tuple[Step, ...] = ()
         if said is not None:
@@ -219,21 +304,10 @@ class RtDrive:
                     within_s=VERIFY_WITHIN_S,
                 ),
             )
-        return (*self.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
-
-    async def go(self) -> None:
-        """The second half: from now on it is told the core's set-points. Raises HalError."""
-        await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
-        if self.mode is not Mode.ARMED:
-            raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
-
-    async def clear_faults(self) -> None:
-        """Power off, then the profile's steps. Raises DriveFault if a fault stays."""
-        await asyncio.shield(self.stand_down())
-        await self.jobs.run("clear", clear_steps(self.frames.profile))
+        return (*self.jobs.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
 
 
-def _why_quiet(report: DriveReport) -> str:
+def _last_failure(report: DriveReport) -> str:
     match report.last_failure:
         case AnswerKind.REFUSED:
             return exception_text(report.last_exception)

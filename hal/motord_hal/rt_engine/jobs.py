@@ -25,6 +25,9 @@ class DriveJobs:
 
     def __init__(self, index: int, frames: DriveFrames, asks: Asks) -> None:
         self.frames = frames
+        self.profile = frames.profile
+        self.joints = frames.joints
+        self.unit = frames.unit
         self.tries = max(joint.tries for joint in frames.joints)
         self._index = index
         self._asks = asks

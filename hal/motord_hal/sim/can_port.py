@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulated CAN bus is: any that python-can reaches."""
+"""Where a simulated CAN bus is: any that python-can reaches, or unix:PATH."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import can
 
-from motord_hal.can.address import bus_arguments
+from motord_hal.can.address import bus_arguments, split_address
+from motord_hal.sim.unix_bus import UnixBus
 
 GROUP = "239.74.163.2"
 """Of python-can's documentation for UDP multicast (IPv4, administratively scoped: RFC 2365)."""
@@ -49,6 +50,11 @@ class CanPort:
 
     def plug(self) -> None:
         """Be there. Raises OSError."""
+        interface, channel = split_address(self._address)
+        if interface == "unix":
+            self._bus = UnixBus(channel)
+            self._fd = self._bus.fileno()
+            return
         try:
             self._bus = can.Bus(**self._arguments)
         except can.CanError as error:

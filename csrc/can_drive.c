@@ -1,0 +1,352 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * can_drive.c: one drive of a bus: what it is told and asked, whether it is there, and when it has to stop. */
+#include <string.h>
+
+#include "can_machine.h"
+
+static const int64_t STOPPING_NS = 1000 * CAN_MS;
+static const int64_t FUTURE_NS = 10 * CAN_MS;
+static const int64_t PROBE_FIRST_NS = 100 * CAN_MS, PROBE_LAST_NS = 2000 * CAN_MS;
+static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS;   /* until it is set up */
+
+static bool fresh(const can_machine *m, int64_t now_ns)
+{
+    int64_t stamp_ns = m->newest.stamp_ns;
+    return stamp_ns > 0 && stamp_ns <= now_ns + FUTURE_NS && now_ns - stamp_ns <= m->table.setpoint_timeout_ns;
+}
+
+/* --------------------------------------------------------------------------------------------------- sending */
+bool can_send(can_machine *m, const can_packet *packet)
+{
+    bool went = m->send(m->sink, packet);
+    m->sent += went;
+    m->tx_full += !went;
+    return went;
+}
+
+bool can_write_out(can_machine *m, uint32_t drive, const can_write *write)
+{
+    can_packet packet = write->packet;
+    if (write->output > 0) {
+        uint8_t *held = m->drive[drive].held[write->output - 1];
+        for (uint32_t i = 0; i < CAN_BYTES_MAX; i++) {
+            held[i] = (uint8_t)((held[i] & ~write->mask[i]) | (packet.data[i] & write->mask[i]));
+        }
+        memcpy(packet.data, held, CAN_BYTES_MAX);
+    }
+    return can_send(m, &packet);
+}
+
+void can_hold_nothing(can_machine *m, uint32_t drive)
+{
+    for (uint32_t o = 0; o < CAN_OUTPUTS_MAX; o++) {
+        memcpy(m->drive[drive].held[o], m->table.drive[drive].output[o].packet.data, CAN_BYTES_MAX);
+    }
+}
+
+static void write_all(can_machine *m, uint32_t number, const can_write *write, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        (void)can_write_out(m, number, &write[i]);
+    }
+}
+
+static void ask_all(can_machine *m, const can_packet *ask, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        (void)can_send(m, &ask[i]);
+    }
+}
+
+static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    bool motion = false, all = true;
+    for (uint32_t o = 0; o < m->table.drive[number].output_count; o++) {
+        can_packet packet;
+        bool moves = can_build(m, number, o, &packet);
+        motion |= moves;
+        drive->told_motion |= moves;
+        all &= can_send(m, &packet);
+    }
+    if (all) {
+        drive->told_motion = motion;
+        drive->told_ns = now_ns;
+    }
+}
+
+void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    const can_drive_state *drive = &m->drive[number];
+    if (drive->mode == DRIVE_ARMED || drive->stopping || m->table.drive[number].idle_setpoints != 0) {
+        send_setpoints(m, number, now_ns);
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------- stopping */
+void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
+{
+    can_drive_state *drive = &m->drive[number];
+    drive->stop = kind;
+    drive->stop_place = 0;
+    drive->stops++;
+}
+
+static void demote(can_machine *m, uint32_t number, uint32_t why, uint32_t mode)
+{
+    can_drive_state *drive = &m->drive[number];
+    drive->mode = mode;
+    drive->demoted |= why;
+    drive->enabled = 2;
+    m->news = true;
+}
+
+static void quick_stop(can_machine *m, uint32_t number, uint32_t why, int64_t now_ns)
+{
+    demote(m, number, why, DRIVE_READY);
+    m->drive[number].stopping = true;
+    m->drive[number].off_by_ns = now_ns + STOPPING_NS;
+    can_stop_now(m, number, CAN_STOP_QUICK);
+}
+
+static void power_off(can_machine *m, uint32_t number)
+{
+    m->drive[number].stopping = false;
+    can_stop_now(m, number, CAN_STOP_POWER_OFF);
+}
+
+void can_send_stop(can_machine *m, uint32_t number)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    bool quick = drive->stop == CAN_STOP_QUICK;
+    const can_write *write = quick ? table->quick_stop : table->disarm;
+    uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
+    for (; drive->stop_place < count; drive->stop_place++) {
+        if (!can_write_out(m, number, &write[drive->stop_place])) {
+            return;   /* told again with the next look */
+        }
+    }
+    if (!quick && m->table.drive[number].idle_setpoints == 0) {
+        drive->told_motion = false;   /* set-points would switch it on again */
+    }
+    drive->stop = CAN_STOP_NOTHING;
+    drive->enabled = 2;
+    if (drive->back) {
+        drive->back = false;
+        drive->mode = DRIVE_BACK;
+        m->news = true;
+    }
+}
+
+void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
+        demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+        can_hold_nothing(m, number);
+        power_off(m, number);
+    } else if (drive->mode != DRIVE_READY || drive->enabled != 1) {
+        drive->still_enabled = 0;
+    } else if (!drive->stopping && drive->stop == CAN_STOP_NOTHING && now_ns >= m->control.drive[number].arming_until_ns) {
+        drive->still_enabled++;
+        if (drive->still_enabled == m->table.drive[number].tries) {
+            drive->demoted |= DEMOTED_STILL_ENABLED;
+            m->news = true;
+        }
+        drive->off_next_cycle = true;
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------- presence */
+static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    drive->missing = 0;
+    if (table->hello > 0 && drive->mode != DRIVE_READY && drive->mode != DRIVE_ARMED) {
+        int64_t heard_ns = drive->heard_ns[table->hello - 1];
+        drive->missing = heard_ns > 0 && now_ns - heard_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
+        return;
+    }
+    for (uint32_t i = 0; i < table->input_count && drive->missing == 0; i++) {
+        int64_t silence_ns = table->input[i].silence_ns;
+        if (silence_ns > 0 && (drive->heard_ns[i] == 0 || now_ns - drive->heard_ns[i] > silence_ns)) {
+            drive->missing = i + 1;
+        }
+    }
+}
+
+static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    drive->quiet++;
+    demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
+    can_hold_nothing(m, number);
+    if (m->shut == 0) {
+        drive->stop = CAN_STOP_NOTHING;   /* its probes stop it */
+    }
+    drive->stops++;
+    drive->stopping = drive->back = drive->off_next_cycle = false;
+    drive->quiet_since_ns = drive->probe_at_ns = now_ns;
+    drive->probe_pause_ns = PROBE_FIRST_NS;
+    if (m->table.drive[number].hello > 0) {
+        drive->heard_ns[m->table.drive[number].hello - 1] = 0;
+    }
+}
+
+/* It may hear us though we do not hear it: one that may turn is told to stop. */
+static void probe(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    if (now_ns < drive->probe_at_ns || drive->back) {
+        return;
+    }
+    drive->probe_at_ns = now_ns + drive->probe_pause_ns;
+    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+    if (drive->may_turn && now_ns > drive->quiet_since_ns + STOPPING_NS) {
+        write_all(m, number, table->disarm, table->disarm_count);
+    } else if (drive->may_turn) {
+        write_all(m, number, table->quick_stop, table->quick_stop_count);
+        send_setpoints(m, number, now_ns);
+    }
+    ask_all(m, table->probe, table->probe_count);
+}
+
+/* --------------------------------------------------------------------------------------------------- guarding */
+static void guard_armed(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
+    if (!fresh(m, now_ns)) {
+        quick_stop(m, number, DEMOTED_SETPOINTS_OLD, now_ns);
+    } else if (watchdog_ns > 0 && now_ns - drive->told_ns > watchdog_ns) {
+        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
+    } else if (m->newest.enabled == 1) {
+        drive->was_enabled = true;
+    } else if (drive->was_enabled) {
+        demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
+        power_off(m, number);
+    }
+}
+
+void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    if (drive->mode == DRIVE_ARMED) {
+        guard_armed(m, number, now_ns);
+    }
+    look_for(m, number, now_ns);
+    bool there = drive->missing == 0;
+    if (!there && (drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED)) {
+        go_quiet(m, number, now_ns);
+    } else if (there && drive->mode == DRIVE_QUIET && !drive->back && m->shut == 0) {
+        drive->back = true;
+        power_off(m, number);
+    }
+    if (drive->stopping && drive->stop == CAN_STOP_NOTHING && (can_at_rest(m, number) || now_ns >= drive->off_by_ns)) {
+        power_off(m, number);
+    }
+}
+
+/* ---------------------------------------------------------------------------------------------------- wishes */
+static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    drive->mode = DRIVE_READY;
+    drive->epoch++;
+    drive->demoted = drive->still_enabled = 0;
+    drive->stop = CAN_STOP_NOTHING;
+    drive->may_turn = drive->told_motion = drive->stopping = drive->back = drive->off_next_cycle = false;
+    drive->slow_cycles = 0;
+    drive->told_ns = now_ns;
+    can_forget(m, number);
+    for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
+        drive->heard_ns[i] = now_ns;   /* what comes only from now on has its time, too */
+    }
+}
+
+static void arm(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    bool told_off = drive->stopping || drive->stop != CAN_STOP_NOTHING || drive->off_next_cycle;
+    if (!fresh(m, now_ns) || told_off || m->control.shut_down != 0) {
+        return;
+    }
+    drive->mode = DRIVE_ARMED;
+    drive->may_turn = true;
+    drive->was_enabled = false;
+    drive->demoted = drive->still_enabled = 0;
+    drive->enabled = 2;
+    drive->told_ns = now_ns;
+}
+
+void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const drive_wish *wish = &m->control.drive[number];
+    if (wish->count == drive->wish_seen) {
+        return;
+    }
+    drive->wish_seen = wish->count;
+    m->news = true;
+    if (wish->mode == DRIVE_OFF) {
+        if (drive->mode == DRIVE_ARMED || drive->stopping) {
+            power_off(m, number);
+        }
+        drive->mode = DRIVE_OFF;
+        drive->back = false;
+    } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
+        set_up(m, number, now_ns);
+    } else if (wish->mode == DRIVE_ARMED && drive->mode == DRIVE_READY) {
+        arm(m, number, now_ns);
+    } else if (wish->mode == DRIVE_STAND_DOWN) {
+        drive->stops++;
+        if (drive->mode == DRIVE_ARMED) {
+            drive->mode = DRIVE_READY;
+            drive->enabled = 2;
+        }
+    }
+}
+
+/* ------------------------------------------------------------------------------------------------ its cycle */
+/* What may wait. A drive that cannot say whether it has power is told again that it shall have none: the frame that took
+ * it may have been lost. */
+static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    uint64_t turn = drive->slow_cycles / table->slow_every;
+    if (table->slow_count > 0) {
+        (void)can_send(m, &table->slow[turn % table->slow_count]);
+    }
+    bool resting = drive->mode == DRIVE_READY && !drive->stopping && drive->stop == CAN_STOP_NOTHING;
+    if (table->says_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
+        write_all(m, number, table->disarm, table->disarm_count);
+    }
+}
+
+void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    if (drive->mode == DRIVE_QUIET) {
+        probe(m, number, now_ns);
+        return;
+    }
+    if (drive->mode != DRIVE_READY && drive->mode != DRIVE_ARMED) {
+        return;
+    }
+    if (drive->off_next_cycle) {
+        drive->off_next_cycle = false;
+        power_off(m, number);
+        can_send_stop(m, number);
+    }
+    can_tell(m, number, now_ns);
+    ask_all(m, table->ask, table->ask_count);
+    if (drive->slow_cycles % table->slow_every == 0) {
+        now_and_then(m, number, now_ns);
+    }
+    drive->slow_cycles++;
+}

@@ -1,0 +1,292 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * can_machine.c: the bus: what comes, what is sent and when, and how it ends. */
+#include "can_machine.h"
+
+#include <errno.h>
+#include <string.h>
+
+static const int64_t LOOK_RESTING_NS = 20 * CAN_MS, LOOK_MOVING_NS = 5 * CAN_MS, LOOK_FULL_NS = CAN_MS;
+static const int64_t SHUT_REST_NS = 350 * CAN_MS, SHUT_NS = 480 * CAN_MS;
+
+static int64_t earlier(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* -------------------------------------------------------------------------------------------------- beginning */
+static void init_drive(can_machine *m, uint32_t number, uint32_t epoch)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    drive->epoch = epoch;
+    drive->enabled = 2;
+    for (uint32_t o = 0; o < table->output_count; o++) {
+        for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
+            drive->joints |= 1U << table->output[o].setpoint[i].joint;
+        }
+    }
+    can_hold_nothing(m, number);
+    can_forget(m, number);
+}
+
+int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can_sender send, void *sink, int64_t now_ns)
+{
+    char name[FIELD_NAME_BYTES];
+    if (can_table_check(table, name) != NULL) {
+        return -EINVAL;
+    }
+    memset(m, 0, sizeof *m);
+    m->table = *table;
+    m->send = send;
+    m->sink = sink;
+    m->due_ns = now_ns;
+    for (uint32_t i = 0; i < table->drive_count; i++) {
+        init_drive(m, i, epoch);
+    }
+    return 0;
+}
+
+/* -------------------------------------------------------------------------------------------------- receiving */
+static bool matches(const can_match *match, const can_packet *packet)
+{
+    bool alike = packet->bytes >= match->bytes;
+    for (uint32_t i = 0; alike && i < match->begins_bytes; i++) {
+        alike = ((packet->data[i] ^ match->begins[i]) & match->begins_mask[i]) == 0;
+    }
+    return alike;
+}
+
+static bool has_power(const can_input *input)
+{
+    for (uint32_t i = 0; i < input->field_count; i++) {
+        if (input->field[i].kind == FIELD_ENABLED) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void take_input(can_machine *m, uint32_t number, uint32_t place, const can_packet *packet, int64_t stamp_ns,
+                       int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_input *input = &m->table.drive[number].input[place];
+    drive->heard_ns[place] = stamp_ns;
+    if (drive->sample_ns[place] > 0 && stamp_ns < drive->sample_ns[place] + input->spacing_ns) {
+        return;
+    }
+    drive->sample_ns[place] = stamp_ns;
+    can_read(m, number, input, packet->data, stamp_ns);
+    bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
+    if (cyclic && input->fast != 0) {
+        can_publish(m, number);
+        if (has_power(input)) {
+            can_check_power(m, number, now_ns);
+        }
+    }
+}
+
+uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns)
+{
+    bool known = false;
+    if ((packet->id & CAN_ID_ERROR) != 0) {
+        m->news = true;
+        return CAN_DRIVES_MAX;
+    }
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        const can_drive *table = &m->table.drive[i];
+        for (uint32_t n = 0; n < table->match_count; n++) {
+            const can_match *match = &table->match[n];
+            if (match->id != packet->id) {   /* a remote frame's differs, too */
+                continue;
+            }
+            known = true;
+            if (!matches(match, packet)) {
+                continue;
+            }
+            m->received++;
+            m->drive[i].received++;
+            m->drive[i].newest_ns = stamp_ns;
+            if (match->input > 0) {
+                take_input(m, i, match->input - 1, packet, stamp_ns, now_ns);
+            }
+            bool listening = (m->control.listen >> i & 1) != 0;
+            m->news |= listening;
+            return listening ? i : (uint32_t)CAN_FOR_NOBODY;
+        }
+    }
+    m->bad_frames += known;
+    return CAN_FOR_NOBODY;
+}
+
+/* ----------------------------------------------------------------------------------------------------- orders */
+bool can_machine_order(can_machine *m, const can_order *order)
+{
+    if (m->order_count == CAN_WAITING_MAX) {
+        return false;
+    }
+    m->order[m->order_count++] = *order;
+    return true;
+}
+
+/* In their order; what the bus does not take waits. */
+static void send_orders(can_machine *m, int64_t now_ns)
+{
+    uint32_t done = 0;
+    for (; done < m->order_count; done++) {
+        const can_order *order = &m->order[done];
+        bool stopped = order->guarded != 0 && order->stops != m->drive[order->drive].stops;
+        bool late = order->expires_ns <= now_ns || m->shut != 0;
+        if (stopped || late) {
+            m->drive[order->drive].orders_dropped++;
+        } else if (can_write_out(m, order->drive, &order->write)) {
+            m->drive[order->drive].orders_sent++;
+        } else {
+            break;
+        }
+    }
+    m->news |= done > 0;
+    m->order_count -= done;
+    memmove(m->order, m->order + done, m->order_count * sizeof m->order[0]);
+}
+
+/* ---------------------------------------------------------------------------------------------------- the end */
+static void shut_down_begin(can_machine *m, int64_t now_ns)
+{
+    m->shut = 1;
+    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
+    m->shut_by_ns = now_ns + SHUT_NS;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        can_drive_state *drive = &m->drive[i];
+        if (drive->mode == DRIVE_ARMED) {
+            drive->mode = DRIVE_READY;
+            drive->stopping = true;
+            drive->off_by_ns = m->shut_rest_by_ns;
+            can_stop_now(m, i, CAN_STOP_QUICK);
+        }
+    }
+}
+
+static void shut_down_go_on(can_machine *m, int64_t now_ns)
+{
+    bool stopping = false;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        stopping |= m->drive[i].stopping || m->drive[i].stop != CAN_STOP_NOTHING;
+    }
+    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
+        m->shut = 2;
+        for (uint32_t i = 0; i < m->table.drive_count; i++) {
+            m->drive[i].stopping = false;
+            can_stop_now(m, i, CAN_STOP_POWER_OFF);
+        }
+    } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
+        m->shut = 3;
+        m->news = true;
+    }
+}
+
+static void shut_down(can_machine *m, int64_t now_ns)
+{
+    if (m->control.shut_down != 0 && m->shut == 0) {
+        shut_down_begin(m, now_ns);
+    }
+    if (m->shut != 0) {
+        shut_down_go_on(m, now_ns);
+    }
+}
+
+/* --------------------------------------------------------------------------------------------------- the step */
+static void send_stops(can_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        can_drive_state *drive = &m->drive[i];
+        if (drive->stop != CAN_STOP_NOTHING) {
+            can_send_stop(m, i);
+        }
+        bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
+        if (cyclic && drive->told_motion && !can_wants_motion(m, i)) {
+            can_tell(m, i, now_ns);   /* a stop does not wait for its cycle */
+        }
+    }
+}
+
+static void cycle(can_machine *m, int64_t now_ns)
+{
+    m->cycles++;
+    if (m->cycle_start_ns > 0) {
+        int64_t took_ns = now_ns - m->cycle_start_ns;
+        m->cycle_ns += m->cycle_ns == 0 ? took_ns : (took_ns - m->cycle_ns) / 8;
+    }
+    m->cycle_start_ns = now_ns;
+    m->due_ns += m->table.period_ns;
+    if (m->due_ns <= now_ns) {
+        m->due_ns = now_ns + m->table.period_ns;   /* a late cycle is not caught up */
+    }
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        can_cycle(m, i, now_ns);
+    }
+    for (uint32_t i = 0; i < m->table.sync_count; i++) {
+        (void)can_send(m, &m->table.sync[i]);   /* the drives do now, all at once, what they were told */
+    }
+}
+
+static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
+{
+    int64_t wake_ns = now_ns + (m->shut == 0 ? LOOK_RESTING_NS : LOOK_MOVING_NS);
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        const can_drive_state *drive = &m->drive[i];
+        if (drive->told_motion || drive->stopping || drive->mode == DRIVE_ARMED) {
+            wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
+        }
+        if (drive->stop != CAN_STOP_NOTHING) {
+            wake_ns = earlier(wake_ns, now_ns + LOOK_FULL_NS);
+        }
+    }
+    if (m->order_count > 0) {
+        wake_ns = earlier(wake_ns, now_ns + LOOK_FULL_NS);
+    }
+    return m->shut < 2 ? earlier(wake_ns, m->due_ns) : wake_ns;
+}
+
+int64_t can_machine_step(can_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        can_obey_wish(m, i, now_ns);
+        can_guard(m, i, now_ns);
+    }
+    shut_down(m, now_ns);
+    if (m->shut < 3) {
+        send_stops(m, now_ns);
+        send_orders(m, now_ns);
+    }
+    if (m->shut < 2 && now_ns >= m->due_ns) {
+        cycle(m, now_ns);
+    }
+    shut_down(m, now_ns);   /* all are told: that was it */
+    return next_look_ns(m, now_ns);
+}
+
+void can_machine_report(const can_machine *m, can_report *report)
+{
+    report->shut_down = m->shut == 3;
+    report->cycles = m->cycles;
+    report->received = m->received;
+    report->sent = m->sent;
+    report->tx_full = m->tx_full;
+    report->bad_frames = m->bad_frames;
+    report->cycle_ns = m->cycle_ns;
+    report->setpoints_ns = m->newest.stamp_ns;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        report->fault_word[j] = m->joint[j].fault_word;
+    }
+    for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
+        const can_drive_state *drive = &m->drive[i];
+        report->drive[i] = (can_drive_report){
+            .mode = drive->mode, .demoted = drive->demoted, .wish_seen = drive->wish_seen, .enabled = drive->enabled,
+            .stopping = drive->stopping, .told_motion = drive->told_motion, .missing = drive->missing,
+            .stops = drive->stops, .cycles = drive->cycles, .received = drive->received, .quiet = drive->quiet,
+            .heard_ns = drive->newest_ns, .epoch = drive->epoch,
+            .orders_sent = drive->orders_sent, .orders_dropped = drive->orders_dropped,
+        };
+    }
+}

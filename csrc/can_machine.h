@@ -1,0 +1,134 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * can_machine.h: the inside of a CAN line. Frames and time in, frames out: no clock, no file descriptor, so the same
+ * inputs give the same outputs.
+ *
+ * can_table.c    is a table good?
+ * can_values.c   set-points into frames, frames into feedback
+ * can_drive.c    one drive: its cycle, its stops, its silence
+ * can_machine.c  the bus: what comes, what is sent and when, and its end
+ */
+#ifndef MOTORD_CAN_MACHINE_H
+#define MOTORD_CAN_MACHINE_H
+
+#include "rt.h"
+
+static const int64_t CAN_MS = 1000000;
+static const uint32_t CAN_ID_EXTENDED = 0x80000000U, CAN_ID_REMOTE = 0x40000000U, CAN_ID_ERROR = 0x20000000U;
+
+enum { CAN_WAITING_MAX = 8, CAN_FOR_NOBODY = CAN_DRIVES_MAX + 1 };
+
+/* Hands a frame to the bus; false: it takes none now. */
+typedef bool (*can_sender)(void *sink, const can_packet *packet);
+
+/* Frames that go before all else. */
+typedef enum { CAN_STOP_NOTHING = 0, CAN_STOP_QUICK = 1, CAN_STOP_POWER_OFF = 2 } can_stop_kind;
+
+typedef struct {
+    uint32_t mode;              /* drive_mode */
+    uint32_t demoted;
+    uint32_t wish_seen;
+    uint32_t enabled;           /* 1, 0, 2 */
+    uint32_t epoch;
+    uint32_t joints;            /* bit n: joint n of the core */
+    uint32_t stops;
+    uint32_t orders_sent;
+    uint32_t orders_dropped;
+    uint32_t still_enabled;     /* frames in a row in which it said so without being armed */
+    uint32_t missing;
+    uint32_t stop;              /* can_stop_kind */
+    uint32_t stop_place;
+    bool was_enabled;           /* set-points were enabled since it was armed */
+    bool may_turn;              /* armed since it was last set up */
+    bool told_motion;
+    bool stopping;
+    bool back;                  /* a quiet drive is there: BACK when it has been told to disarm */
+    bool off_next_cycle;        /* what it said calls for a power-off: the cycle sends it, however often it says so */
+    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
+    int64_t told_ns;            /* set-points went out last */
+    int64_t quiet_since_ns;
+    int64_t probe_at_ns;
+    int64_t probe_pause_ns;
+    int64_t heard_ns[CAN_INPUTS_MAX];       /* 0: never */
+    int64_t sample_ns[CAN_INPUTS_MAX];      /* of the values in use; 0: none since it was set up */
+    uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
+    uint64_t cycles;
+    uint64_t slow_cycles;       /* since it was set up */
+    uint64_t received;
+    uint64_t quiet;
+    int64_t newest_ns;          /* any frame */
+} can_drive_state;
+
+typedef struct {
+    joint_feedback feedback;
+    int64_t count_ns;           /* stamps of the newest of each kind; 0: none */
+    int64_t velocity_ns;
+    int64_t newest_ns;
+    bool no_number;             /* its position is not finite: no feedback */
+    uint32_t fault_word;
+} can_joint_state;
+
+typedef struct {
+    can_table table;
+    can_drive_state drive[CAN_DRIVES_MAX];
+    can_joint_state joint[JOINTS_MAX];
+    setpoints newest;           /* the core's */
+    can_control control;
+    can_order order[CAN_WAITING_MAX];
+    uint32_t order_count;
+    uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
+    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    bool news;                  /* something that Python wants to hear */
+    int64_t shut_rest_by_ns;
+    int64_t shut_by_ns;
+    int64_t due_ns;
+    int64_t cycle_start_ns;
+    int64_t cycle_ns;
+    uint64_t cycles;
+    uint64_t received;
+    uint64_t sent;
+    uint64_t tx_full;
+    uint64_t bad_frames;
+    can_sender send;
+    void *sink;
+} can_machine;
+
+/* 0 or -EINVAL. Every drive OFF; `epoch`: of what was heard before. */
+int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can_sender send, void *sink, int64_t now_ns);
+/* A frame has come. Returns who is to be told: the number of its drive, CAN_DRIVES_MAX for an error frame, or
+ * CAN_FOR_NOBODY. Nothing is sent. */
+uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);
+/* false: no room */
+bool can_machine_order(can_machine *m, const can_order *order);
+/* Sends what is due; returns when to step again, if nothing comes. */
+int64_t can_machine_step(can_machine *m, int64_t now_ns);
+void can_machine_report(const can_machine *m, can_report *report);
+
+/* ------------------------------------------------------------------------- can_table.c */
+bool can_write_is_good(const can_write *write, uint32_t output_count);
+
+/* ------------------------------------------------------------------------ can_values.c */
+int64_t can_get(const uint8_t *data, const can_place *place);
+void can_put(uint8_t *data, const can_place *place, int64_t raw);
+/* The frame of a cycle with the newest set-points, or zeros; true: one of them is not zero. */
+bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out);
+bool can_wants_motion(const can_machine *m, uint32_t drive);
+void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns);
+void can_publish(can_machine *m, uint32_t drive);
+/* Nothing is known of it: a new epoch's beginning. */
+void can_forget(can_machine *m, uint32_t drive);
+bool can_at_rest(const can_machine *m, uint32_t drive);
+
+/* ------------------------------------------------------------------------- can_drive.c */
+bool can_send(can_machine *m, const can_packet *packet);
+bool can_write_out(can_machine *m, uint32_t drive, const can_write *write);
+void can_hold_nothing(can_machine *m, uint32_t drive);
+void can_obey_wish(can_machine *m, uint32_t drive, int64_t now_ns);
+void can_guard(can_machine *m, uint32_t drive, int64_t now_ns);
+/* What the newest frame says of its power, against what it should be. */
+void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
+void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
+void can_send_stop(can_machine *m, uint32_t drive);
+void can_tell(can_machine *m, uint32_t drive, int64_t now_ns);
+void can_cycle(can_machine *m, uint32_t drive, int64_t now_ns);
+
+#endif

@@ -1,0 +1,221 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * can_values.c: set-points into frames, frames into feedback. */
+#include <math.h>
+#include <string.h>
+
+#include "can_machine.h"
+#include "fault_word.h"
+
+static const double REST_VELOCITY_RAD_S = 0.1;
+static const double COUNT_MAX = 4611686018427387904.0;   /* 2^62: any counter's position is nearer */
+
+/* ------------------------------------------------------------------------------------------------------ bits */
+static uint32_t bit_shift(const can_place *place, uint32_t bit)
+{
+    return place->big_endian != 0 ? 7 - bit % 8 : bit % 8;
+}
+
+/* Place of bit n of the number, n = 0 the least significant, counted as start_bit is. */
+static uint32_t bit_at(const can_place *place, uint32_t n)
+{
+    return place->start_bit + (place->big_endian != 0 ? place->length - 1 - n : n);
+}
+
+int64_t can_get(const uint8_t *data, const can_place *place)
+{
+    uint64_t raw = 0;
+    for (uint32_t n = 0; n < place->length; n++) {
+        uint32_t bit = bit_at(place, n);
+        raw |= (uint64_t)(data[bit / 8] >> bit_shift(place, bit) & 1) << n;
+    }
+    bool negative = place->form == CAN_SIGNED && (raw >> (place->length - 1) & 1) != 0;
+    return (int64_t)(negative ? raw - (UINT64_C(1) << place->length) : raw);
+}
+
+void can_put(uint8_t *data, const can_place *place, int64_t raw)
+{
+    for (uint32_t n = 0; n < place->length; n++) {
+        uint32_t bit = bit_at(place, n);
+        uint8_t mask = (uint8_t)(1U << bit_shift(place, bit));
+        data[bit / 8] = ((uint64_t)raw >> n & 1) != 0 ? data[bit / 8] | mask : data[bit / 8] & (uint8_t)~mask;
+    }
+}
+
+static double number_of(const can_place *place, int64_t raw)
+{
+    if (place->form != CAN_FLOAT) {
+        return (double)raw;
+    }
+    uint32_t pattern = (uint32_t)raw;
+    float number;
+    memcpy(&number, &pattern, sizeof number);
+    return (double)number;
+}
+
+/* ------------------------------------------------------------------------------------------------ set-points */
+/* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
+static double wanted(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    const setpoints *from = &m->newest;
+    if (m->drive[drive].mode != DRIVE_ARMED || from->enabled != 1 || setpoint->joint >= from->joint_count) {
+        return 0.0;
+    }
+    const joint_setpoint *joint = &from->joint[setpoint->joint];
+    double value = setpoint->kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
+    return isfinite(value) ? value : 0.0;
+}
+
+static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    double raw = wanted(m, drive, setpoint) * setpoint->raw_per_si;
+    raw = fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max);
+    if (setpoint->place.form != CAN_FLOAT) {
+        return (int64_t)nearbyint(raw);
+    }
+    float number = (float)raw + 0.0F;   /* -0 + 0 is +0: rest is all zeros */
+    uint32_t pattern;
+    memcpy(&pattern, &number, sizeof pattern);
+    return pattern;
+}
+
+bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out)
+{
+    const can_output *from = &m->table.drive[drive].output[output];
+    bool motion = false;
+    *out = from->packet;
+    memcpy(out->data, m->drive[drive].held[output], sizeof out->data);
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        int64_t raw = raw_of(m, drive, &from->setpoint[i]);
+        can_put(out->data, &from->setpoint[i].place, raw);
+        motion |= raw != 0;
+    }
+    return motion;
+}
+
+bool can_wants_motion(const can_machine *m, uint32_t drive)
+{
+    const can_drive *table = &m->table.drive[drive];
+    for (uint32_t o = 0; o < table->output_count; o++) {
+        for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
+            if (raw_of(m, drive, &table->output[o].setpoint[i]) != 0) {
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
+/* -------------------------------------------------------------------------------------------------- feedback */
+static void read_count(can_joint_state *joint, const can_field *field, double number, int64_t stamp_ns)
+{
+    double count = number * field->si_per_raw + field->si_at_zero;
+    joint->no_number = !(fabs(count) < COUNT_MAX);
+    if (!joint->no_number) {
+        uint64_t mask = field->counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << field->counter_bits) - 1;
+        joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & mask;
+        joint->count_ns = stamp_ns;
+    }
+}
+
+static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data, int64_t stamp_ns)
+{
+    can_joint_state *joint = &m->joint[field->joint];
+    int64_t raw = can_get(data, &field->place);
+    double si = number_of(&field->place, raw) * field->si_per_raw + field->si_at_zero;
+    si = isfinite(si) ? si : (double)NAN;
+    joint->newest_ns = field->kind < FIELD_ENABLED ? stamp_ns : joint->newest_ns;
+    switch (field->kind) {
+    case FIELD_COUNT:
+        read_count(joint, field, number_of(&field->place, raw), stamp_ns);
+        break;
+    case FIELD_VELOCITY:
+        joint->feedback.velocity_rad_s = si;
+        joint->velocity_ns = stamp_ns;
+        break;
+    case FIELD_CURRENT:
+        joint->feedback.current_a = si;
+        break;
+    case FIELD_VOLTAGE:
+        joint->feedback.voltage_v = si;
+        break;
+    case FIELD_TEMPERATURE:
+        joint->feedback.temperature_c = si;
+        break;
+    case FIELD_FAULT:
+        m->news |= joint->fault_word != (uint32_t)raw;
+        joint->fault_word = (uint32_t)raw;
+        joint->feedback.drive_faults = fault_that_stops((uint32_t)raw, field->is_code != 0, field->harmless_bits,
+                                                        field->harmless, field->harmless_codes);
+        break;
+    default:
+        m->drive[number].enabled = ((uint32_t)raw & field->equals_mask) == field->equals ? 1 : 0;
+        break;
+    }
+}
+
+void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns)
+{
+    for (uint32_t i = 0; i < input->field_count; i++) {
+        read_field(m, drive, &input->field[i], data, stamp_ns);
+    }
+}
+
+static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
+}
+
+static bool all_known(const can_machine *m, uint32_t drive)
+{
+    const can_drive *table = &m->table.drive[drive];
+    for (uint32_t i = 0; i < table->input_count; i++) {
+        if (table->input[i].fast != 0 && m->drive[drive].sample_ns[i] == 0) {
+            return false;
+        }
+    }
+    return true;
+}
+
+void can_publish(can_machine *m, uint32_t drive)
+{
+    if (!all_known(m, drive)) {
+        return;
+    }
+    m->drive[drive].cycles++;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        can_joint_state *joint = &m->joint[j];
+        if (!has_joint(m, drive, j) || joint->no_number) {
+            continue;   /* the sample grows old, and the core sees it */
+        }
+        joint->feedback.stamp_ns = joint->count_ns > 0      ? joint->count_ns
+                                   : joint->velocity_ns > 0 ? joint->velocity_ns
+                                                            : joint->newest_ns;
+        joint->feedback.epoch = m->drive[drive].epoch;
+        joint->feedback.enabled = m->drive[drive].enabled;
+        m->feedback_mask |= 1U << j;
+    }
+}
+
+void can_forget(can_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (has_joint(m, drive, j)) {
+            m->joint[j] = (can_joint_state){.fault_word = m->joint[j].fault_word,
+                                            .feedback = {.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
+                                                         .temperature_c = NAN, .enabled = 2}};
+        }
+    }
+    memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);
+    m->drive[drive].enabled = 2;
+}
+
+bool can_at_rest(const can_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        /* NaN is not at rest: the time decides then */
+        if (has_joint(m, drive, j) && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+            return false;
+        }
+    }
+    return true;
+}

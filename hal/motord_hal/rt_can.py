@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The door to the threads that drive CAN buses: one a bus, its table, its orders, its report.
+
+The meaning of each field is in csrc/api_can.h; tables, frames and orders are plain values named as
+there.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.errors import HalError, ProfileError
+from motord_hal.rt import Exchange
+from motord_hal.rt_line import Demoted, Mode
+
+DRIVES_MAX: int = lib.CAN_DRIVES_MAX
+EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+"""Bits of an identifier: linux/can.h."""
+
+Plain = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class CanDriveReport:
+    mode: Mode
+    demoted: Demoted
+    wish_seen: int
+    missing: int
+    stops: int
+    cycles: int
+    epoch: int
+    orders_sent: int
+    orders_dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class CanReport:
+    running: bool
+    error: int
+    shut_down: bool
+    policy: int
+    cycles: int
+    received: int
+    sent: int
+    tx_full: int
+    bad_frames: int
+    unheard: int
+    page_faults: int
+    cycle_ns: int
+    setpoints_ns: int
+    fault_words: tuple[int, ...]
+    drives: tuple[CanDriveReport, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A frame of a drive, or an error frame of the controller."""
+
+    drive: int
+    """DRIVES_MAX: an error frame."""
+    identifier: int
+    """With its bits."""
+    data: bytes
+
+
+def check_table(name: str, table: Plain) -> None:
+    """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+    try:
+        found = lib.can_table_check(ffi.new("can_table *", table), field)
+    except (IndexError, OverflowError) as error:  # more than the table has places for
+        raise ProfileError(f"{name}: the line cannot run: {error}") from error
+    if found != ffi.NULL:
+        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+
+
+class CanThread:
+    """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        self._line = line
+        self._exchange = exchange
+        self._drives = 0
+        self._ordered: list[int] = []
+        self._control = ffi.new("can_control *")
+        self._heard = ffi.new("can_received *")
+        self._report = ffi.new("can_report *")
+
+    def start(self, table: Plain, **config: int) -> None:
+        """`config` as in can_config; the descriptors stay the caller's: he closes them after
+        `stop`. Raises HalError."""
+        raw = ffi.new("can_table *", table)
+        raw_config = ffi.new("can_config *", config | {"exchange": self._exchange.handle})
+        ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
+        _check(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
+        self._drives = raw.drive_count
+        self._ordered = [0] * self._drives
+
+    def stop(self) -> None:
+        """The thread has ended when this returns. Nothing happens where there is none."""
+        code = lib.can_stop(self._line)
+        if code != -errno.ESRCH:
+            _check(code, "the bus cannot be stopped")
+
+    def wish(self, drive: int, mode: Mode) -> int:
+        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
+        raw = self._control.drive[drive]
+        raw.count += 1
+        raw.mode = mode
+        self._put_control()
+        return int(raw.count)
+
+    def wished(self, drive: int) -> int:
+        """The count of the newest wish."""
+        return int(self._control.drive[drive].count)
+
+    def allow_arming(self, drive: int, until_ns: int) -> None:
+        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
+        self._control.drive[drive].arming_until_ns = until_ns
+        self._put_control()
+
+    def listen(self, drive: int, *, wanted: bool) -> None:
+        """Whether the frames of a drive are handed on to `take`."""
+        bit = 1 << drive
+        self._control.listen = self._control.listen & ~bit | bit * wanted
+        self._put_control()
+
+    def shut_down(self) -> None:
+        """Quick stop, power off, silence: see CanReport.shut_down."""
+        self._control.shut_down = 1
+        self._put_control()
+
+    def _put_control(self) -> None:
+        lib.can_put_control(self._line, self._control)
+
+    def put_order(self, order: Plain) -> bool:
+        """False: the queue is full. Raises HalError where the thread has ended."""
+        code = lib.can_put_order(self._line, ffi.new("can_order *", order))
+        if code == -errno.EAGAIN:
+            return False
+        _check(code, "the bus takes no frame")
+        self._ordered[order["drive"]] += 1
+        return True
+
+    def ordered(self, drive: int) -> int:
+        """Orders for a drive since the start; the report says what has become of them."""
+        return self._ordered[drive]
+
+    def take(self) -> Heard | None:
+        """The next frame that is for Python."""
+        raw = self._heard
+        if lib.can_take_received(self._line, raw) != 1:
+            return None
+        packet = raw.packet
+        return Heard(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
+
+    def report(self) -> CanReport:
+        """As the bus has it now."""
+        raw = self._report
+        lib.can_read_report(self._line, raw)
+        return CanReport(
+            running=raw.running != 0,
+            error=raw.error,
+            shut_down=raw.shut_down != 0,
+            policy=raw.policy,
+            cycles=raw.cycles,
+            received=raw.received,
+            sent=raw.sent,
+            tx_full=raw.tx_full,
+            bad_frames=raw.bad_frames,
+            unheard=raw.unheard,
+            page_faults=raw.page_faults,
+            cycle_ns=raw.cycle_ns,
+            setpoints_ns=raw.setpoints_ns,
+            fault_words=tuple(raw.fault_word),
+            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
+        )
+
+
+def _drive_report(raw: Any) -> CanDriveReport:
+    return CanDriveReport(
+        mode=Mode(raw.mode),
+        demoted=Demoted(raw.demoted),
+        wish_seen=raw.wish_seen,
+        missing=raw.missing,
+        stops=raw.stops,
+        cycles=raw.cycles,
+        epoch=raw.epoch,
+        orders_sent=raw.orders_sent,
+        orders_dropped=raw.orders_dropped,
+    )
+
+
+def _check(code: int, what: str) -> None:
+    if code < 0:
+        raise HalError(f"{what}: {os.strerror(-code)}")

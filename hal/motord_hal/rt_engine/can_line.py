@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The CAN line whose cycle runs in C."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from collections import Counter
+
+from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
+from motord_hal.can.plan import CanPlan
+from motord_hal.drives.profile import Step
+from motord_hal.errors import HalError, PortError, ProfileError
+from motord_hal.modbus.job import Job
+from motord_hal.modbus.parameter import readable, write_steps
+from motord_hal.modbus.units import joints_by_unit
+from motord_hal.ports import LineSpec, LineStats, Listener
+from motord_hal.rt import Exchange
+from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
+from motord_hal.rt_engine.base import RtLineBase
+from motord_hal.rt_engine.can_drive import CanRtDrive
+from motord_hal.rt_engine.can_jobs import CanJobs
+from motord_hal.rt_engine.can_port import open_socket
+from motord_hal.rt_engine.can_table import can_table
+
+STEADY_S = 1.0
+"""A bus that has worked for so long is reopened at once when it fails again."""
+_IDENTIFIER = 0x1FFF_FFFF
+_log = logging.getLogger(__name__)
+
+
+class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
+    """ports.Line for `kind = "can"`, engine "rt"."""
+
+    _thread: CanThread
+
+    def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
+        super().__init__(spec, listener)
+        self._thread = CanThread(spec.index, exchange)
+        self._plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
+        if len(self._plans) > DRIVES_MAX:
+            raise ProfileError(f"{spec.name}: {len(self._plans)} drives, at most {DRIVES_MAX}")
+        self._table = can_table(spec, self._plans)
+        check_table(spec.name, self._table)
+        self._drives = [
+            CanRtDrive(
+                index,
+                CanJobs(index, plan, self._thread, 1.0 / spec.cycle_hz, self._take_frames),
+                spec,
+                self._thread,
+                self._news,
+                self._say,
+            )
+            for index, plan in enumerate(self._plans)
+        ]
+        self._bus: socket.socket | None = None
+        self._trouble: PortError | None = None
+        self._bus_off = False
+        """The controller has left the bus, and nobody has restarted it since."""
+        self._errors: Counter[str] = Counter()
+        self._frames = self._cycles = self._reopened = 0
+        self._epoch = 0
+        """What comes after a reopening is new, though its counters may look alike."""
+
+    def stats(self) -> LineStats:
+        """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
+        no round trips: most of what comes was not asked for."""
+        wire = (self.spec.baudrate, self.spec.data_baudrate)
+        free = 1.0 - sum(plan.own_load(*wire) for plan in self._plans)
+        stats = LineStats(
+            exchanges=self._frames,
+            cycles=self._cycles,
+            reopened=self._reopened,
+            errors=dict(self._errors),
+            wire_limit_hz=max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in self._plans),
+        )
+        if self._report is not None:
+            report = self._thread.report()
+            stats.exchanges += report.received
+            stats.cycles += report.cycles
+            stats.cycle_hz = 1e9 / report.cycle_ns if report.cycle_ns else 0.0
+            stats.errors = dict(self._errors + _errors(report))
+        return stats
+
+    # ------------------------------------------------------------------------------- its own medium
+    async def _start(self) -> tuple[str, ...]:
+        if self._bus_off:
+            await self._restart()
+        identifiers = [one for plan in self._plans for one in plan.identifiers]
+        fd_frames = self.spec.data_baudrate is not None
+        self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)
+        self._trouble = None
+        self._thread.start(
+            self._table,
+            fd=self._bus.fileno(),
+            event_fd=self._news.event_fd,
+            priority=self.spec.priority,
+            epoch=self._epoch,
+            cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
+        )
+        self._report = self._thread.report()
+        return ()
+
+    async def _restart(self) -> None:
+        refused = await restart_controller(self.spec.port)
+        if refused:
+            self._errors["restart_refused"] += 1
+            _log.info("%s: not restarted: %s", self.spec.port, refused)
+        self._bus_off = False
+
+    def _close_medium(self, error: HalError) -> None:
+        del error  # jobs see it by their tasks' end
+        if self._report is not None:
+            last = self._thread.report()
+            self._frames += last.received
+            self._cycles += last.cycles
+            self._epoch = max(drive.epoch for drive in last.drives)
+            self._errors += _errors(last)
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+    def _count_lost(self) -> None:
+        """What loses a bus is counted by its kind."""
+
+    def _count_reopened(self) -> None:
+        self._reopened += 1
+
+    def _ended(self, report: CanReport) -> PortError | None:
+        if self._trouble is not None:
+            return self._trouble
+        if not report.running:
+            self._errors["port"] += 1
+            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
+        if report.cycles > STEADY_S * self.spec.cycle_hz:
+            self._backoff.reset()
+        return None
+
+    def _look(self) -> CanReport:
+        """Take in what the thread says."""
+        self._take_frames()
+        report = self._take_report()
+        self._news.looked()
+        return report
+
+    def _take_frames(self) -> None:
+        while (heard := self._thread.take()) is not None:
+            if heard.drive == DRIVES_MAX:
+                self._note(heard)
+                continue
+            found = self._plans[heard.drive].parse(
+                heard.identifier & _IDENTIFIER,
+                heard.data,
+                extended=heard.identifier & EXTENDED != 0,
+            )
+            if found is not None:
+                self._drives[heard.drive].jobs.heard(*found)
+
+    def _note(self, heard: Heard) -> None:
+        kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
+        self._errors.update(kinds)
+        if trouble is BusTrouble.BUS_OFF:
+            self._bus_off = True
+            self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
+            self._news.poke()
+
+    # ---------------------------------------------------------------------------------- parameters
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
+        the next one that comes."""
+        jobs = self._drive_of(joint).jobs
+        found = readable(jobs.profile, register)
+        frame = jobs.plan.read_frame_of(register)
+        if not frame.period_s and not frame.ask:
+            raise LookupError(f"{register}: the drive neither sends it nor can be asked for it")
+        self._check_open()
+        job = Job("read", (Step(register=register, mask=0, equals=0),))
+        await jobs.finish(job)
+        return found.to_si(job.raw)
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """As ports.Line.write_register."""
+        jobs = self._drive_of(joint).jobs
+        steps = write_steps(jobs.profile, register, value)
+        self._check_open()
+        job = Job("write", steps)
+        await jobs.finish(job)
+        return jobs.profile.registers[register].to_si(job.raw)
+
+
+def _errors(report: CanReport) -> Counter[str]:
+    """What never happened is left out."""
+    counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.unheard}
+    return Counter({kind: count for kind, count in counts.items() if count})

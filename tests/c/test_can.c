@@ -1,0 +1,478 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A CAN bus's machine in virtual time: what goes out, what is believed, and who is stopped when. */
+#include "can_wire.h"
+
+/* ---------------------------------------------------------------------------------------------------- values */
+static void numbers_stand_where_their_place_says(void)
+{
+    uint8_t data[8] = {0};
+    can_put(data, &(can_place){.start_bit = 4, .length = 12}, 0xABC);
+    CHECK(data[0] == 0xC0 && data[1] == 0xAB);
+    memset(data, 0xFF, sizeof data);
+    can_put(data, &(can_place){.start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED}, -2);
+    CHECK(data[0] == 0xFF && data[1] == 0xFF && data[2] == 0xFE && data[3] == 0xFF);
+    CHECK(can_get(data, &(can_place){.start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED}) == -2);
+    for (uint32_t start = 0; start <= 32; start++) {
+        for (uint32_t big = 0; big < 2; big++) {
+            can_place place = {.start_bit = start, .length = 32, .big_endian = big, .form = CAN_UNSIGNED};
+            memset(data, 0x5A, sizeof data);
+            can_put(data, &place, 0x12345678);
+            CHECK(can_get(data, &place) == 0x12345678);
+        }
+    }
+}
+
+static void a_set_point_that_is_no_number_or_too_great_is_harmless(void)
+{
+    begin_with(1);
+    arm(0);
+    const double bad[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
+    for (uint32_t i = 0; i < 3; i++) {
+        w.velocity_rad_s = bad[i];
+        go_on(30 * MS);
+        CHECK(speed_in(newest_of(0)) == 0);
+    }
+    w.velocity_rad_s = 1e300;
+    go_on(30 * MS);
+    CHECK(speed_in(newest_of(0)) == 1000);
+    w.velocity_rad_s = -2.0;
+    go_on(30 * MS);
+    CHECK(speed_in(newest_of(0)) == -200);
+}
+
+static void a_float_of_minus_zero_is_sent_as_zero(void)
+{
+    begin_with(1);
+    can_setpoint *setpoint = &w.table.drive[0].output[0].setpoint[0];
+    w.table.drive[0].output[0].packet.bytes = 8;
+    *setpoint = (can_setpoint){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT}, .raw_per_si = -1.0,
+                               .raw_min = -10.0, .raw_max = 10.0};
+    restart();
+    arm(0);
+    w.velocity_rad_s = 0.0;
+    go_on(20 * MS);
+    CHECK(can_get(newest_of(0)->data, &setpoint->place) == 0);
+    w.velocity_rad_s = 1.0;
+    go_on(20 * MS);
+    CHECK(can_get(newest_of(0)->data, &setpoint->place) == 0xBF800000);
+}
+
+static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
+{
+    begin_with(1);
+    arm(0);
+    say_motion(0, 1.0F, 0.0F);
+    w.now_ns += MS;
+    say_motion(0, -0.25F, 3.0F);   /* so soon after the other it tells nothing new */
+    CHECK(w.machine.joint[0].feedback.count == 1000);
+    w.now_ns += 6 * MS;
+    say_motion(0, -0.25F, 3.0F);
+    const joint_feedback *feedback = &w.machine.joint[0].feedback;
+    CHECK(feedback->count == (1ULL << 32) - 250 && feedback->velocity_rad_s == 3.0);
+    CHECK(feedback->stamp_ns == w.now_ns && feedback->epoch == 1 && isnan(feedback->current_a));
+    CHECK((w.machine.feedback_mask & 1) == 1);
+    w.machine.feedback_mask = 0;
+    w.now_ns += 10 * MS;
+    say_motion(0, NAN, 1.0F);
+    CHECK(w.machine.feedback_mask == 0);
+}
+
+/* ------------------------------------------------------------------------------------------------- frames out */
+static void nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up(void)
+{
+    begin_with(2);
+    go_on(100 * MS);
+    CHECK(w.sent_count == 0);
+    wish(0, DRIVE_READY);
+    go_on(100 * MS);
+    CHECK(count_sent(SPEED) >= 9 && count_sent(SPEED + 1) == 0);
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        CHECK(speed_in(&w.sent[i]) == 0);
+    }
+}
+
+static void frames_that_come_make_none_go_out(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    forget_sent();
+    for (uint32_t i = 0; i < 1000; i++) {
+        say_state(0, 8);
+        say_motion(0, 1.0F, 1.0F);
+        w.now_ns += MS / 100;
+        step();
+    }
+    CHECK(w.sent_count <= 2);   /* 10 ms are one cycle, or two */
+}
+
+static void what_is_held_goes_out_with_the_set_points(void)
+{
+    begin_with(1);
+    arm(0);
+    can_order order = {.write = {.packet = packet_of(SPEED, 4), .output = 1, .mask = {0xFF, 0xFF}},
+                       .expires_ns = w.now_ns + 1000 * MS};
+    order.write.packet.data[0] = ENABLE;
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    CHECK(newest_of(0)->data[0] == ENABLE);
+    go_on(50 * MS);
+    CHECK(newest_of(0)->data[0] == ENABLE && speed_in(newest_of(0)) == 100);
+}
+
+static void an_order_of_a_job_that_was_stopped_is_not_sent(void)
+{
+    begin_with(1);
+    arm(0);
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 1000 * MS, .guarded = 1,
+                       .stops = w.machine.drive[0].stops};
+    CHECK(can_machine_order(&w.machine, &order));
+    wish(0, DRIVE_STAND_DOWN);
+    CHECK(count_sent(CONTROL) == 0 && w.machine.order_count == 0);
+    order.stops = w.machine.drive[0].stops;
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    CHECK(count_sent(CONTROL) == 1);
+}
+
+static void one_sync_ends_each_cycle_after_the_set_points_of_all(void)
+{
+    begin_with(2);
+    w.table.sync_count = 1;
+    w.table.sync[0] = packet_of(0x80, 0);
+    restart();
+    arm(0);
+    arm(1);
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(count_sent(0x80) == count_sent(SPEED) && count_sent(0x80) >= 9);
+    for (uint32_t i = 0; i + 2 < w.sent_count; i += 3) {
+        CHECK(w.sent[i].id == SPEED && w.sent[i + 1].id == SPEED + 1 && w.sent[i + 2].id == 0x80);
+    }
+}
+
+static void a_full_bus_loses_set_points_and_the_next_are_newer(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(30 * MS);
+    forget_sent();
+    w.full = true;
+    go_on(50 * MS);
+    CHECK(w.machine.tx_full >= 4 && w.machine.drive[0].mode == DRIVE_ARMED);
+    w.full = false;
+    w.velocity_rad_s = 3.0;
+    go_on(10 * MS);
+    CHECK(w.sent_count <= 2 && speed_in(&w.sent[0]) == 300);
+}
+
+static void an_order_waits_while_the_bus_is_full_and_not_for_ever(void)
+{
+    begin_with(1);
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 50 * MS};
+    w.full = true;
+    CHECK(can_machine_order(&w.machine, &order));
+    go_on(20 * MS);
+    w.full = false;
+    go_on(5 * MS);
+    CHECK(count_sent(CONTROL) == 1);
+    w.full = true;
+    order.expires_ns = w.now_ns + 50 * MS;
+    CHECK(can_machine_order(&w.machine, &order));
+    go_on(60 * MS);
+    w.full = false;
+    go_on(20 * MS);
+    CHECK(count_sent(CONTROL) == 1 && w.machine.order_count == 0);
+    CHECK(w.machine.drive[0].orders_sent == 1 && w.machine.drive[0].orders_dropped == 1);
+}
+
+/* --------------------------------------------------------------------------------------------------- stopping */
+static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
+{
+    begin_with(1);
+    arm(0);
+    w.said_rad_s = 1.0;
+    go_on(50 * MS);
+    forget_sent();
+    int64_t last_ns = w.now_ns;
+    w.enabled = 2;
+    go_on(150 * MS);
+    int64_t stopped_ns = told_ns(0, QUICK_STOP);
+    CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && told_ns(0, DISABLE) == 0);
+    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].demoted == DEMOTED_SETPOINTS_OLD);
+    w.said_rad_s = 0.0;
+    go_on(30 * MS);
+    CHECK(told_ns(0, DISABLE) > stopped_ns);
+    w.enabled = 1;
+    w.powered = false;
+    go_on(100 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && speed_in(newest_of(0)) == 0);
+}
+
+static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
+{
+    begin_with(1);
+    arm(0);
+    w.said_rad_s = 1.0;
+    go_on(50 * MS);
+    int64_t last_ns = w.now_ns;
+    w.enabled = 2;
+    go_on(1300 * MS);
+    CHECK(told_ns(0, DISABLE) > last_ns + 1000 * MS && told_ns(0, DISABLE) < last_ns + 1150 * MS);
+}
+
+static void enabled_that_is_taken_back_is_power_off_at_once(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    forget_sent();
+    w.enabled = 0;
+    step();
+    CHECK(w.sent[0].data[0] == DISABLE && speed_in(&w.sent[0]) == 0);
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].demoted == DEMOTED_NOT_ENABLED);
+}
+
+static void a_stop_that_the_bus_did_not_take_is_told_again(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    forget_sent();
+    w.full = true;
+    w.enabled = 0;
+    go_on(30 * MS);
+    w.full = false;
+    step();
+    CHECK(w.sent[0].data[0] == DISABLE);
+}
+
+static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
+{
+    begin_with(1);
+    w.table.period_ns = 1000 * MS;
+    w.table.drive[0].watchdog_ns = 0;
+    restart();
+    arm(0);
+    go_on(2000 * MS);
+    CHECK(w.machine.drive[0].told_motion);
+    w.velocity_rad_s = 0.0;
+    go_on(10 * MS);
+    CHECK(speed_in(newest_of(0)) == 0 && !w.machine.drive[0].told_motion);
+}
+
+static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    w.now_ns += 600 * MS;   /* nothing was told: it has stopped by itself, if it can */
+    say_state(0, 8);
+    say_motion(0, 1.0F, 1.0F);
+    step();
+    CHECK(w.machine.drive[0].demoted == DEMOTED_LEFT_ALONE && w.machine.drive[0].mode == DRIVE_READY);
+}
+
+static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    w.powered = false;
+    go_on(20 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_OFF && w.machine.drive[0].demoted == DEMOTED_DISABLED_ITSELF);
+    CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
+}
+
+static void a_drive_that_stays_enabled_is_told_off_once_a_cycle(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    w.powered = true;
+    go_on(50 * MS);
+    CHECK((w.machine.drive[0].demoted & DEMOTED_STILL_ENABLED) != 0);
+    forget_sent();
+    for (uint32_t i = 0; i < 1000; i++) {
+        say_state(0, 8);
+        w.now_ns += MS / 100;
+        step();
+    }
+    CHECK(w.sent_count <= 4);
+}
+
+static void a_drive_that_is_being_armed_may_say_that_it_is_enabled(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    w.machine.control.drive[0].arming_until_ns = w.now_ns + 500 * MS;
+    w.powered = true;
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].demoted == 0);
+}
+
+static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(void)
+{
+    begin_with(2);
+    arm(0);
+    w.said_rad_s = 1.0;
+    go_on(50 * MS);
+    forget_sent();
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    go_on(500 * MS);
+    CHECK(w.machine.shut == 3);
+    CHECK(told_ns(0, QUICK_STOP) == asked_ns && told_ns(1, QUICK_STOP) == 0);
+    CHECK(told_ns(0, DISABLE) >= asked_ns + 350 * MS && told_ns(1, DISABLE) >= asked_ns + 350 * MS);
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(w.sent_count == 0);
+}
+
+/* --------------------------------------------------------------------------------------------------- presence */
+static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(50 * MS);
+    w.silent = true;
+    int64_t silent_ns = w.now_ns;
+    forget_sent();
+    while (w.machine.drive[0].mode == DRIVE_ARMED) {
+        go_on(5 * MS);
+    }
+    CHECK(w.machine.drive[0].mode == DRIVE_QUIET && w.now_ns - silent_ns < 230 * MS);
+    go_on(50 * MS);
+    CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
+    go_on(3000 * MS);
+    CHECK(told_ns(0, DISABLE) > 0);
+    w.silent = false;
+    w.powered = false;
+    go_on(50 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_BACK && newest_of(0)->data[0] == DISABLE);
+    wish(0, DRIVE_ARMED);
+    CHECK(w.machine.drive[0].mode == DRIVE_BACK);
+    wish(0, DRIVE_READY);
+    go_on(50 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.joint[0].feedback.epoch == 2);
+    CHECK(speed_in(newest_of(0)) == 0);
+}
+
+static void one_frame_that_is_missing_makes_a_drive_quiet(void)
+{
+    begin_with(1);
+    arm(0);
+    w.silent = true;
+    for (uint32_t i = 0; i < 60; i++) {
+        say_motion(0, 1.0F, 1.0F);
+        go_on(10 * MS);
+    }
+    CHECK(w.machine.drive[0].mode == DRIVE_QUIET && w.machine.drive[0].missing == 1);
+}
+
+static void the_epochs_of_a_line_that_is_reopened_go_on(void)
+{
+    begin_with(1);
+    arm(0);
+    restart();
+    arm(0);
+    CHECK(w.machine.drive[0].epoch == 2);
+}
+
+static void only_who_is_listened_to_is_handed_on(void)
+{
+    begin_with(2);
+    const uint8_t answer[8] = {0x43}, other[8] = {0x80};
+    CHECK(say(ANSWER + 1, answer, 8) == CAN_FOR_NOBODY);
+    w.machine.control.listen = 2;
+    CHECK(say(ANSWER + 1, answer, 8) == 1 && say(ANSWER, answer, 8) == CAN_FOR_NOBODY);
+    CHECK(say(CAN_ID_ERROR | 0x40, other, 8) == CAN_DRIVES_MAX);
+    CHECK(w.machine.bad_frames == 0);
+    CHECK(say(ANSWER, other, 8) == CAN_FOR_NOBODY && say(MOTION, other, 4) == CAN_FOR_NOBODY);
+    CHECK(w.machine.bad_frames == 2);
+    CHECK(say(0x7FF, other, 8) == CAN_FOR_NOBODY && say(CAN_ID_REMOTE | MOTION, other, 8) == CAN_FOR_NOBODY);
+    CHECK(w.machine.bad_frames == 2);
+}
+
+static void bytes_that_may_be_anything_do_not_tell_frames_apart(void)
+{
+    begin_with(1);
+    can_match *match = &w.table.drive[0].match[2];
+    match->begins_bytes = 3;
+    memcpy(match->begins, (const uint8_t[]){0x43, 0, 0x60}, 3);
+    memcpy(match->begins_mask, (const uint8_t[]){0xFF, 0, 0xFF}, 3);
+    restart();
+    w.machine.control.listen = 1;
+    const uint8_t same[8] = {0x43, 0x99, 0x60}, other[8] = {0x43, 0x99, 0x61};
+    CHECK(say(ANSWER, same, 8) == 0 && say(ANSWER, other, 8) == CAN_FOR_NOBODY);
+}
+
+/* ------------------------------------------------------------------------------------------------------ table */
+static bool is_bad(void)
+{
+    char name[FIELD_NAME_BYTES];
+    return can_table_check(&w.table, name) != NULL;
+}
+
+static void a_table_that_points_outside_its_frames_is_refused(void)
+{
+    begin_with(2);
+    CHECK(!is_bad());
+    can_drive *drive = &w.table.drive[1];
+    drive->output[0].setpoint[0].place.start_bit = 17;
+    CHECK(is_bad());
+    drive->output[0].setpoint[0].place.start_bit = UINT32_MAX;
+    CHECK(is_bad());
+    begin_with(2);
+    drive->match[1].bytes = 7;   /* shorter than what is read in it */
+    CHECK(is_bad());
+    begin_with(2);
+    drive->input[0].field[0].joint = JOINTS_MAX;
+    CHECK(is_bad());
+    begin_with(2);
+    drive->output[0].setpoint[0].raw_per_si = (double)NAN;
+    CHECK(is_bad());
+    begin_with(2);
+    drive->disarm[0].output = 2;
+    CHECK(is_bad());
+    begin_with(2);
+    drive->match[0].input = 3;
+    CHECK(is_bad());
+    begin_with(2);
+    drive->output[0].packet.bytes = 9;   /* of a classic frame */
+    CHECK(is_bad());
+}
+
+int main(void)
+{
+    numbers_stand_where_their_place_says();
+    a_set_point_that_is_no_number_or_too_great_is_harmless();
+    a_float_of_minus_zero_is_sent_as_zero();
+    feedback_is_counts_and_si_with_the_kernel_s_stamp();
+    nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up();
+    frames_that_come_make_none_go_out();
+    what_is_held_goes_out_with_the_set_points();
+    an_order_of_a_job_that_was_stopped_is_not_sent();
+    one_sync_ends_each_cycle_after_the_set_points_of_all();
+    bytes_that_may_be_anything_do_not_tell_frames_apart();
+    a_full_bus_loses_set_points_and_the_next_are_newer();
+    an_order_waits_while_the_bus_is_full_and_not_for_ever();
+    old_set_points_are_a_quick_stop_and_then_power_off_at_rest();
+    a_wheel_that_turns_on_loses_its_power_after_a_second();
+    enabled_that_is_taken_back_is_power_off_at_once();
+    a_stop_that_the_bus_did_not_take_is_told_again();
+    a_set_point_of_zero_does_not_wait_for_its_cycle();
+    a_pause_longer_than_the_watchdog_stops_the_drive();
+    a_drive_that_is_armed_and_says_it_is_not_enabled_is_off();
+    a_drive_that_stays_enabled_is_told_off_once_a_cycle();
+    a_drive_that_is_being_armed_may_say_that_it_is_enabled();
+    shutting_down_stops_and_then_takes_the_power_within_half_a_second();
+    silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch();
+    one_frame_that_is_missing_makes_a_drive_quiet();
+    the_epochs_of_a_line_that_is_reopened_go_on();
+    only_who_is_listened_to_is_handed_on();
+    a_table_that_points_outside_its_frames_is_refused();
+    return checks_report("can");
+}

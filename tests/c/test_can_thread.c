@@ -1,0 +1,112 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A bus's thread on a socket pair, with asyncio's side and the loop's side in threads of their own: for the sanitizers.
+ * Nothing is shared but what api_can.h and the exchange pass on. */
+#include <errno.h>
+#include <linux/can.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "can_wire.h"
+#include "exchange.h"
+
+static exchange shared;
+static _Atomic bool over;
+static int ends[2];
+
+static void *core(void *arg)
+{
+    (void)arg;
+    while (!over) {
+        setpoints out = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = JOINTS_MAX};
+        out.joint[0].velocity_rad_s = 1.0;
+        (void)exchange_put_setpoints(&shared, 0, &out);
+        joint_feedback feedback;
+        (void)exchange_take_feedback(&shared, 0, &feedback);
+        (void)poll(NULL, 0, 1);
+    }
+    return NULL;
+}
+
+/* The drive: says its state and motion, and reads what it is told. */
+static void *drive(void *arg)
+{
+    unsigned long *heard = arg;
+    while (!over) {
+        struct can_frame state = {.can_id = STATE, .can_dlc = 1, .data = {8}};
+        struct can_frame motion = {.can_id = MOTION, .can_dlc = 8};
+        struct canfd_frame in;
+        (void)send(ends[1], &state, sizeof state, MSG_DONTWAIT);
+        (void)send(ends[1], &motion, sizeof motion, MSG_DONTWAIT);
+        while (recv(ends[1], &in, sizeof in, MSG_DONTWAIT) > 0) {
+            (*heard)++;
+        }
+        (void)poll(NULL, 0, 1);
+    }
+    return NULL;
+}
+
+static can_report wait_for(uint32_t mode)
+{
+    can_report report;
+    int64_t until_ns = clock_now_ns() + 20000 * MS;
+    do {
+        CHECK(clock_now_ns() < until_ns);
+        (void)poll(NULL, 0, 1);
+        CHECK(can_read_report(0, &report) == 0);
+    } while (report.running != 0 && report.drive[0].mode != mode);
+    return report;
+}
+
+static void a_line_is_set_up_armed_ordered_and_stopped(void)
+{
+    can_control control = {.listen = 1};
+    control.drive[0] = (drive_wish){.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX};
+    can_put_control(0, &control);
+    (void)wait_for(DRIVE_READY);
+    control.drive[0].count = 2;
+    control.drive[0].mode = DRIVE_ARMED;
+    can_put_control(0, &control);
+    (void)wait_for(DRIVE_ARMED);
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}};
+    unsigned ordered = 0, taken = 0;
+    while (ordered < 200 || taken < 200) {
+        can_received received;
+        order.expires_ns = clock_now_ns() + 100 * MS;
+        ordered += can_put_order(0, &order) == 0;
+        taken += can_take_received(0, &received) != 0;
+        (void)poll(NULL, 0, 1);
+    }
+    control.shut_down = 1;
+    can_put_control(0, &control);
+    can_report report;
+    int64_t until_ns = clock_now_ns() + 20000 * MS;
+    do {
+        CHECK(clock_now_ns() < until_ns && can_read_report(0, &report) == 0);
+    } while (report.shut_down == 0);
+    CHECK(can_stop(0) == 0 && can_stop(0) == -ESRCH);
+}
+
+int main(void)
+{
+    pthread_t loop, peer;
+    unsigned long heard = 0;
+    begin_with(1);
+    exchange_init(&shared);
+    CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
+    can_config config = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
+    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, drive, &heard) == 0);
+    CHECK(can_start(0, &config, &w.table) == 0 && can_start(0, &config, &w.table) == -EBUSY);
+    a_line_is_set_up_armed_ordered_and_stopped();
+    CHECK(can_start(0, &config, &w.table) == 0);
+    over = true;
+    CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
+    CHECK(heard > 200);
+    CHECK(close(ends[1]) == 0);
+    CHECK(wait_for(DRIVE_ARMED).error == ENODEV);   /* the other end has gone: the thread says so, and ends */
+    CHECK(can_stop(0) == 0);
+    return checks_report("can thread");
+}

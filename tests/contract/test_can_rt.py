@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What only the CAN line in C promises: nothing that asyncio does, or does not, moves a motor."""
+
+import asyncio
+import math
+import select
+import socket
+import struct
+import time
+
+import pytest
+from loop_side import running, until
+from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from test_can_line import TURN, joints, spec_of
+
+from motord_hal.errors import HalError
+from motord_hal.lines import open_line
+from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
+from motord_hal.rt import Exchange, JointSetpoint, Setpoints
+
+FRAME = struct.Struct("=IB3x8s")
+"""struct can_frame: linux/can.h"""
+HEARTBEAT, ESTIMATES = 0x01, 0x09
+
+
+class Bus:
+    """A bus that is read when the test says so, from whichever thread is awake."""
+
+    def __init__(self, folder):
+        self.address = f"unix:{folder}/bus"
+        self.door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.door.bind(f"{folder}/bus")
+        self.door.listen(8)
+        self.door.settimeout(20.0)
+        self.end = None
+        self.state = IDLE
+        self.said_ns = 0
+        self.heard = []
+
+    def accept(self):
+        self.end, _ = self.door.accept()
+        self.end.settimeout(0.0)
+
+    def close(self):
+        self.door.close()
+        if self.end is not None:
+            self.end.close()
+
+    def say(self):
+        """What an axis says by itself, at rest."""
+        self.said_ns = time.monotonic_ns()
+        for command, data in (
+            (HEARTBEAT, struct.pack("<IB3x", 0, self.state)),
+            (ESTIMATES, struct.pack("<ff", 0.0, 0.0)),
+        ):
+            self.end.send(FRAME.pack(command, 8, data))
+
+    def hear(self):
+        """Take in all that has come; the axis obeys at once."""
+        while True:
+            try:
+                frame = self.end.recv(72)
+            except BlockingIOError:
+                return
+            identifier, size, data = FRAME.unpack(frame)
+            if not identifier & 0x40000000:
+                self.heard.append((identifier & 0x1F, data[:size]))
+            if identifier & 0x1F == STATE:
+                self.state = int.from_bytes(data[:4], "little")
+
+    def velocities(self):
+        told = [data for command, data in self.heard if command == INPUT_VELOCITY]
+        return [struct.unpack("<ff", data)[0] for data in told]
+
+    def states(self):
+        return [int.from_bytes(data[:4], "little") for c, data in self.heard if c == STATE]
+
+    def live(self, seconds):
+        """The axis lives, and nothing else in this process does."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.say()
+            self.hear()
+            select.select([self.end], [], [], 0.005)
+
+
+@pytest.fixture
+def bus(tmp_path):
+    bus = Bus(tmp_path)
+    yield bus
+    bus.close()
+
+
+@pytest.fixture
+async def rig(bus):
+    async with running(spec_of(bus, 0, joints=joints(0))) as rig:
+        await until(lambda: EventKind.LINE_OPEN in rig.kinds())
+        bus.accept()
+        yield rig
+
+
+async def lively(rig, bus, condition):
+    """Until it is true, with an axis that lives."""
+
+    def both():
+        bus.say()
+        bus.hear()
+        return condition()
+
+    await until(both)
+
+
+async def arm(rig, bus):
+    await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(rig.line.arm())
+        await lively(rig, bus, task.done)
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await lively(rig, bus, lambda: bus.velocities()[-1] == pytest.approx(1.0))
+
+
+async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
+    await arm(rig, bus)
+    bus.live(SETPOINT_TIMEOUT_S + 0.3)  # set-points grow old meanwhile, and nobody runs
+    assert bus.velocities()[-1] == 0.0
+    assert bus.states()[-1] == IDLE
+    bus.heard.clear()
+    await lively(rig, bus, lambda: rig.states() == {DriveState.READY} and bus.velocities())
+    assert set(bus.velocities()) == {0.0}
+
+
+async def test_a_core_that_takes_enabled_back_while_the_event_loop_hangs_takes_the_power(rig, bus):
+    await arm(rig, bus)
+    rig.loop.enabled = False
+    rig.loop.put()
+    bus.live(0.1)
+    assert bus.states()[-1] == IDLE
+    assert bus.velocities()[-1] == 0.0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+async def test_a_set_point_that_is_no_number_is_zero_on_the_bus(rig, bus, bad):
+    await arm(rig, bus)
+    rig.loop.velocity_rad_s = {0: bad}
+    rig.loop.put()
+    bus.heard.clear()
+    bus.live(0.05)
+    assert set(bus.velocities()[1:]) == {0.0}
+
+
+async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_newest(rig, bus):
+    await arm(rig, bus)
+
+    def speak_and_not_hear():
+        bus.say()
+        return rig.line.stats().errors.get("tx_full", 0) > 3
+
+    await until(speak_and_not_hear)
+    assert rig.states() <= {DriveState.ARMED, DriveState.READY}
+    rig.loop.velocity_rad_s = {0: 3 * TURN}
+    rig.loop.put()
+    bus.hear()  # what was on its way
+    bus.heard.clear()
+    await lively(rig, bus, lambda: len(bus.velocities()) > 2)
+    assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
+
+
+async def test_a_stop_that_the_bus_did_not_take_is_told_as_soon_as_it_does(rig, bus):
+    await arm(rig, bus)
+
+    def full():
+        bus.say()
+        return rig.line.stats().errors.get("tx_full", 0) > 3
+
+    await until(full)
+    rig.loop.enabled = False
+
+    def disarmed():
+        bus.say()
+        return rig.states() == {DriveState.READY}
+
+    await until(disarmed)
+    assert bus.states()[-1] == CLOSED_LOOP
+    bus.heard.clear()
+    await lively(rig, bus, lambda: bus.state == IDLE)
+    assert bus.velocities()[-1] == 0.0
+
+
+async def test_a_bus_that_goes_away_is_reopened_and_the_drive_is_new_and_disarmed(rig, bus):
+    await arm(rig, bus)
+    epoch = rig.loop.exchange.take_feedback(0).epoch
+    bus.end.close()
+    bus.state = IDLE
+    bus.heard.clear()
+    await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
+    bus.accept()
+    await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
+    await lively(rig, bus, lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
+    assert rig.kinds().count(EventKind.LINE_LOST) == 1
+    assert set(bus.velocities()) <= {0.0}
+    assert rig.line.stats().reopened == 1
+
+
+async def test_feedback_carries_the_time_at_which_the_kernel_saw_the_frame(rig, bus):
+    await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
+    while time.monotonic_ns() < bus.said_ns + 20_000_000:  # a sample of its own
+        bus.hear()
+    before_ns = time.monotonic_ns()
+    bus.say()
+    after_ns = time.monotonic_ns()
+    while time.monotonic_ns() < after_ns + 50_000_000:  # whoever looks late
+        bus.hear()
+    await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns >= before_ns - 1_000_000)
+    assert rig.loop.exchange.take_feedback(0).stamp_ns <= after_ns + 5_000_000
+
+
+async def test_an_adapter_that_only_python_can_knows_is_not_the_rt_engine_s(tmp_path):
+    async with living(Peer("virtual")) as peer:
+        with pytest.raises(HalError, match="SocketCAN"):
+            open_line(spec_of(peer, 0, engine="rt"), Exchange.private(), lambda event: None)
+
+
+async def test_set_points_of_a_line_that_was_not_armed_stay_on_this_side(rig, bus):
+    await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
+    wheels = tuple(JointSetpoint(TURN, 1.0) for _ in range(8))
+    rig.loop.exchange.put_setpoints(
+        0, Setpoints(time.monotonic_ns(), 1, enabled=True, joints=wheels)
+    )
+    bus.live(0.05)
+    assert set(bus.velocities()) == {0.0}
