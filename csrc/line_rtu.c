@@ -299,11 +299,25 @@ static int make_wake(line_thread *t)
     return 0;
 }
 
+/* The newest of the start before: a drive may have been switched off meanwhile, and its counter with it. */
+static uint32_t last_epoch(const line_machine *m)
+{
+    uint32_t epoch = 0;
+    for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
+        epoch = m->drive[i].epoch > epoch ? m->drive[i].epoch : epoch;
+    }
+    return epoch;
+}
+
 static int prepare(line_thread *t, uint32_t line, const line_config *config, const line_table *table)
 {
     int error = make_wake(t);
+    uint32_t epoch = last_epoch(&t->machine);
     if (error == 0) {
         error = line_machine_init(&t->machine, table, clock_now_ns());
+    }
+    for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
+        t->machine.drive[i].epoch = epoch;
     }
     t->number = line;
     t->config = *config;

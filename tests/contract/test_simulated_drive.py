@@ -202,6 +202,8 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
 @pytest.mark.parametrize("variant", SERIAL, indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
+    left = rig.line.spec.joints[0]
+    epoch = feedback(rig, left).epoch
     sim.pull("bus")
     await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the loss is said")
     await rest(sim)
@@ -214,6 +216,7 @@ async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disa
     await until(lambda: rig.line.stats().cycles > cycles + 5, "five cycles have passed")
     assert sim.truth().at_rest
     assert rig.line.stats().reopened == 1
+    assert feedback(rig, left).epoch != epoch  # it may have been switched off meanwhile
 
 
 async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, sim):
