@@ -57,7 +57,8 @@ def chip():
     try:
         yield Lines(Path("/sys/devices/platform", device, number), made)
     finally:
-        (made / "live").write_text("0")
+        if (made / "live").read_text().strip() == "1":  # the kernel refuses what it is already
+            (made / "live").write_text("0")
         for folder in (*(bank / f"line{n}" for n in range(len(NAMES))), bank, made):
             folder.rmdir()
 
