@@ -30,8 +30,8 @@ newest_kernel() {
     apt-cache depends linux-image-rt-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-\([0-9].*\)/\1/p' | head -n 1
 }
 
-# pwm-sim is ours. Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which asks for a function that modules do not
-# get; generic_handle_irq does the same for it.
+# pwm-sim is ours. Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which asks for a function that
+# modules do not get; generic_handle_irq does the same for it.
 make_modules() {
     local tree=linux-source-6.1
     mkdir modules
