@@ -150,14 +150,18 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await rest(sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 3, "the counts at rest are in")
-    for joint in joints:
-        counts = (feedback(rig, joint).count - before[joint.name]) % (1 << profile.counter_bits)
-        half = 1 << (profile.counter_bits - 1)
-        counts = counts - 2 * half if counts >= half else counts
+    half = 1 << (profile.counter_bits - 1)
+
+    def missed(joint):
+        """Counts that the feedback is off the truth."""
+        counts = (feedback(rig, joint).count - before[joint.name] + half) % (2 * half) - half
         per_turn = profile.counts_per_turn * GEAR * (-1 if joint.inverted else 1)
         turned_rad = sim.truth().joints[joint.name].position_rad
-        assert turned_rad > 0.2
-        assert counts == pytest.approx(turned_rad / (2 * math.pi) * per_turn, abs=2)
+        return abs(counts - turned_rad / (2 * math.pi) * per_turn)
+
+    for joint in joints:
+        assert sim.truth().joints[joint.name].position_rad > 0.2
+        await until(lambda joint=joint: missed(joint) <= 2.0, "the counts of the truth")
 
 
 async def test_a_disarmed_drive_comes_to_rest_and_obeys_no_set_point(rig, sim, profile):
@@ -188,10 +192,14 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds(), "the fault is said")
     left = rig.line.spec.joints[0]
     await until(lambda: feedback(rig, left).drive_faults != 0, "the loop is told")
-    assert rig.line.drive_faults["left"] == (fault.text,)
+    said = [event.text for event in rig.events if event.kind is EventKind.DRIVE_FAULT]
+    assert fault.text in said[0]
+    if profile.name != "moteus":  # it forgets its fault at any stop
+        assert rig.line.drive_faults["left"] == (fault.text,)
     assert not sim.truth().joints["left"].enabled
     rig.loop.enabled, rig.loop.velocity_rad_s, rig.loop.duty = False, {}, {}
     await rest(sim)
+    await rig.ready()
     await rig.line.clear_faults()
     await until(lambda: feedback(rig, left).drive_faults == 0, "the fault is gone")
     assert rig.line.drive_faults["left"] == ()
