@@ -335,8 +335,7 @@ async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig,
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
-    epoch = rig.loop.exchange.take_feedback(0).epoch
-    mark = len(peer.heard)
+    epoch, mark = rig.loop.exchange.take_feedback(0).epoch, len(peer.heard)
     peer.units[1].registers[CONTROL] = 0
     await until(lambda: rig.kinds()[2:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
     assert rig.states() == {DriveState.READY}
