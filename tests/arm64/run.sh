@@ -36,25 +36,25 @@ mkdir -p "$dir/wheels"
 "$python" "$here/wheels.py" "$dir/wheels"
 say "wheels are there"
 if [ ! -e "$dir/made" ]; then
-    rm -rf "$dir/root"
+    rm -rf "$dir/tree"
     mmdebstrap --architectures=arm64 --variant=minbase --mode=root --quiet --include="$(IFS=,; echo "${guest[*]}")" \
         --aptopt='Acquire::Languages "none"' --dpkgopt=force-unsafe-io --dpkgopt='path-exclude=/usr/share/doc/*' \
-        --dpkgopt='path-exclude=/usr/share/man/*' --dpkgopt='path-exclude=/usr/share/locale/*' bookworm "$dir/root"
+        --dpkgopt='path-exclude=/usr/share/man/*' --dpkgopt='path-exclude=/usr/share/locale/*' bookworm "$dir/tree"
     touch "$dir/made"
     say "Debian is there"
 fi
 
-inside() { chroot "$dir/root" /usr/bin/env -i PATH=/usr/bin:/bin:/usr/sbin:/sbin HOME=/root LC_ALL=C.UTF-8 "$@"; }
-trap 'umount -l "$dir/root"/{proc,dev} 2>/dev/null || true' EXIT
-mount -t proc none "$dir/root/proc"
-mount --rbind /dev "$dir/root/dev"
-mount --make-rslave "$dir/root/dev"
+inside() { chroot "$dir/tree" /usr/bin/env -i PATH=/usr/bin:/bin:/usr/sbin:/sbin HOME=/root LC_ALL=C.UTF-8 "$@"; }
+trap 'umount -l "$dir/tree"/{proc,dev} 2>/dev/null || true' EXIT
+mount -t proc none "$dir/tree/proc"
+mount --rbind /dev "$dir/tree/dev"
+mount --make-rslave "$dir/tree/dev"
 
-rm -rf "$dir/root/motord" "$dir/root/wheels"
-mkdir "$dir/root/motord"
+rm -rf "$dir/tree/motord" "$dir/tree/wheels"
+mkdir "$dir/tree/motord"
 git -C "$project" ls-files -z --cached --others --exclude-standard |
-    tar -C "$project" --null -T - -cf - | tar -C "$dir/root/motord" -xf -
-cp -r "$dir/wheels" "$dir/root/wheels"
-cp "$here/inside.sh" "$dir/root/inside.sh"
+    tar -C "$project" --null -T - -cf - | tar -C "$dir/tree/motord" -xf -
+cp -r "$dir/wheels" "$dir/tree/wheels"
+cp "$here/inside.sh" "$dir/tree/inside.sh"
 inside bash /inside.sh "${tests[@]}"
 say "done"
