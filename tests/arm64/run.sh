@@ -44,7 +44,7 @@ if [ ! -e "$dir/made" ]; then
     say "Debian is there"
 fi
 
-inside() { chroot "$dir/tree" /usr/bin/env -i PATH=/usr/bin:/bin:/usr/sbin:/sbin HOME=/root LC_ALL=C.UTF-8 "$@"; }
+inside() { chroot "$dir/tree" /usr/bin/env -i PATH=/usr/bin:/bin:/usr/sbin:/sbin HOME=/tmp LC_ALL=C.UTF-8 "$@"; }
 trap 'umount -l "$dir/tree"/{proc,dev} 2>/dev/null || true' EXIT
 mount -t proc none "$dir/tree/proc"
 mount --rbind /dev "$dir/tree/dev"
