@@ -17,14 +17,13 @@ def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path):
     text = ESP32.replace("[safety]\n", PATIENT).replace("watchdog_s = 0.25", "watchdog_s = 2.0")
     assert PATIENT in text
     path.write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "6", "--robot", path]
-
-    def drive():
-        return subprocess.run(command, capture_output=True, text=True, timeout=50, cwd=ROOT)
-
-    run = drive()
-    if run.returncode != 0:  # a machine that stands still for long loses samples: once more
-        run = drive()
+    run = subprocess.run(
+        [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "6", "--robot", path],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        cwd=ROOT,
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)
     assert result["ok"] is True

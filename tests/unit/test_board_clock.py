@@ -24,6 +24,20 @@ def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
         assert stamp_ns <= came_ns
 
 
+@given(st.integers(1, 60), st.integers(1, 60))
+def test_when_the_delay_falls_no_way_is_squeezed_into_a_shorter_time(late_ms, frames):
+    clock = BoardClock()
+    newest = None
+    for n in range(SAMPLES_KEPT + frames):
+        delay_ms = late_ms if n < SAMPLES_KEPT + frames // 2 else 0
+        came_ns = max((n * 10 + delay_ms) * MS, newest[2] if newest else 0)
+        stamp_ns = clock.stamp_ns(n * 10_000, came_ns)
+        assert stamp_ns <= came_ns
+        if newest is None or stamp_ns > newest[0]:
+            assert newest is None or 2 * (stamp_ns - newest[0]) >= n * 10 * MS - newest[1]
+            newest = (stamp_ns, n * 10 * MS, came_ns)
+
+
 def test_frames_that_waited_get_the_time_at_which_they_were_made():
     clock = BoardClock()
     for n in range(10):
