@@ -25,6 +25,8 @@ writer's process; records and checkpoints so far."""
 _SEQUENCE = struct.Struct("=Q")
 _MARGIN = 256
 """Records that the writer may add while the oldest ones are read."""
+_CHECKPOINT_EVERY = 1024
+"""Records; a state is taken before the first of each such run."""
 _RECORDS_MAX = 2048
 """In one message; what is more comes in the next."""
 _FIXED = struct.Struct("<4I")
@@ -35,7 +37,7 @@ class NoJournal(Exception):
 
 
 class Journal:
-    """The journal of one robot, read from its oldest record on."""
+    """The journal of one robot, read from the oldest record on to which a state leads."""
 
     def __init__(self, path: Path, memory: mmap.mmap) -> None:
         self._path = path
@@ -132,6 +134,8 @@ class Journal:
         first = self._records
         oldest = so_far - self._count + _MARGIN
         if oldest > first:
+            # No state that is still there leads to what lies before the next one.
+            oldest += -oldest % _CHECKPOINT_EVERY
             self._lost += oldest - first if first > 0 else 0
             first = oldest
         self._records = last = min(so_far, first + _RECORDS_MAX)
