@@ -30,6 +30,8 @@ KINDS = MappingProxyType(
         ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("can", "rt"): "motord_hal.rt_engine.can_line:RtCanLine",
+        ("mcu", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
+        ("ascii", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
     }
 )
 

@@ -64,6 +64,11 @@ class Text:
                 out.append(format(round(value) if spec.endswith("d") else value, spec))
         return "".join(out).encode("ascii")
 
+    @property
+    def parts(self) -> tuple[tuple[str, str | None, str], ...]:
+        """Literal, then a field's name and format; no name after the last literal."""
+        return tuple(self._parts)
+
     def read(self, line: bytes) -> dict[str, float] | None:
         """The numbers of a line; None: it is another one."""
         text = line.decode("ascii", errors="replace").strip()
