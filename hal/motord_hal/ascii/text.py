@@ -75,7 +75,10 @@ class Text:
         found = self._pattern.fullmatch(text)
         if found is None:
             return None
-        return dict(zip(self.fields, map(float, found.groups()), strict=True))
+        numbers = [float(group) for group in found.groups()]
+        if not all(map(math.isfinite, numbers)):  # 1e999
+            return None
+        return dict(zip(self.fields, numbers, strict=True))
 
 
 def _check_field(name: str, spec: str, conversion: str | None, known: Collection[str]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from motord_hal.ascii.dialect import CURRENT, VELOCITY, VOLTAGE, texts_of
+from motord_hal.ascii.dialect import CURRENT, VELOCITY, VOLTAGE, texts_of, why_not_in_c
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
 from motord_hal.drives.profile import Register
@@ -27,24 +27,13 @@ _PRECISION = 6
 _FORMAT = re.compile(
     r"(?P<sign>[+ ]?)(?P<zeros>0?)(?P<width>\d*)(\.(?P<precision>\d+))?(?P<form>[dfg])"
 )
-_GOES_ON = frozenset("0123456789.eE")
-
-
-def why_not_in_c(spec: LineSpec) -> str:
-    """What of the templates only Python can say or read; empty: nothing. Raises ProfileError."""
-    _, said, heard = texts_of(spec)
-    for _, name, form in said.parts:
-        if name is not None and not _FORMAT.fullmatch(form):
-            return f'the format "{form}" of {{{name}}} has no letter d, f or g'
-    after = [literal for literal, _, _ in heard.parts[1:]] if heard else []
-    joined = [literal for literal in after if literal[0] in _GOES_ON]
-    return f'"{joined[0]}" may go on with the number before it' if joined else ""
 
 
 def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
     """The text of the set-points, from their raw values in this order."""
-    if why := why_not_in_c(spec):
-        raise ProfileError(f'{spec.name}: {why}: take engine = "asyncio"')
+    _, said, heard = texts_of(spec)
+    if why := why_not_in_c(said, heard):
+        raise ProfileError(f'{spec.name}: {why}: engine "asyncio" only')
     factors = _factors(spec, setpoints)
 
     def number(name: str, form: str) -> Plain:
@@ -60,7 +49,6 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
             "number_per_raw": factors[name],
         }
 
-    _, said, _ = texts_of(spec)
     return _pieces(said, number)
 
 
