@@ -135,7 +135,7 @@ typedef struct {
     uint32_t stops;             /* how often it was told to stop, by C or by a wish */
     uint32_t epoch;             /* of its feedback */
     uint32_t orders_sent;       /* they have gone out */
-    uint32_t orders_dropped;    /* guarded, and it was stopped */
+    uint32_t orders_dropped;    /* guarded, and it was stopped; or it is quiet */
     uint32_t said_bytes;        /* of said[]; 0: it has not spoken since it was quiet, or ever */
     uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
     uint64_t cycles;

@@ -134,7 +134,7 @@ bool board_machine_order(board_machine *m, const board_order *order)
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
-    bool stopped = order->guarded != 0 && order->stops != m->stops;
+    bool stopped = m->mode == DRIVE_QUIET || (order->guarded != 0 && order->stops != m->stops);
     if (!m->has_order || m->order_written) {
         return;
     }
