@@ -4,9 +4,9 @@
 #include "board_machine.h"
 
 /* When the least delay falls, stamps step back. Counts of a longer way than the time since the stamp before allows would
- * be refused as a jump, and the way lost: a frame is no news, for so long at most, until its stamp is on by half of what
- * the board says. */
-static const int64_t CATCH_UP_NS = 200 * 1000000;
+ * be refused as a jump (odometry.c: 1.5 times the highest speed), and the way lost: a frame is no news, for so long at
+ * most, until its stamp is on by three quarters of what the board says. */
+static const int64_t CATCH_UP_NS = 240 * 1000000;
 static const int64_t NS_PER_US = 1000;
 
 static int64_t least_offset_ns(const board_clock *clock)
@@ -29,7 +29,7 @@ int64_t board_clock_stamp(board_clock *clock, uint32_t time_us, int64_t came_ns)
     clock->samples += clock->samples < BOARD_CLOCK_SAMPLES;
     int64_t stamp_ns = clock->board_ns + least_offset_ns(clock);
     int64_t passed_ns = clock->board_ns - clock->given_board_ns;
-    if (stamp_ns - clock->given_ns < passed_ns / 2 && passed_ns < CATCH_UP_NS) {
+    if (stamp_ns - clock->given_ns < 3 * passed_ns / 4 && passed_ns < CATCH_UP_NS) {
         return clock->given_ns < came_ns ? clock->given_ns : came_ns;
     }
     clock->given_ns = stamp_ns;
