@@ -12,7 +12,7 @@
 #include "line_thread.h"
 #include "ring.h"
 
-enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = 64 };
+enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
 static const int64_t NS_PER_S = 1000000000;
 /* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more than many frames. */
@@ -30,12 +30,17 @@ typedef struct {
     can_report slot[MAILBOX_SLOTS];
 } report_box_can;
 
+/* What belongs to a message, side by side: after a sleep the caches are cold. */
+typedef struct {
+    _Alignas(CACHE_LINE_BYTES) struct iovec iov;
+    struct canfd_frame frame;
+    _Alignas(struct cmsghdr) uint8_t control[CONTROL_BYTES];
+} can_letter;
+
 /* Where recvmmsg writes to. */
 typedef struct {
-    struct canfd_frame frame[BATCH];
-    struct iovec place[BATCH];
     struct mmsghdr message[BATCH];
-    _Alignas(struct cmsghdr) uint8_t control[BATCH][CONTROL_BYTES];
+    can_letter letter[BATCH];
 } can_inbox;
 
 typedef struct {
@@ -51,7 +56,6 @@ typedef struct {
     can_report out;
     uint32_t outputs[CAN_DRIVES_MAX];   /* of each drive, for who puts orders; 0: no such drive */
     int send_error;
-    uint64_t cycles_reported;
 } can_thread;
 
 static can_thread threads[LINES_MAX];
@@ -81,9 +85,10 @@ static bool send_packet(void *sink, const can_packet *packet)
 static void prepare_inbox(can_inbox *inbox)
 {
     for (uint32_t i = 0; i < BATCH; i++) {
-        inbox->place[i] = (struct iovec){.iov_base = &inbox->frame[i], .iov_len = sizeof inbox->frame[i]};
-        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &inbox->place[i], .msg_iovlen = 1,
-                                                    .msg_control = inbox->control[i]};
+        can_letter *letter = &inbox->letter[i];
+        letter->iov = (struct iovec){.iov_base = &letter->frame, .iov_len = sizeof letter->frame};
+        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &letter->iov, .msg_iovlen = 1,
+                                                    .msg_control = letter->control, .msg_controllen = CONTROL_BYTES};
     }
 }
 
@@ -122,9 +127,6 @@ static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
     struct timespec wall;
-    for (uint32_t i = 0; i < BATCH; i++) {
-        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
-    }
     int count = recvmmsg(t->config.fd, inbox->message, BATCH, MSG_DONTWAIT, NULL);
     if (count < 0) {
         return errno == EAGAIN || errno == EINTR ? 0 : -errno;
@@ -136,7 +138,8 @@ static int receive_batch(can_thread *t)
             return -ENODEV;   /* a socket pair's other end has gone */
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, now_ns, wall_ns);
-        take_frame(t, &inbox->frame[i], inbox->message[i].msg_len, stamp_ns, now_ns);
+        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;   /* the kernel has written how much it used */
+        take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
     }
     return count;
 }
@@ -181,8 +184,7 @@ static void hand_on(can_thread *t, int64_t now_ns)
     }
     m->feedback_mask = 0;
     bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
-    if (m->news || due || m->cycles != t->cycles_reported) {
-        t->cycles_reported = m->cycles;
+    if (m->news || due) {
         put_report(t, true, 0);
     }
     if (m->news) {
@@ -263,7 +265,6 @@ static int prepare(can_thread *t, const can_config *config, const can_table *tab
     mailbox_init(&t->control.box);
     mailbox_init(&t->report.box);
     prepare_inbox(&t->inbox);
-    t->cycles_reported = 0;
     return 0;
 }
 
