@@ -86,7 +86,8 @@ static inline board_table frames_table(void)
     table.payload[4] = 10;   /* feedback period, ms */
     for (uint32_t j = 0; j < MOTORS; j++) {
         table.setpoint[table.setpoint_count++] = (board_setpoint){
-            .place = at(TARGET + 6 * j, 4, 1), .joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6, .raw_max = 1e6};
+            .place = at(TARGET + 6 * j, 4, 1), .joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6,
+            .raw_max = 1e6};
         table.field[table.field_count++] = field_of(j, FIELD_COUNT, at(COUNT + 10 * j, 4, 1), 1.0);
         table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(SPEED + 10 * j, 4, 1), j == 1 ? -0.001 : 0.001);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(VOLTAGE, 2, 0), 0.01);

@@ -405,7 +405,8 @@ static board_table text_table(bool answers)
     table.written.part[2].literal_bytes = 1;
     if (answers) {
         table.read = (board_text){.part_count = 2, .literal = "v \n"};
-        table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1000.0};
+        table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1),
+                                          .raw_per_number = 1000.0};
         table.read.part[1].literal_bytes = 1;
         table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
     }
