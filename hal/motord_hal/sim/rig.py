@@ -245,8 +245,8 @@ class Rig:
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus and those of boards
-        carry the time at which they went out, so what they say has to be of that time."""
+        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus and those of a
+        board carry the time at which they went out, so what they say has to be of that time."""
         while self._stamped and self.substep_due(clock()):
             self.substep()
         for line in self.lines.values():
