@@ -32,6 +32,7 @@ KINDS = MappingProxyType(
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("can", "rt"): "motord_hal.rt_engine.can_line:RtCanLine",
         ("mcu", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
+        ("roboclaw", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("ascii", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
     }
 )

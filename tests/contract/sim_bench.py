@@ -56,7 +56,7 @@ def joints_of(profile, gear_ratio=1.0):
 
 RT = " rt"
 """At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
-BOTH_ENGINES = ("can", "mcu-frame", "ascii")
+BOTH_ENGINES = ("can", "mcu-frame", "ascii", "roboclaw")
 """Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
 
 

@@ -14,7 +14,6 @@ from motord.config.line_sections import (
     DdsmLine,
     GatewayLine,
     McuLine,
-    RoboclawLine,
     SerialLine,
 )
 from motord.config.model import Robot
@@ -51,8 +50,6 @@ def _engine(robot: Robot) -> Iterator[Finding]:
         if isinstance(line, GatewayLine) and line.engine == "rt":
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
-        elif isinstance(line, RoboclawLine) and line.engine == "rt":
-            yield Finding(at, f'kind "{line.kind}" runs on "asyncio" only')
         elif isinstance(line, CanLine) and line.engine == "rt":
             if line.interface not in RT_CAN_INTERFACES:
                 paths = (("line", name, "engine"), ("line", name, "interface"))

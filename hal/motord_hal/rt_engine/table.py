@@ -40,7 +40,7 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
     """The table of a line. C checks it once more and names the first bad field."""
     bits = character_bits(spec.parity, spec.stop_bits)
     return LineTable(
-        echo=_ECHO[spec.echo],
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo to look for
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
         setpoint_timeout_ns=round(SETPOINT_TIMEOUT_S * _NS_PER_S),
@@ -84,6 +84,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
         way=tuple(_ways(frames)),
         quick_stop=step_frames(frames, profile.quick_stop),
         disarm=step_frames(frames, profile.disarm),
+        idle=frames.idle(),
     )
 
 
