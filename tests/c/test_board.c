@@ -175,7 +175,13 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.mode == DRIVE_ARMED);
+    board_place ago = at(8, 2, 0);
     board_put(payload, &heard, w.machine.sequence);
+    board_put(payload, &ago, 60000);   /* heard six seconds ago: before it was sent, by an earlier program */
+    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.mode == DRIVE_ARMED);
+    board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_LOST_SETUP) != 0);
@@ -251,6 +257,15 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     arm_and_turn();
     wish(DRIVE_STAND_DOWN);
     CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && told(TARGET, 4, 1) == 0);
+    begin();
+    arm();
+    w.velocity_rad_s = 0.0;
+    go_on(15 * MS);
+    w.now_ns = w.machine.due_ns;
+    step();
+    w.now_ns += MS;
+    wish(DRIVE_STAND_DOWN);   /* no cycle is due, and nothing is said to turn */
+    CHECK(w.peer.enabled == 0);
 }
 
 static void a_port_that_takes_nothing_is_a_board_left_alone(void)
@@ -342,6 +357,8 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     wish(DRIVE_ARMED);
     wish(DRIVE_READY);
     CHECK(w.machine.mode == DRIVE_QUIET);
+    order(CONTROL, 1, CONTROL_ENABLE, 0);
+    CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
     CHECK(w.machine.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1);
