@@ -40,9 +40,10 @@ def why_not() -> str:
         return "needs Debian 12, whose packages the guest is made of"
     if os.uname().machine != "x86_64":
         return "needs an x86-64 machine"
-    wanted = ("qemu-system-x86_64", "mmdebstrap")
+    wanted = ("qemu-system-x86_64", "qemu-system-aarch64", "aarch64-linux-gnu-gcc", "mmdebstrap")
     if not all(map(shutil.which, wanted)) and os.environ.get("MOTORD_VM_INSTALL") != "1":
-        return f"needs {', '.join(wanted)} (apt install qemu-system-x86 mmdebstrap)"
+        packages = "qemu-system-x86 qemu-system-arm gcc-aarch64-linux-gnu mmdebstrap"
+        return f"needs {', '.join(wanted)} (apt install {packages})"
     return ""
 
 

@@ -77,6 +77,7 @@ add_project() {
     (cd "$1" && find project | cpio -o -H newc --quiet | gzip -1)
 }
 
+apt-cache show gcc-aarch64-linux-gnu >/dev/null 2>&1 || apt-get update -qq
 install_missing "${host[@]}"
 mark=$(cat "$here"/{image.sh,init} | sha256sum)
 cd "$dir"
