@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick] [--json] [--only core,wire,can,datagram,lateness]
+python tests/bench/run.py [--quick] [--json] [--only core,wire,can,board,datagram,lateness]
 
 Ends with 1 only where something is wrong (a violation, a page fault), never because a machine is
 slow: the sentences say what was reached.
@@ -16,13 +16,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import board_stream
 import can_bus
 import datagram
 import lateness
 import wire
 
 HERE = Path(__file__).parent
-PARTS = ("core", "wire", "can", "datagram", "lateness")
+PARTS = ("core", "wire", "can", "board", "datagram", "lateness")
 Verdicts = list[tuple[str, bool, bool]]
 
 
@@ -43,6 +44,11 @@ def on_the_wire(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
 def on_a_bus(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
     found = can_bus.measure(rounds=1 if quick else 3, seconds=3.0 if quick else 6.0)
     return can_bus.table(found), found, can_bus.verdicts(found)
+
+
+def on_a_stream(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
+    found = board_stream.measure(seconds=3.0 if quick else 6.0)
+    return board_stream.table(found), found, board_stream.verdicts(found)
 
 
 def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
@@ -87,6 +93,7 @@ def main() -> int:
             measure = {
                 "wire": on_the_wire,
                 "can": on_a_bus,
+                "board": on_a_stream,
                 "datagram": datagrams,
                 "lateness": wake_ups,
             }
