@@ -78,6 +78,8 @@ class Source:
         self._path = path
         self.owner = owner
         self._token: bytes | None = None
+        self.number = 0
+        """Of the lease, as the state page has it; 0: there is none."""
         self._sequence = 0
         self._failing = False
         self._sender: socket.socket | None = None
@@ -110,6 +112,7 @@ class Source:
         with socket.socket(socket.AF_UNIX, kind) as sender:
             sender.connect(grant["socket"])
             self._token, self._sequence = bytes.fromhex(grant["token"]), 0
+            self.number = grant["number"]
             self._sender = sender
             if self._failing:
                 self._failing = False
@@ -118,6 +121,7 @@ class Source:
                 await _ended(reader)
             finally:
                 self._token = self._sender = None
+                self.number = 0
 
     def drive(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> bool:
         """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.

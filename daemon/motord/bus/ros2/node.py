@@ -110,9 +110,11 @@ class Node:
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int = 10,
+        together: int = 1,
     ) -> None:
-        """A service, of pkg/srv/Name. `answer` does not raise. Raises DdsError."""
-        service = Service(self._participant, self.full(name), kind, answer, depth)
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise. Raises
+        DdsError."""
+        service = Service(self._participant, self.full(name), kind, answer, depth, together)
         self._services.append(service)
         self._readers.append(service.reader)
         self._writers.append(service.writer)

@@ -47,8 +47,9 @@ class Node(Protocol):
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int = 10,
+        together: int = 1,
     ) -> None:
-        """A service, of pkg/srv/Name. `answer` does not raise."""
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
         ...
 
     async def run(self) -> None:
