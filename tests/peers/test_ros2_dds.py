@@ -97,6 +97,14 @@ def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
     assert all(f'<joint name="{name}" type="continuous"' in told["data"] for name in names)
 
 
+def test_who_comes_late_is_told_the_frames_that_never_move(stage):
+    with peer("topic", f"rt{NAMESPACE}/tf_static", "TFMessage", "late") as ear:
+        told = ear.find(lambda _: True, "the frames")
+    (frame,) = told["transforms"]
+    assert frame["header"]["frame_id"] == "base_link"
+    assert frame["child_frame_id"] == "base_footprint"
+
+
 def test_the_graph_shows_one_node_with_all_that_it_has(stage):
     with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
         seen = ear.find(lambda _: True, "the graph")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import re
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -53,6 +54,7 @@ class Refused(Exception):
 # action_msgs/srv/CancelGoal
 _NO_ERROR, _UNKNOWN_GOAL, _GOAL_ENDED = 0, 2, 3
 _ANY_ID = bytes(16)
+_NUMBER = re.compile(r"[-+.\d]+")
 Tell = Callable[[SimpleNamespace], None]
 Work = Callable[[Tell, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
 """Does what a goal asks for. It tells feedback, looks whether it is cancelled, and does not raise.
@@ -92,7 +94,7 @@ class ActionServer:
         self._accept, self._nothing, self._turn = accept, nothing, turn
         self._goals: dict[bytes, _Goal] = {}
         self._next: asyncio.Queue[_Goal] = asyncio.Queue(1)
-        self._voice = Sparing(_log)
+        self._voices: dict[str, Sparing] = {}
 
     def serve(self, node: Node) -> None:
         """Be there. Raises DdsError."""
@@ -168,8 +170,10 @@ class ActionServer:
         return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
 
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
-        """The answer has no word for it."""
-        self._voice.say(f"action {self._name}: refused: {why}")
+        """The answer has no word for it: the log has, sparing with each reason by itself."""
+        reason = _NUMBER.sub("", why)
+        voice = self._voices.setdefault(reason, Sparing(_log))
+        voice.say(f"action {self._name}: refused: {why}")
         return answer
 
     async def _cancel(self, request: SimpleNamespace) -> SimpleNamespace:
