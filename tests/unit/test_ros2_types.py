@@ -70,6 +70,17 @@ def test_a_definition_is_read_by_another_parser_as_the_same_type(name):
         assert store.hash_rihs01(name) == type_hash(name)
 
 
+ACTIONS = sorted(name[: -len("_Goal")] for name in TYPES if name.endswith("_Goal"))
+
+
+@pytest.mark.parametrize("name", ACTIONS)
+def test_an_actions_definition_has_its_three_parts(name):
+    parts = types.action_definition(name).split("---\n")
+    for part, text in zip(("Goal", "Result", "Feedback"), parts, strict=True):
+        lines = [line.split() for line in text.splitlines()]
+        assert lines == [[field.kind, field.name] for field in TYPES[f"{name}_{part}"]]
+
+
 @pytest.mark.parametrize("topic", TOPICS)
 def test_a_published_message_has_the_fields_of_its_type_in_their_order(topic):
     fields = TOPICS[topic].message.__dataclass_fields__

@@ -152,6 +152,12 @@ def definition(name: str) -> str:
     )
 
 
+def action_definition(name: str) -> str:
+    """The text of NAME.action: goal, result and feedback."""
+    parts = (TYPES[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback"))
+    return "---\n".join("".join(f"{_line(field)}\n" for field in part) for part in parts)
+
+
 def _line(field: Field) -> str:
     bound = f"<={field.chars_max}" if field.chars_max else ""
     count = "" if field.count is None else f"[{'<=' * field.bounded}{field.count or ''}]"
