@@ -198,6 +198,7 @@ def endpoints(participant):
                         {
                             "topic": found.topic_name,
                             "type": found.type_name,
+                            "guid": list(found.key.bytes),
                             "user_data": data[0].data.decode() if data else "",
                         }
                     )

@@ -146,6 +146,25 @@ class Entities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntiti
 
 
 @dataclass
+class HumbleGid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data: array[uint8, 24]
+
+
+@dataclass
+class HumbleNode(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace: bounded_str[256]
+    node_name: bounded_str[256]
+    reader_gid_seq: sequence[HumbleGid]
+    writer_gid_seq: sequence[HumbleGid]
+
+
+@dataclass
+class HumbleEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid: HumbleGid
+    node_entities_info_seq: sequence[HumbleNode]
+
+
+@dataclass
 class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
     guid: uint64
     seq: int64
@@ -337,7 +356,7 @@ ACTIONS = {
 }
 TOPICS = {
     kind.__name__: kind
-    for kind in (Odometry, JointState, String, TFMessage, Entities, GoalStatusArray)
+    for kind in (Odometry, JointState, String, TFMessage, Entities, HumbleEntities, GoalStatusArray)
 }
 SERVICES = {
     "Trigger": (TriggerRequest, TriggerReply),

@@ -70,6 +70,8 @@ def test_commands_from_a_network_have_to_be_meant():
 def test_a_domain_is_reached_in_one_way():
     with pytest.raises(ConfigError, match="reached in one way"):
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.discovery=subnet")
+    with pytest.raises(ConfigError, match="reached in one way"):
+        robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.distribution=humble")
     with pytest.raises(ConfigError, match="of no use"):
         robot("publish.ros2.kind=ros2", "publish.ros2.interface=eth0")
 

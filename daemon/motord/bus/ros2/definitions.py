@@ -2,7 +2,7 @@
 """The ROS 2 types that motord speaks, in the notation of .msg files without comments, constants and
 defaults (which neither the encoding nor the type hash knows). `===` begins a type; a name without a
 package is of the same one. Interfaces: common_interfaces, geometry2, rcl_interfaces, rmw_dds_common
-as of Jazzy; motord_msgs is our own. Of an action only its three parts are here."""
+as of Jazzy (the graph also as of Humble); motord_msgs is our own. Of an action only its three parts are here."""
 
 from __future__ import annotations
 
@@ -334,6 +334,16 @@ string<=256 node_name
 Gid[] reader_gid_seq
 Gid[] writer_gid_seq
 === rmw_dds_common/msg/ParticipantEntitiesInfo
+Gid gid
+NodeEntitiesInfo[] node_entities_info_seq
+=== rmw_dds_common_humble/msg/Gid
+uint8[24] data
+=== rmw_dds_common_humble/msg/NodeEntitiesInfo
+string<=256 node_namespace
+string<=256 node_name
+Gid[] reader_gid_seq
+Gid[] writer_gid_seq
+=== rmw_dds_common_humble/msg/ParticipantEntitiesInfo
 Gid gid
 NodeEntitiesInfo[] node_entities_info_seq
 """

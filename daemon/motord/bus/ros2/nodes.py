@@ -78,7 +78,7 @@ def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
     if isinstance(section, Ros2Node):
         from motord.bus.ros2 import node
 
-        return node.Node(*names, section.discovery, section.interface)
+        return node.Node(*names, section.discovery, section.interface, section.distribution)
     from motord.bus.ros2 import zenoh_node
 
     def path(name: str | None) -> str | None:
