@@ -34,6 +34,7 @@ _LINE = ["test_line_stops", "test_line_rates", "fuzz_line 2000"]
 TESTS = {
     "rtu.c": ["test_rtu"],
     "arbiter.c": ["test_command"],
+    "joints.c": ["test_command"],
     **dict.fromkeys(
         ["line_machine.c", "line_drive.c", "line_quiet.c", "line_end.c", "line_values.c"], _LINE
     ),

@@ -40,7 +40,7 @@ static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
 static void two_sources(arbiter *a)
 {
     lease_grants grants = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
-    arbiter_init(a);
+    arbiter_init(a, NULL);
     arbiter_grant(a, &grants);
 }
 
@@ -134,10 +134,50 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
         taken += now;
     }
     CHECK(taken == sent && sent > 1);
-    uint8_t long_one[COMMAND_BYTES + 8] = {0};
+    uint8_t long_one[JOINT_COMMAND_BYTES + 8] = {0};
     CHECK(send(ends[1], long_one, sizeof long_one, 0) > 0 && ingress_take(&in, &a, true) == 1);
     CHECK(a.report.refused[REFUSED_FORM] == 1);
     CHECK(close(ends[0]) == 0 && close(ends[1]) == 0);
+}
+
+static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double right_rad_s, double other_right_rad_s)
+{
+    joint_datagram joints = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS,
+                             .sequence = sequence, .stamp_ns = START_NS, .joint_count = 3,
+                             .velocity_rad_s = {left_rad_s, right_rad_s, other_right_rad_s}};
+    memset(joints.token, 'a', TOKEN_BYTES);
+    return joints;
+}
+
+static int say_joints(arbiter *a, joint_datagram joints)
+{
+    return arbiter_submit(a, &joints, sizeof joints, START_NS, true);
+}
+
+static void wheels_are_a_twist_or_they_are_refused(void)
+{
+    static arbiter a;
+    static const core_config base = {.joint_count = 3, .track_m = 0.5, .joint = {
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    twist_command out;
+    arbiter_init(&a, &base);
+    arbiter_grant(&a, &grants);
+    CHECK(say_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(fabs(out.linear_m_s - 0.15) < 1e-12 && fabs(out.angular_rad_s - 0.2) < 1e-12);
+    CHECK(say_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
+    CHECK(say_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
+    joint_datagram few = joints_of(4, 1.0, 2.0, 1.0);
+    few.joint_count = 2;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_JOINTS);
+    few.kind = COMMAND_TWIST;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    few.version = 2;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    a.base = NULL;
+    CHECK(say_joints(&a, joints_of(5, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
 int main(void)
@@ -147,5 +187,6 @@ int main(void)
     a_lease_that_is_not_granted_any_more_is_over();
     each_refusal_is_counted_by_its_kind();
     a_wake_up_takes_a_bounded_number_of_datagrams();
+    wheels_are_a_twist_or_they_are_refused();
     return checks_report("command");
 }

@@ -5,6 +5,7 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
     ros2_peer.py DOMAIN twist NAME V W           20 Twist a second
+    ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
     ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
@@ -38,6 +39,7 @@ from ros2_peer_types import (
     CancelRequest,
     GoalInfo,
     Header,
+    JointState,
     Parameter,
     ParameterValue,
     String,
@@ -99,6 +101,18 @@ def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):
         return TwistStamped(Header(stamp, ""), _twist(linear_m_s, angular_rad_s))
 
     _publish(participant, name, TwistStamped, make)
+
+
+def joints(participant, name, *words):
+    speeds = dict(word.split("=") for word in words if "=" in word)
+    (age_s,) = [word for word in words if "=" not in word] or ["0"]
+
+    def make():
+        stamp = Time(*divmod(time.time_ns() - round(float(age_s) * 1e9), 1_000_000_000))
+        velocity = [float(speed) for speed in speeds.values()]
+        return JointState(Header(stamp, ""), list(speeds), [], velocity, [])
+
+    _publish(participant, name, JointState, make)
 
 
 def _say_text(participant, name, text):
@@ -206,8 +220,8 @@ def endpoints(participant):
 
 
 COMMANDS = {
-    "topic": topic, "drive": drive, "twist": twist, "say": _say_text, "call": call,
-    "act": act, "endpoints": endpoints,
+    "topic": topic, "drive": drive, "joints": joints, "twist": twist, "say": _say_text,
+    "call": call, "act": act, "endpoints": endpoints,
 }  # fmt: skip
 
 

@@ -52,6 +52,36 @@ def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
     assert commanding["accepted"] > 0
 
 
+def wheel_speeds(stage):
+    joints = stage.sim.truth().joints
+    return {name: joint.velocity_rad_s for name, joint in joints.items()}
+
+
+def test_wheels_turn_as_another_node_asks_and_rest_when_it_goes(armed):
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", "right=1.0", "left=2.0"):
+        wait_until(
+            lambda: wheel_speeds(armed) == pytest.approx({"left": 2.0, "right": 1.0}, abs=0.2),
+            "the wheels' speeds",
+        )
+    wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+
+
+@pytest.mark.parametrize("words", [("left=2.0", "tail=1.0"), ("left=nan",), ("left=2.0", "3600")])
+def test_wheels_that_are_not_known_no_number_or_old_move_nothing(armed, words):
+    before, x_m = sent(armed) + refused(armed), armed.sim.truth().x_m
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", *words):
+        wait_until(lambda: sent(armed) + refused(armed) > before + 10, "commands")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_a_wheel_moves_nothing_that_is_not_armed(stage):
+    before = sent(stage)
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", "left=2.0"):
+        wait_until(lambda: sent(stage) > before + 10, "commands")
+        assert stage.state() == "idle"
+    nobody_commands(stage)
+
+
 def test_the_robot_stops_when_the_other_node_goes(armed):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         armed.wait_for("moving")

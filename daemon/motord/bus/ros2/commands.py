@@ -3,6 +3,7 @@
 
 cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped = false)
 ~/arm, ~/disarm, ~/reset, ...     std_srvs/Trigger
+joint_commands                    sensor_msgs/JointState: velocities by the joints' names
 drive_distance, rotate, calibrate motord_msgs actions
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
                                   those whose middleware our services do not reach
@@ -43,9 +44,13 @@ class Ros2Commands:
         self._name = name
         self._desk = Desk(name, section, station)
         self._node = node_of(station, section)
+        self._stamped = section.stamped
         self._asked = {method: asyncio.Event() for method in URGENT}
         kind = "TwistStamped" if section.stamped else "Twist"
         self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
+        self._node.subscribe(
+            "joint_commands", "sensor_msgs/msg/JointState", self._drive_joints, NEWEST
+        )
         for method in TRIGGERS:
             self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
         for method in URGENT:
@@ -69,6 +74,14 @@ class Ros2Commands:
     def _drive(self, message: SimpleNamespace) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
             self._desk.drive(_as_mapping(message))
+            self._mover.driven()
+
+    def _drive_joints(self, message: SimpleNamespace) -> None:
+        with contextlib.suppress(NotTaken):
+            command = _as_mapping(message)
+            if not self._stamped:
+                del command["header"]
+            self._desk.drive_joints(command)
             self._mover.driven()
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
