@@ -89,8 +89,10 @@ def _changes(kind: str, text: str) -> list[str]:
     if kind == "number":
         digits = text.rstrip("uUlL")
         suffix = text[len(digits) :]
-        value = int(digits, 0)
-        return [f"{value + 1}{suffix}", *([f"{value - 1}{suffix}"] if value > 0 else [])]
+        decimal = not digits.lower().startswith("0x")
+        value, width = int(digits, 10 if decimal else 16), len(digits) if decimal else 0
+        near = [value + 1, value - 1] if value > 0 else [value + 1]
+        return [f"{other:0{width}}{suffix}" for other in near]  # the zeros of 0.01 stay
     return [";" if not text.lstrip().startswith("return") else ""]
 
 
