@@ -260,6 +260,23 @@ class StateReply(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Respon
 
 
 @dataclass
+class TransitionEvent(IdlStruct, typename="lifecycle_msgs::msg::dds_::TransitionEvent_"):
+    timestamp: uint64
+    transition: Transition
+    start_state: State
+    goal_state: State
+
+
+@dataclass
+class ParameterEvent(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterEvent_"):
+    stamp: Time
+    node: str
+    new_parameters: sequence[Parameter]
+    changed_parameters: sequence[Parameter]
+    deleted_parameters: sequence[Parameter]
+
+
+@dataclass
 class ChangeRequest(IdlStruct, typename="lifecycle_msgs::srv::dds_::ChangeState_Request_"):
     guid: uint64
     seq: int64
@@ -356,7 +373,17 @@ ACTIONS = {
 }
 TOPICS = {
     kind.__name__: kind
-    for kind in (Odometry, JointState, String, TFMessage, Entities, HumbleEntities, GoalStatusArray)
+    for kind in (
+        Odometry,
+        JointState,
+        String,
+        TFMessage,
+        Entities,
+        HumbleEntities,
+        GoalStatusArray,
+        TransitionEvent,
+        ParameterEvent,
+    )
 }
 SERVICES = {
     "Trigger": (TriggerRequest, TriggerReply),

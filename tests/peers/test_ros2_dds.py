@@ -170,6 +170,41 @@ def test_a_limit_is_a_parameter_and_is_changed(stage):
     called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
 
 
+def test_who_listens_is_told_what_was_changed_and_nothing_of_what_was_refused(stage):
+    with peer("topic", "rt/parameter_events", "ParameterEvent") as ear:
+
+        def told():
+            called(
+                "set_parameters",
+                "SetParameters",
+                parameters=[parameter("limits.linear_m_s", 1e9), parameter("limits.linear_m_s", 1)],
+            )
+            return ear.heard
+
+        wait_until(told, "an event")
+        assert ear.heard[0]["node"] == f"{NAMESPACE}/motord"
+        (changed,) = ear.heard[0]["changed_parameters"]
+        assert (changed["name"], changed["value"]["double_value"]) == ("limits.linear_m_s", 1.0)
+
+
+def test_who_listens_is_told_of_transitions(stage):
+    with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
+
+        def told(label):
+            return next((said for said in ear.heard if said["transition"]["label"] == label), None)
+
+        def armed_again():
+            called("disarm")
+            called("arm")
+            return told("activate")
+
+        activated = wait_until(armed_again, "an event")
+        assert activated["start_state"] == {"id": 2, "label": "inactive"}
+        assert activated["goal_state"] == {"id": 3, "label": "active"}
+        assert called("estop")["success"]
+        wait_until(lambda: told("transition_error"), "the error")
+
+
 def test_a_parameter_is_refused_with_the_reason(stage):
     asked = [
         parameter("limits.linear_m_s", 1e9),

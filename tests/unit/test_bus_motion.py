@@ -157,11 +157,20 @@ def test_a_state_page_that_stands_still_ends_it():
     assert motion.step(newest, just_ns + 1_000_000).end is End.ABORTED
 
 
+def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
+    base, motion = moving()
+    base.at_ms += 901
+    wish = motion.step(base.said(), base.at_ms * 1_000_000)
+    assert wish.end is End.ABORTED
+    assert "not looked at" in wish.why
+
+
 @pytest.mark.parametrize(("owner", "why"), [(0, "nobody takes"), (LEASE + 1, "another source")])
 def test_it_does_not_wait_for_the_command_for_ever(owner, why):
     _, motion = begun(Goal(axis="linear", way_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)
-    assert motion.step(state(late_ms, owner=owner), late_ms * 1_000_000).end is None
+    for at_ms in (late_ms // 2, late_ms):
+        assert motion.step(state(at_ms, owner=owner), at_ms * 1_000_000).end is None
     wish = motion.step(state(late_ms + 1, owner=owner), (late_ms + 1) * 1_000_000)
     assert wish.end is End.ABORTED
     assert why in wish.why

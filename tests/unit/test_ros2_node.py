@@ -95,6 +95,10 @@ class Daemon:
         }
 
 
+said = []
+"""Events of parameters."""
+
+
 def asked(service, daemon, **request):
     pytest.importorskip("cyclonedds", reason="needs cyclonedds")
     from motord.bus.ros2.parameters import Parameters
@@ -102,7 +106,11 @@ def asked(service, daemon, **request):
     served = {}
     parameters = Parameters(robot(), daemon.call)
     parameters.serve(
-        SimpleNamespace(serve=lambda name, kind, answer, depth: served.update({name: answer}))
+        SimpleNamespace(
+            serve=lambda name, kind, answer, depth: served.update({name: answer}),
+            full=lambda name: f"/r2/motord/{name[2:]}",
+            publisher=lambda name, kind, quality: SimpleNamespace(publish=said.append),
+        )
     )
     return asyncio.run(served[f"~/{service}"](SimpleNamespace(**request)))
 
@@ -128,6 +136,7 @@ def test_no_limit_is_infinity():
     (result,) = asked("set_parameters", daemon, parameters=[change]).results
     assert result.successful
     assert daemon.asked[-1] == ("params.set", {"limits.linear_m_s3": None})
+    assert said[-1].changed_parameters == [change]
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])

@@ -79,9 +79,7 @@ class Calibration:
 
     def step(self, snapshot: Snapshot, now_ns: int) -> Found | None:
         """None: it goes on."""
-        why = problem(snapshot, now_ns, self._stale_s)
-        if why is None and not self.travel.add(snapshot):
-            why = "the odometry was reset"
+        why = problem(snapshot, now_ns, self._stale_s) or self.travel.add(snapshot)
         if why is not None:
             return Found(End.ABORTED, why=why)
         if not snapshot.at_rest:

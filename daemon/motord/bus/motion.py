@@ -22,6 +22,7 @@ COMMANDS_WITHIN_S = 1.0
 """A lease that is not in command by then will not be."""
 RESTS_WITHIN_S = 5.0
 """Of the goal's end, beside the ramp itself."""
+LOOK_WITHIN_S = 0.9
 TURN_RATE_MAX_RAD_S = math.pi
 """So that the base does not turn by half a turn between two looks: which way would not be known."""
 WAY_MAX_U = 1000.0
@@ -144,17 +145,19 @@ class Travel:
         self.distance_m = 0.0
         self.angle_rad = 0.0
 
-    def add(self, snapshot: Snapshot) -> bool:
-        """False: the odometry was reset, and the way is not known any more."""
+    def add(self, snapshot: Snapshot) -> str | None:
+        """Why the way is not known any more. None: it is."""
         if snapshot.odometry_epoch != self._last.odometry_epoch:
-            return False
+            return "the odometry was reset"
+        if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
+            return f"it was not looked at for {LOOK_WITHIN_S:g} s"
         turn_rad = math.remainder(snapshot.heading_rad - self._last.heading_rad, math.tau)
         middle_rad = self._last.heading_rad + turn_rad / 2.0
         dx_m, dy_m = snapshot.x_m - self._last.x_m, snapshot.y_m - self._last.y_m
         self.distance_m += dx_m * math.cos(middle_rad) + dy_m * math.sin(middle_rad)
         self.angle_rad += turn_rad
         self._last = snapshot
-        return True
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,10 +216,9 @@ class Motion:
     def _trouble(self, snapshot: Snapshot, now_ns: int) -> str | None:
         """What ends it at once."""
         why = problem(snapshot, now_ns, self._stale_s) or obstacle(snapshot)
+        why = why or self.travel.add(snapshot)
         if why is not None:
             return why
-        if not self.travel.add(snapshot):
-            return "the odometry was reset"
         if snapshot.owner == self._lease:
             self._commanding = True
         elif self._commanding:

@@ -56,7 +56,8 @@ class Ros2Commands:
         for method in URGENT:
             self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
         Parameters(station.robot, station.call).serve(self._node)
-        Lifecycle(station, self._desk).serve(self._node)
+        self._lifecycle = Lifecycle(station, self._desk)
+        self._lifecycle.serve(self._node)
         self._mover = Mover(station, self._desk.source, section.lease_s)
         self._moves = Moves(station, self._mover)
         self._moves.serve(self._node)
@@ -66,6 +67,7 @@ class Ros2Commands:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._desk.source.run())
             tasks.create_task(self._node.run())
+            tasks.create_task(self._lifecycle.run())
             for run in self._moves.runs():
                 tasks.create_task(run())
             for method in URGENT:

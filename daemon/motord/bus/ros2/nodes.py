@@ -27,6 +27,10 @@ class Teller(Protocol):
 class Node(Protocol):
     """Topics and services are made before `run`. Each may raise DdsError."""
 
+    def full(self, name: str) -> str:
+        """A name with its namespace."""
+        ...
+
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
         """Of a type of `types.TYPES`."""
         ...
