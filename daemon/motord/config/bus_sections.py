@@ -277,8 +277,9 @@ class ZenohPublish(RosTopics, ZenohNode):
 
 
 class Ros2Input(StampedInput, Ros2Node):
-    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist), and the
-    services arm, disarm, stop, estop, reset, reset_odometry, parameters and life cycle."""
+    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist),
+    joint_commands, the actions drive_distance, rotate and calibrate, and the services arm, disarm,
+    stop, estop, reset, reset_odometry, parameters and life cycle."""
 
     kind: Literal["ros2"]
     trust_network: bool = False
