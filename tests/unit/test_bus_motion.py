@@ -203,6 +203,30 @@ def test_a_base_that_slides_past_the_goal_did_not_succeed():
     assert "0.2 behind the goal" in wish.why
 
 
+@pytest.mark.parametrize("slip_u", [0.05, -0.05, 0.09])
+def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
+    base, motion = begun(Goal(axis="linear", way_u=-1.0))
+    while motion.remaining_u > 0.004:
+        base.follow(motion.step(base.said(), base.at_ms * 1_000_000))
+    base.way_u += slip_u
+    wish = carried_out(base, motion)
+    assert (wish.end, wish.why) == (End.SUCCEEDED, "")
+    assert base.way_u == pytest.approx(-1.0, abs=0.01)
+
+
+def test_a_base_that_slips_each_time_is_not_corrected_for_ever():
+    base, motion = begun(Goal(axis="linear", way_u=1.0))
+    slips = 0
+    while (wish := motion.step(base.said(), base.at_ms * 1_000_000)).end is None:
+        base.follow(wish)
+        if abs(motion.remaining_u) < 0.006 and base.speed_u_s == 0.0:
+            base.way_u += 0.05
+            slips += 1
+    assert wish.end is End.ABORTED
+    assert "behind the goal" in wish.why
+    assert slips == 4
+
+
 def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
     base, motion = begun(Goal(axis="linear", way_u=1.0))
     base.way_u = 1.0

@@ -9,6 +9,7 @@ core limits and ramps it like any other; a motion that is not asked on lapses wi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -25,6 +26,9 @@ RESTS_WITHIN_S = 5.0
 LOOK_WITHIN_S = 0.9
 TURN_RATE_MAX_RAD_S = math.pi
 """So that the base does not turn by half a turn between two looks: which way would not be known."""
+CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
+"""A base that rests beside the goal, because somebody was late, goes the rest of the way, also back:
+so often, and by so many tolerances at most."""
 WAY_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
@@ -62,6 +66,31 @@ class Bounds:
         ramps_s = velocity_u_s / self.acceleration_u_s2 + velocity_u_s / self.deceleration_u_s2
         jerks_s = (self.acceleration_u_s2 + self.deceleration_u_s2) / self.jerk_u_s3
         return abs(way_u) / velocity_u_s + ramps_s + jerks_s
+
+
+_KEYS = {
+    "linear": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
+    "angular": ("rad_s", "rad_s2", "deceleration_rad_s2", "rad_s3"),
+}
+
+
+def limit_names(axis: Axis) -> tuple[str, ...]:
+    """The parameters of that axis, in the order of Bounds."""
+    return tuple(f"limits.{axis}_{key}" for key in _KEYS[axis])
+
+
+def bounds_of(axis: Axis, told: Mapping[str, float | None]) -> Bounds:
+    """From `params.get`, where null is no limit."""
+    values = (told[name] for name in limit_names(axis))
+    velocity, acceleration, deceleration, jerk = (
+        math.inf if value is None else value for value in values
+    )
+    return Bounds(
+        velocity_u_s=velocity,
+        acceleration_u_s2=acceleration,
+        deceleration_u_s2=deceleration,
+        jerk_u_s3=jerk,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,6 +214,8 @@ class Motion:
         self._commanding = False
         self._ending: tuple[End, str] | None = None
         self._ending_ns = 0
+        self._forward = 1.0
+        self._corrections = 0
 
     @property
     def way_u(self) -> float:
@@ -207,7 +238,7 @@ class Motion:
             return Wish(end=End.ABORTED, why=why)
         if (now_ns - self._start_ns) * _NS > self.plan.timeout_s:
             self._end(End.ABORTED, f"it took longer than {self.plan.timeout_s:.1f} s", now_ns)
-        if self.remaining_u <= self.plan.tolerance_u / 2.0:
+        if self.remaining_u * self._forward <= self.plan.tolerance_u / 2.0:
             self._end(End.SUCCEEDED, "", now_ns)
         if self._ending is None:
             return self._onward()
@@ -236,8 +267,9 @@ class Motion:
         """Not slower than what gets there: creeping, it stops within half of the tolerance."""
         plan = self.plan
         creep_u_s = plan.bounds.approach_u_s(plan.tolerance_u / 2.0)
-        speed_u_s = max(plan.bounds.approach_u_s(self.remaining_u), creep_u_s)
-        return self._along(math.copysign(min(speed_u_s, plan.velocity_u_s), plan.way_u))
+        speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), creep_u_s)
+        speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.way_u)
+        return self._along(speed_u_s * self._forward)
 
     def _along(self, speed_u_s: float) -> Wish:
         return Wish(speed_u_s, 0.0) if self.plan.axis == "linear" else Wish(0.0, speed_u_s)
@@ -250,8 +282,20 @@ class Motion:
                 return Wish(end=End.ABORTED, why="it does not come to rest")
             return Wish()
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
+            if self._corrected():
+                return Wish()
             how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"
         return Wish(end=how, why=why)
+
+    def _corrected(self) -> bool:
+        """It goes on, towards the goal from where it is."""
+        near_u = CORRECTION_TOLERANCES * self.plan.tolerance_u
+        if abs(self.remaining_u) > near_u or self._corrections == CORRECTIONS_MAX:
+            return False
+        self._corrections += 1
+        self._forward = math.copysign(1.0, self.remaining_u)
+        self._ending = None
+        return True
 
     def _ramp_s(self) -> float:
         bounds = self.plan.bounds

@@ -19,6 +19,8 @@ from motord.bus.motion import (
     Motion,
     Plan,
     Wish,
+    bounds_of,
+    limit_names,
     obstacle,
     planned,
     problem,
@@ -32,10 +34,6 @@ if TYPE_CHECKING:
 
 LOOKS_A_LEASE = 5
 LOOK_MIN_S, LOOK_MAX_S = 0.005, 0.02
-_KEYS = {
-    "linear": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
-    "angular": ("rad_s", "rad_s2", "deceleration_rad_s2", "rad_s3"),
-}
 
 
 class NotNow(Exception):
@@ -87,15 +85,8 @@ class Mover:
 
     async def _bounds(self, axis: Axis) -> Bounds:
         """Those in force now. Raises ClientError."""
-        names = [f"limits.{axis}_{key}" for key in _KEYS[axis]]
-        told = await self._station.call("params.get", names=names)
-        values = [math.inf if told[name] is None else float(told[name]) for name in names]
-        return Bounds(
-            velocity_u_s=values[0],
-            acceleration_u_s2=values[1],
-            deceleration_u_s2=values[2],
-            jerk_u_s3=values[3],
-        )
+        told = await self._station.call("params.get", names=limit_names(axis))
+        return bounds_of(axis, told)
 
     async def move(
         self, plan: Plan, tell: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
