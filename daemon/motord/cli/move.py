@@ -24,7 +24,7 @@ from motord.bus.motion import (
 )
 from motord.cli.common import Exit, Failure, json_option, print_json
 from motord.cli.talk import interruptible, talking
-from motord.client import Client
+from motord.client import Client, Refused
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 
@@ -145,10 +145,12 @@ def _follow(client: Client, motion: Motion, newest: Snapshot, page: StatePage) -
             if interrupts:
                 motion.cancel(time.monotonic_ns())
             wish = motion.step(newest, time.monotonic_ns())
+            try:
+                client.drive(wish.linear_m_s, wish.angular_rad_s, owner=OWNER)
+            except Refused as error:
+                return wish if wish.end else Wish(end=End.ABORTED, why=str(error))
             if wish.end is not None:
-                client.drive(0.0, 0.0, owner=OWNER)
                 return wish
-            client.drive(wish.linear_m_s, wish.angular_rad_s, owner=OWNER)
             _progress(motion, newest)
             due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
             time.sleep(max(due_s - time.monotonic(), 0.0))
