@@ -7,6 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "api_imu.h"
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"

@@ -42,7 +42,7 @@ from motord.rt_types import (
     Percentiles,
     PwmConfig,
 )
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot, gyro_word
 
 __all__ = [
     "AxisLimits",
@@ -480,6 +480,22 @@ def _snapshot(raw: Any) -> Snapshot:
         pose_covariance=tuple(raw.pose_covariance),
         twist_covariance=tuple(raw.twist_covariance),
         joints=tuple(_joint(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
+        imu=_imu(raw.imu) if raw.imu.state != lib.GYRO_NONE else None,
+    )
+
+
+def _imu(raw: Any) -> ImuSnapshot:
+    return ImuSnapshot(
+        stamp_ns=raw.stamp_ns,
+        angular_rad_s=tuple(raw.angular_rad_s),
+        acceleration_m_s2=tuple(raw.acceleration_m_s2),
+        bias_rad_s=raw.bias_rad_s,
+        bias_variance_rad2_s2=raw.bias_variance_rad2_s2,
+        rate_variance_rad2_s2=raw.rate_variance_rad2_s2,
+        state=gyro_word(raw.state),
+        heading_by_gyro=raw.heading_by_gyro != 0,
+        still=raw.still != 0,
+        refused=raw.refused,
     )
 
 
