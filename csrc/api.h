@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; commands are in api_command.h, serial lines in api_line.h, the gyro in api_imu.h. Two readers: the C compiler
- * (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and prototypes, and no
- * preprocessor line.
+ * api.h: the border between Python and C; the gyro is in api_imu.h, commands in api_command.h, serial lines in api_line.h.
+ * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
+ * prototypes, and no preprocessor line.
  *
  * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
  * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.

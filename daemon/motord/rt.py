@@ -30,6 +30,7 @@ from motord.commands import (
     datagram,
 )
 from motord.page_file import JOURNAL_PREFIX, PageFile, PageInUse
+from motord.rt_snapshot import imu_of, joint_of
 from motord.rt_types import (
     AxisLimits,
     BaseLimits,
@@ -42,7 +43,7 @@ from motord.rt_types import (
     Percentiles,
     PwmConfig,
 )
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot, gyro_word
+from motord.snapshot import Snapshot
 
 __all__ = [
     "AxisLimits",
@@ -66,7 +67,6 @@ __all__ = [
 ]
 
 LEASES_MAX: int = lib.LEASES_MAX
-_ENABLED_UNKNOWN = 2
 LEASE_NUMBERS = itertools.count(1)  # of the whole process: the loop tells leases apart by them
 _ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
@@ -479,38 +479,6 @@ def _snapshot(raw: Any) -> Snapshot:
         angular_rad_s=raw.angular_rad_s,
         pose_covariance=tuple(raw.pose_covariance),
         twist_covariance=tuple(raw.twist_covariance),
-        joints=tuple(_joint(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
-        imu=_imu(raw.imu) if raw.imu.state != lib.GYRO_NONE else None,
-    )
-
-
-def _imu(raw: Any) -> ImuSnapshot:
-    return ImuSnapshot(
-        stamp_ns=raw.stamp_ns,
-        angular_rad_s=tuple(raw.angular_rad_s),
-        acceleration_m_s2=tuple(raw.acceleration_m_s2),
-        bias_rad_s=raw.bias_rad_s,
-        bias_variance_rad2_s2=raw.bias_variance_rad2_s2,
-        rate_variance_rad2_s2=raw.rate_variance_rad2_s2,
-        state=gyro_word(raw.state),
-        heading_by_gyro=raw.heading_by_gyro != 0,
-        still=raw.still != 0,
-        refused=raw.refused,
-    )
-
-
-def _joint(raw: Any) -> JointSnapshot:
-    return JointSnapshot(
-        position_rad=raw.position_rad,
-        velocity_rad_s=raw.velocity_rad_s,
-        setpoint_rad_s=raw.setpoint_rad_s,
-        duty=raw.duty,
-        current_a=raw.current_a,
-        voltage_v=raw.voltage_v,
-        temperature_c=raw.temperature_c,
-        feedback_age_s=raw.feedback_age_s,
-        drive_faults=raw.drive_faults,
-        enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
-        stale=raw.stale != 0,
-        jumps=raw.jumps,
+        joints=tuple(joint_of(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
+        imu=imu_of(raw.imu),
     )
