@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 from motord import rt
+from motord.config.imu_section import Imu
 from motord.config.model import Joint, Limits, Robot
 from motord.config.wheels import (
     Profiles,
@@ -68,7 +69,21 @@ def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
         "heading_variance_floor_rad2": robot.odometry.heading_variance_floor_rad2,
         "twist_variance_floor_m2_s2": robot.odometry.twist_variance_floor_m2_s2,
         "twist_variance_floor_rad2_s2": robot.odometry.twist_variance_floor_rad2_s2,
+        "gyro": _gyro(robot.imu),
         "joint": [_joint(robot, name, profiles) for name in robot.joint],
+    }
+
+
+def _gyro(imu: Imu | None) -> rt.GyroConfig:
+    if imu is None:
+        return {"used": 0}
+    return {
+        "used": 1,
+        "timeout_s": imu.timeout_s,
+        "bias_max_rad_s": imu.bias_max_rad_s,
+        "still_variance_rad2_s2": imu.still_deviation_rad_s**2,
+        "heading_variance_rad2_per_s": imu.heading_variance_rad2_per_s,
+        "turn_variance_rad2_per_rad": imu.turn_variance_rad2_per_rad,
     }
 
 

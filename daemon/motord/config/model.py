@@ -36,6 +36,7 @@ from motord.config.bus_sections import (
     ZenohPublish,
 )
 from motord.config.guard_sections import EstopInput, WatchdogOutput
+from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
@@ -328,6 +329,7 @@ class Robot(Section):
     safety: Safety = Field(default_factory=Safety)
     odometry: Odometry = Field(default_factory=Odometry)
     battery: Annotated[DrivesBattery | InaBattery, Field(discriminator="source")] | None = None
+    imu: Annotated[ChipImu | LineImu, Field(discriminator="source")] | None = None
     line: dict[Name, LineSection]
     """The wires."""
     joint: dict[Name, Joint]

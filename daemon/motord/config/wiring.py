@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from motord.config.imu_section import LineImu
 from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles
@@ -15,6 +16,7 @@ from motord_hal.ports import (
     Echo,
     JointSpec,
     LineSpec,
+    Mounting,
     PinsSpec,
     TextSpec,
     TextWheel,
@@ -50,6 +52,9 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )
+    if isinstance(robot.imu, LineImu) and robot.imu.line == name:
+        mounting = Mounting(up=robot.imu.up, forward=robot.imu.forward)
+        spec = replace(spec, imu=mounting)
     if isinstance(line, PwmLine):
         return _with_pins(spec, line, robot.loop.priority)
     if isinstance(line, AsciiLine):
