@@ -22,6 +22,11 @@ BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "540"))
 ADAPTER_SERIAL = "A10K3XYZ"
 STATUS = "guest: status "
 DISK_MB = 120
+SHARED = (
+    "loop_side.py", "scripted_odrive.py", "cia402_node.py",
+    "test_can_line.py", "test_can_bus.py", "test_can_halt.py", "test_cia402.py",
+)  # fmt: skip
+"""Of the contract suite: on real buses here."""
 
 
 def why_not() -> str:
@@ -44,7 +49,8 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     content, disk = folder / "content", folder / "project.ext4"
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
-    shutil.copy(ROOT / "tests/contract/loop_side.py", content / "tests/vm/guest")
+    for name in SHARED:
+        shutil.copy(ROOT / "tests/contract" / name, content / "tests/vm/guest")
     shutil.copytree(ROOT / "config", content / "config")
     shutil.copy(package, content / "motord.deb")
     (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")
