@@ -5,6 +5,7 @@ import contextlib
 import json
 import math
 import subprocess
+import sys
 
 import pytest
 from daemon_stage import ROOT, running, wait_until
@@ -89,3 +90,24 @@ def test_a_chip_that_is_not_there_is_said_once_and_the_wheels_give_the_heading(t
         wait_until(lambda: "the imu is not heard" in stage.said(), "the log's word")
         assert stage.said().count("there is no such bus") == 1
         assert stage.robot.status()["imu"] is None
+
+
+def test_a_drive_by_gyro_is_replayed_bit_for_bit(tmp_path):
+    tape = (
+        "publish.tape.kind=mcap",
+        f"publish.tape.folder={json.dumps(str(tmp_path / 'files'))}",
+        "publish.tape.journal=true",
+        "publish.tape.free_min_mb=0",
+    )
+    with running(tmp_path, *PATIENT, *tape, robot=ROBOT) as stage:
+        wait_until(lambda: gyro(stage) == "used", "the gyro's zero")
+        wait_until(lambda: list((tmp_path / "files").glob("*.mcap")), "a recording")
+        turned_and_slipped(stage)
+        assert stage.robot.status()["imu"]["heading_by_gyro"]
+        assert stage.end() == 0
+    (path,) = (tmp_path / "files").glob("*.mcap")
+    done = subprocess.run(
+        [sys.executable, "-m", "motord", "replay", "--json", str(path)],
+        capture_output=True, text=True, timeout=120, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
