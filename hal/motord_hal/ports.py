@@ -21,6 +21,32 @@ SETPOINT_TIMEOUT_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EdgesEncoder:
+    """A quadrature encoder on two GPIO lines."""
+
+    gpio_chip: str
+    a: str
+    """The line's name, or its number on the chip."""
+    b: str
+    pull: str
+    """"none", "up" or "down"."""
+    rad_per_count: float
+    """Of the wheel, positive where it turns forward; a count is an edge."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CounterEncoder:
+    """A quadrature encoder on a counter of the kernel."""
+
+    counter: str
+    """Its name, part of its device's path, or counterN."""
+    count: int
+    """Which count of it."""
+    rad_per_count: float
+    """As of EdgesEncoder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JointSpec:
     """One wheel as its line sees it. `index` is the joint's place in the core's arrays."""
 
@@ -38,6 +64,8 @@ class JointSpec:
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
     it is active low. "fault" is an input."""
+    encoder: EdgesEncoder | CounterEncoder | None = None
+    """Of a bridge's motor."""
     tries: int = 3
     reply_timeout_s: float | None = None
     """Deadline for a reply after the request's last byte; None: frame time plus the profile's

@@ -35,6 +35,7 @@ from motord.config.bus_sections import (
     ZenohInput,
     ZenohPublish,
 )
+from motord.config.encoder_section import AnyEncoder
 from motord.config.guard_sections import EstopInput, WatchdogOutput
 from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
@@ -242,6 +243,7 @@ class Joint(Section):
         "1",
         None,
     )
+    encoder: AnyEncoder | None = None
     duty_dead_band: float = number("duty at which the motor just turns", 0, 0.9, "1", 0.0)
     duty_min: float = number("least duty; 0: never backward", -1, 0, "1", -1.0)
     duty_max: float = number("greatest duty", 0.01, 1, "1", 1.0)
