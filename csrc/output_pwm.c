@@ -176,16 +176,18 @@ static int read_inputs(pwm_thread *t)
 
 static int read_encoders(pwm_thread *t, int64_t now_ns)
 {
-    t->out.encoder_illegal = t->out.encoder_lost = 0;
+    uint64_t illegal = 0, lost = 0;
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
         if (error != 0) {
             t->out.error_output = AT_ENCODER - (int32_t)i;
             return error;
         }
-        t->out.encoder_illegal += t->encoder[i].illegal;
-        t->out.encoder_lost += t->encoder[i].lost;
+        illegal += t->encoder[i].illegal;
+        lost += t->encoder[i].lost;
     }
+    t->out.encoder_illegal = illegal;
+    t->out.encoder_lost = lost;
     return 0;
 }
 

@@ -56,6 +56,10 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(!turned(&s, &turn_rad));                   /* from when on? */
     CHECK(turned(&s, &turn_rad) && turn_rad == 0.0);
     CHECK(s.state.still == 1);
+    gyro_state before = s.state;                     /* the newest sample once more: no news */
+    s.now_ns -= SAMPLE_NS;
+    say(&s, 9.0, 1, true);
+    CHECK(memcmp(&before, &s.state, sizeof before) == 0);
     say(&s, 0.6, 200, false);
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5) < 0.002);
     s.now_ns += SAMPLE_NS;                           /* beyond the newest sample: as it went on */
