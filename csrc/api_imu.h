@@ -29,6 +29,7 @@ enum {
     GYRO_UNBIASED = 1,          /* heard, but the base has not stood still long enough to know its zero */
     GYRO_USED = 2,              /* the heading follows it */
     GYRO_STALE = 3,             /* its last good sample is too old: the heading follows the wheels */
+    GYRO_REVERSED = 4,          /* it turned against the wheels, so it is mounted otherwise than it was said: the wheels, for good */
 };
 
 /* What the core tells of it. NaN: not measured, or not known yet. */
@@ -67,6 +68,9 @@ typedef struct {
     int64_t used_ns;
     uint32_t used_epoch;
     uint32_t referenced;        /* 1: the last three are up to date */
+    double opposed_rad;         /* how far wheels and gyro have turned against each other, less how far with each other */
+    uint32_t reversed;          /* latched: it was too far */
+    uint32_t reserved;
 } gyro_state;
 
 void gyro_init(gyro_state *state);
@@ -75,5 +79,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
 /* How far the base has turned from the moment asked for last to this one, and with which variance. false: the gyro does
  * not know all of it. */
 bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad, double *variance_rad2);
+/* Compares a turn of both; true for good once they have turned against each other for too long. */
+bool gyro_reversed(gyro_state *state, double wheels_rad, double gyro_rad);
 /* GYRO_* */
 uint32_t gyro_status(const gyro_state *state, const gyro_config *config, int64_t now_ns);

@@ -22,6 +22,8 @@ static const double BIAS_WANDER_RAD2_S3 = 1e-9;
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
 static const double STILL_RAD_S = 0.01;     /* of a base that stands, or so many deviations of the noise */
 static const double STILL_DEVIATIONS = 5.0;
+static const double OPPOSED_MAX_RAD = 1.0;  /* so far wheels and gyro may turn against each other: more is no slip */
+static const double OPPOSED_PART = 0.25;    /* of the wheels' turn, or it is noise */
 
 void gyro_init(gyro_state *state)
 {
@@ -128,7 +130,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
     if (sample->epoch != state->sensor_epoch || sample->saturated != 0)
         break_integral(state);
     state->sensor_epoch = sample->epoch;
-    bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns <= now_ns + FUTURE_NS;
+    bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns - FUTURE_NS <= now_ns;
     if (!in_order || sample->saturated != 0 || !is_number(sample)) {
         state->refused++;
         return;
@@ -169,10 +171,24 @@ bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, 
     return known;
 }
 
+bool gyro_reversed(gyro_state *state, double wheels_rad, double gyro_rad)
+{
+    bool against = wheels_rad * gyro_rad < 0.0 && fabs(gyro_rad) > OPPOSED_PART * fabs(wheels_rad);
+    if (against)
+        state->opposed_rad += fabs(wheels_rad);
+    else
+        state->opposed_rad = fmax(state->opposed_rad - fabs(wheels_rad), 0.0);
+    if (state->opposed_rad > OPPOSED_MAX_RAD)
+        state->reversed = 1;
+    return state->reversed != 0;
+}
+
 uint32_t gyro_status(const gyro_state *state, const gyro_config *config, int64_t now_ns)
 {
     if (config->used == 0 || (state->stamp_ns == 0 && state->epoch == 0))
         return GYRO_NONE;
+    if (state->reversed)
+        return GYRO_REVERSED;
     if (!near(state, config, now_ns))
         return GYRO_STALE;
     return state->bias_stamp_ns == 0 ? GYRO_UNBIASED : GYRO_USED;

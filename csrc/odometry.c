@@ -230,7 +230,8 @@ static motion by_wheels(const core_config *config, const arc *found)
 static void turn_by_gyro(odometry_state *state, const core_config *config, int64_t moment_ns, motion *moved)
 {
     double turn_rad, variance_rad2;
-    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2);
+    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2)
+        && !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
     if (!state->by_gyro)
         return;
     moved->turn_rad = turn_rad;

@@ -32,6 +32,10 @@ _SAID = {
     "unbiased": "the gyro is heard; its zero is not known before the base has stood still",
     "used": "the heading follows the gyro (its zero is at {:.5f} rad/s)",
     "stale": "the gyro is not heard any more: the heading follows the wheels",
+    "reversed": (
+        "the gyro turns against the wheels, so it is not used any more: look at up in [imu], and "
+        "at inverted and side of the joints"
+    ),
 }
 
 
@@ -54,7 +58,7 @@ async def _say(operation: Operation) -> None:
         now = imu.state if imu else None
         if now != state:
             state = now
-            level = logging.WARNING if now in (None, "stale") else logging.INFO
+            level = logging.WARNING if now in (None, "stale", "reversed") else logging.INFO
             text = _SAID.get(now, f"the gyro is {now}")
             _log.log(level, text.format(imu.bias_rad_s if imu else 0.0), extra=about(event="imu"))
         await asyncio.sleep(LOOK_EVERY_S)

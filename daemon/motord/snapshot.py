@@ -14,7 +14,7 @@ from typing import Any
 
 SNAPSHOT_VERSION = 1
 """Raised when a field is renamed, removed or changes its meaning; not when one is added."""
-GYRO_STATES = ("none", "unbiased", "used", "stale")
+GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
 """By GYRO_* of csrc/api_imu.h."""
 
 
@@ -52,7 +52,8 @@ class ImuSnapshot:
     rate_variance_rad2_s2: float
     """Of a sample about z, measured while the base stood."""
     state: str
-    """"unbiased" (the base has not stood still yet), "used" or "stale"."""
+    """"unbiased" (the base has not stood still yet), "used", "stale", or "reversed" (it has turned
+    against the wheels)."""
     heading_by_gyro: bool
     """The newest turn in the pose is the gyro's; else the wheels'."""
     still: bool

@@ -110,6 +110,16 @@ static void hostile_samples_leave_finite_numbers(void)
     CHECK(s.state.refused > 0);
 }
 
+static void turning_against_the_wheels_is_remembered(void)
+{
+    sensor s = new_sensor();
+    say(&s, 0.0, 400, true);
+    CHECK(!gyro_reversed(&s.state, 0.9, -0.9) && !gyro_reversed(&s.state, 0.5, 0.5));
+    CHECK(!gyro_reversed(&s.state, 3.0, -0.01));     /* noise */
+    CHECK(gyro_reversed(&s.state, -1.1, 1.1) && gyro_reversed(&s.state, 9.0, 9.0));
+    CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_REVERSED);
+}
+
 static void the_newest_sample_crosses_the_exchange(void)
 {
     static exchange x;
@@ -126,6 +136,7 @@ int main(void)
     the_turn_is_the_rate_times_the_time();
     no_zero_of_a_base_that_moves();
     hostile_samples_leave_finite_numbers();
+    turning_against_the_wheels_is_remembered();
     the_newest_sample_crosses_the_exchange();
     return checks_report("test_gyro");
 }

@@ -36,6 +36,9 @@ class GyroRig(Rig):
         """A turn that the wheels do not see."""
         self.slip_left = 0.0
         """Part of the left wheels' way that is none on the ground."""
+        self.still = False
+        """The base does not turn, whatever the wheels do."""
+        self.sign = 1.0
         self.true_heading_rad = 0.0
         self.ticked = 0
 
@@ -44,10 +47,11 @@ class GyroRig(Rig):
         left, right = self.wheel_rad_s[:2]
         radius_m, track_m = self.config.joint[0].wheel_radius_m, self.config.track_m
         rate = (right - left * (1.0 - self.slip_left)) * radius_m / track_m + self.extra_rad_s
+        rate = 0.0 if self.still else rate
         self.true_heading_rad += rate * dt_s
         self.ticked += 1
         if self.heard and self.ticked % SAMPLE_EVERY_TICKS == 0:
-            self.say(rate + self.bias_rad_s + self.random.gauss(0.0, self.noise_rad_s))
+            self.say(self.sign * rate + self.bias_rad_s + self.random.gauss(0.0, self.noise_rad_s))
 
     def say(self, rate_rad_s: float, **changes: Any) -> None:
         said = {"stamp_ns": self.input.now_ns, "angular_rad_s": [0.0, 0.0, rate_rad_s]}
@@ -267,6 +271,31 @@ def test_the_longer_the_zero_was_not_looked_at_the_faster_the_heading_gets_uncer
         grown.append(rig.ticks(5.0).pose_covariance[5] - before)
     assert grown == sorted(grown)
     assert grown[-1] > 1.5 * grown[0]
+
+
+def test_a_gyro_that_is_mounted_upside_down_is_given_up_and_the_wheels_give_the_heading():
+    rig = GyroRig()
+    rig.sign = -1.0
+    rig.know_zero()
+    rig.moving(0.2, 0.8)
+    rig.ticks(4.0)
+    assert (rig.imu.state, rig.imu.heading_by_gyro) == (lib.GYRO_REVERSED, 0)
+    rig.sign = 1.0
+    rig.drive(0.2, -0.8)
+    assert rig.ticks(4.0).imu.state == lib.GYRO_REVERSED
+    before_rad, true_rad = rig.shown.heading_rad, rig.true_heading_rad
+    shown = rig.ticks(1.0)
+    turned_rad = math.remainder(shown.heading_rad - before_rad, 2.0 * math.pi)
+    assert turned_rad == pytest.approx(rig.true_heading_rad - true_rad, abs=0.01)
+
+
+def test_wheels_that_spin_on_the_spot_are_no_reason_to_give_the_gyro_up():
+    rig = GyroRig()
+    rig.know_zero()
+    rig.moving(0.2, 0.8)
+    rig.still = True
+    shown = rig.ticks(20.0)
+    assert (shown.imu.state, shown.imu.heading_by_gyro) == (lib.GYRO_USED, 1)
 
 
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)

@@ -78,7 +78,7 @@ def test_every_state_of_the_gyro_has_its_word_and_none_is_no_imu():
         raw.imu.state = number
         made = rt._snapshot(raw).imu
         words.append("none" if made is None else made.state)
-    assert words == ["none", "unbiased", "used", "stale"]
+    assert words == ["none", "unbiased", "used", "stale", "reversed"]
     assert len(words) == len(numbers)
 
 

@@ -209,7 +209,9 @@ def test_before_the_gyro_has_a_zero_its_error_is_unknown():
     assert message.angular_velocity_covariance == (0.0,) * 9
 
 
-@pytest.mark.parametrize("changes", [{"state": "stale"}, {"angular_rad_s": (0.0, 0.0, math.nan)}])
+@pytest.mark.parametrize(
+    "changes", [{"state": "stale"}, {"state": "reversed"}, {"angular_rad_s": (0.0, 0.0, math.nan)}]
+)
 def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
     assert messages.imu(inertial(**changes), BODY, OFFSET_NS) is None
     assert messages.imu(snapshot(), BODY, OFFSET_NS) is None

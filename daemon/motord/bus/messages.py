@@ -160,9 +160,14 @@ _ERROR_UNKNOWN = (0.0,) * 9
 
 def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
     """sensor_msgs/Imu, of the newest sample, turned into the base's axes. An axis that is not
-    measured has the variance UNMEASURED. None: no sensor, or its last good sample is old."""
+    measured has the variance UNMEASURED. None: no sensor, one that turns
+    against the wheels, or its last good sample is old."""
     found = snapshot.imu
-    if found is None or found.state == "stale" or not math.isfinite(found.angular_rad_s[2]):
+    if (
+        found is None
+        or found.state in ("stale", "reversed")
+        or not math.isfinite(found.angular_rad_s[2])
+    ):
         return None
     variances = (*[math.nan] * 2, found.rate_variance_rad2_s2 + found.bias_variance_rad2_s2)
     felt = found.acceleration_m_s2
