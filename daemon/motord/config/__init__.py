@@ -32,6 +32,7 @@ from motord.config.bus_sections import (
     ZenohNode,
     ZenohPublish,
 )
+from motord.config.imu_section import ChipImu, Imu, LineImu
 from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
 from motord.config.load import load_robot
 from motord.config.model import (
@@ -62,6 +63,9 @@ __all__ = [
     "Battery",
     "DrivesBattery",
     "InaBattery",
+    "Imu",
+    "ChipImu",
+    "LineImu",
     "RtuLine",
     "DdsmLine",
     "TcpLine",

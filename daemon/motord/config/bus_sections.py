@@ -10,13 +10,20 @@ from pydantic import Field
 from motord.config.section import Section, number
 
 Topic = Literal[
-    "odom", "tf", "joint_states", "battery_state", "diagnostics", "motor_status", "loop_statistics"
+    "odom",
+    "tf",
+    "joint_states",
+    "imu",
+    "battery_state",
+    "diagnostics",
+    "motor_status",
+    "loop_statistics",
 ]
 SLOW_HZ = 1.0
 SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
 """What changes slowly: at most SLOW_HZ where no rate of its own is given."""
 ALL_TOPICS: tuple[Topic, ...] = (
-    *("odom", "tf", "joint_states", "battery_state"),
+    *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
 ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
