@@ -17,7 +17,7 @@ from typing import Any
 
 from motord.bus import json_form
 from motord.bus.messages import Body
-from motord.bus.ros2 import cdr
+from motord.bus.ros2.direct import encoder
 from motord.bus.topics import TOPICS, View, wall_offset_ns
 from motord.snapshot import JointSnapshot, Snapshot
 
@@ -80,8 +80,9 @@ def cyclone(topic: str) -> Callable[[], Any]:
 
 def ways(topic: str) -> dict[str, Callable[[], Any]]:
     view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
+    direct = encoder(chosen, BODY)
     return {
-        "cdr": lambda: cdr.encode(chosen.type_name, chosen.build(view, BODY, offset_ns)),
+        "cdr": lambda: direct(view, offset_ns),
         "cdr, cyclone": cyclone(topic),
         "json": lambda: json_form.encode(chosen.build(view, BODY, offset_ns)),
         "json, stdlib": lambda: json.dumps(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
-from motord.bus.feed import Feed
+from motord.bus.feed import Feed, Form, as_message
 from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
@@ -44,9 +44,9 @@ class Station:
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
-    def feed(self, name: str, rates_hz: Mapping[str, float]) -> Feed:
+    def feed(self, name: str, rates_hz: Mapping[str, float], form: Form = as_message) -> Feed:
         """Topics by their rates, for the adapter of that name."""
-        self.feeds[name] = Feed(self.body, rates_hz)
+        self.feeds[name] = Feed(self.body, rates_hz, form)
         return self.feeds[name]
 
     def source(self, name: str) -> Source:
