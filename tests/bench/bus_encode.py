@@ -15,9 +15,9 @@ import timeit
 from collections.abc import Callable
 from typing import Any
 
-from motord.bus import json_form
+from motord.bus import json_direct
 from motord.bus.messages import Body
-from motord.bus.ros2.direct import encoder
+from motord.bus.ros2 import direct
 from motord.bus.topics import TOPICS, View, wall_offset_ns
 from motord.snapshot import JointSnapshot, Snapshot
 
@@ -80,11 +80,11 @@ def cyclone(topic: str) -> Callable[[], Any]:
 
 def ways(topic: str) -> dict[str, Callable[[], Any]]:
     view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
-    direct = encoder(chosen, BODY)
+    cdr, text = direct.encoder(chosen, BODY), json_direct.encoder(chosen, BODY)
     return {
-        "cdr": lambda: direct(view, offset_ns),
+        "cdr": lambda: cdr(view, offset_ns),
         "cdr, cyclone": cyclone(topic),
-        "json": lambda: json_form.encode(chosen.build(view, BODY, offset_ns)),
+        "json": lambda: text(view, offset_ns),
         "json, stdlib": lambda: json.dumps(
             dataclasses.asdict(chosen.build(view, BODY, offset_ns))
         ).encode(),
