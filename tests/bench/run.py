@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick] [--json] [--only core,wire,can,datagram,lateness]
+python tests/bench/run.py [--quick] [--json] [--only core,wire,can,datagram,lateness,bus]
 
 Ends with 1 only where something is wrong (a violation, a page fault), never because a machine is
 slow: the sentences say what was reached.
@@ -16,13 +16,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import bus
 import can_bus
 import datagram
 import lateness
 import wire
 
 HERE = Path(__file__).parent
-PARTS = ("core", "wire", "can", "datagram", "lateness")
+PARTS = ("core", "wire", "can", "datagram", "lateness", "bus")
 Verdicts = list[tuple[str, bool, bool]]
 
 
@@ -53,6 +54,11 @@ def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
         for name, row in found.items()
     ]
     return "\n".join(["from datagram to byte:", *rows]), found, datagram.verdicts(found)
+
+
+def second_process(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
+    found = bus.measure(quick)
+    return bus.table(found), found, bus.verdicts(found)
 
 
 def wake_ups(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
@@ -89,6 +95,7 @@ def main() -> int:
                 "can": on_a_bus,
                 "datagram": datagrams,
                 "lateness": wake_ups,
+                "bus": second_process,
             }
             text, found, said = measure[part](asked.quick)
         results[part] = found
