@@ -17,7 +17,15 @@ from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError
-from motord.config import BusInput, OtherInput, OtherPublish, Robot, StdoutPublish, UdpPublish
+from motord.config import (
+    BusInput,
+    OtherInput,
+    OtherPublish,
+    RclpyInput,
+    Robot,
+    StdoutPublish,
+    UdpPublish,
+)
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 
@@ -98,7 +106,7 @@ class Station:
         made += [
             self._adapter(f"input.{name}", section, INPUTS, INPUT_POINTS)
             for name, section in self.robot.input.items()
-            if isinstance(section, BusInput)
+            if isinstance(section, BusInput) and not isinstance(section, RclpyInput)
         ]
         return [adapter for adapter in made if adapter is not None]
 
