@@ -303,6 +303,16 @@ class ZenohInput(StampedInput, ZenohNode):
     the network unless it is told not to. It has to be said that this is meant."""
 
 
+class RclpyInput(BusInput):
+    """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
+    motord-bus has no part in it."""
+
+    kind: Literal["ros2-rclpy"]
+    trust_network: bool = False
+    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
+    to be said that this is meant."""
+
+
 class OtherPublish(BusPublish):
     """A kind that another package brings: its entry point in the group motord.publishers."""
 

@@ -48,7 +48,10 @@ def _struct(codes: str, phase: int) -> struct.Struct:
 
 def encode(name: str, message: Any) -> bytearray:
     """A message, an object whose attributes are the type's fields, with its header and padded to a
-    multiple of 4. Raises ValueError for a value that does not fit its field."""
+    multiple of 4. Bytes are one that is encoded already. Raises ValueError for a value that does
+    not fit its field."""
+    if isinstance(message, bytes):
+        return bytearray(message)
     out = bytearray(HEADER)
     try:
         for write in _writers(name):
