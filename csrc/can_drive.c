@@ -90,6 +90,7 @@ void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
     drive->stop = kind;
     drive->stop_place = 0;
     drive->stops++;
+    m->news = true;
 }
 
 static void demote(can_machine *m, uint32_t number, uint32_t why, uint32_t mode)
@@ -170,7 +171,7 @@ static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
         return;
     }
     for (uint32_t i = 0; i < table->input_count && drive->missing == 0; i++) {
-        int64_t silence_ns = table->input[i].silence_ns;
+        int64_t silence_ns = drive->silence_ns[i];
         if (silence_ns > 0 && (drive->heard_ns[i] == 0 || now_ns - drive->heard_ns[i] > silence_ns)) {
             drive->missing = i + 1;
         }

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick] [--json] [--only core,wire,can,datagram,lateness,bus]
+python tests/bench/run.py [--quick] [--json] [--only core,wire,can,board,datagram,lateness,bus]
 
 Ends with 1 only where something is wrong (a violation, a page fault), never because a machine is
 slow: the sentences say what was reached.
@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import board_stream
 import bus
 import can_bus
 import datagram
@@ -23,7 +24,7 @@ import lateness
 import wire
 
 HERE = Path(__file__).parent
-PARTS = ("core", "wire", "can", "datagram", "lateness", "bus")
+PARTS = ("core", "wire", "can", "board", "datagram", "lateness", "bus")
 Verdicts = list[tuple[str, bool, bool]]
 
 
@@ -44,6 +45,11 @@ def on_the_wire(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
 def on_a_bus(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
     found = can_bus.measure(rounds=1 if quick else 3, seconds=3.0 if quick else 6.0)
     return can_bus.table(found), found, can_bus.verdicts(found)
+
+
+def on_a_stream(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
+    found = board_stream.measure(seconds=3.0 if quick else 6.0)
+    return board_stream.table(found), found, board_stream.verdicts(found)
 
 
 def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
@@ -93,6 +99,7 @@ def main() -> int:
             measure = {
                 "wire": on_the_wire,
                 "can": on_a_bus,
+                "board": on_a_stream,
                 "datagram": datagrams,
                 "lateness": wake_ups,
                 "bus": second_process,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import struct
 import tempfile
@@ -20,6 +21,14 @@ HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
 MODE, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0D, 0x14, 0x17, 0x18
 IDLE, CLOSED_LOOP = 1, 8
 HEARTBEAT_S, ESTIMATES_S = 0.05, 0.01
+INTERFACE = os.environ.get("MOTORD_CAN_INTERFACE")
+"""Of the kernel, for these tests alone: up, no others on it."""
+BUSES = (
+    {"socketcan": "rt", "socketcan-asyncio": "asyncio"}
+    if INTERFACE
+    else {"virtual": "asyncio", "udp_multicast": "asyncio", "unix": "rt"}
+)
+"""Kinds of buses, and the engine that a line has there."""
 
 
 def free_udp_port():
@@ -30,6 +39,8 @@ def free_udp_port():
 
 def new_address(kind):
     """A bus of its own, as a robot file's line would name it."""
+    if kind.startswith("socketcan"):
+        return f"socketcan:{INTERFACE}"
     if kind == "virtual":
         return f"virtual:{time.monotonic_ns()}"
     if kind == "unix":
@@ -37,9 +48,14 @@ def new_address(kind):
     return f"udp_multicast:239.74.163.2:{free_udp_port()}"
 
 
+def engine_asked(kind):
+    """Of a line on such a bus."""
+    return "asyncio" if kind.endswith("-asyncio") else "auto"
+
+
 def open_bus(address):
     interface, _, channel = address.partition(":")
-    if interface == "virtual":
+    if interface in ("virtual", "socketcan"):
         return can.Bus(interface=interface, channel=channel)
     if interface == "unix":
         return UnixBus(channel)
@@ -82,22 +98,39 @@ class Axis:
 class Peer:
     """Axes by node number; `run` is their life."""
 
-    def __init__(self, kind, nodes=(0,)):
-        self.address = new_address(kind)
+    def __init__(self, kind, nodes=(0,), address="", far_end=""):
+        """With an address and the other end of its cable: those, not a new bus."""
+        self.address = address or new_address(kind)
+        self.kind = kind
+        self.engine = engine_asked(kind)
         self.axes = {node: Axis() for node in nodes}
-        self._bus = open_bus(self.address)
+        self._bus = open_bus(far_end or self.address)
         self._due_s = dict.fromkeys(((n, c) for n in nodes for c in (HEARTBEAT, ESTIMATES)), 0.0)
 
     async def run(self):
         while True:
-            while (message := self._bus.recv(timeout=0)) is not None:
-                self._take(message)
-            for node, axis in self.axes.items():
-                self._speak(node, axis)
+            if self._bus is not None:
+                self._live()
             await asyncio.sleep(0.002)
 
-    def close(self):
+    def _live(self):
+        while (message := self._bus.recv(timeout=0)) is not None:
+            self._take(message)
+        for node, axis in self.axes.items():
+            self._speak(node, axis)
+
+    def cut(self):
+        """Off the bus, and nobody knows what it was told last."""
         self._bus.shutdown()
+        self._bus = None
+
+    def reach(self, address):
+        """On a bus again."""
+        self._bus = open_bus(address)
+
+    def close(self):
+        if self._bus is not None:
+            self._bus.shutdown()
 
     def send(self, node, command, data):
         self.send_raw(node << 5 | command, data)

@@ -6,8 +6,8 @@ import errno
 import can
 import pytest
 from loop_side import running, until
-from scripted_odrive import CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
-from test_can_line import BUSES, TURN, spec_of
+from scripted_odrive import BUSES, CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
+from test_can_line import TURN, spec_of
 
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import Sent

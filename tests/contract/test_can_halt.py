@@ -2,14 +2,14 @@
 """Drives on a CAN bus whose daemon has died: told to stop by whoever comes."""
 
 import pytest
-from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from test_can_line import spec_of
 
 from motord_hal.errors import PortError
 from motord_hal.lines import halt_line
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+@pytest.fixture(params=[kind for kind in BUSES if kind != "unix"])
 async def peer(request):
     async with living(Peer(request.param, nodes=(0, 3))) as peer:
         for axis in peer.axes.values():

@@ -9,6 +9,7 @@ import struct
 import pytest
 from loop_side import running, until
 from scripted_odrive import (
+    BUSES,
     CLEAR,
     CLOSED_LOOP,
     ESTIMATES,
@@ -48,13 +49,10 @@ def joints(*nodes, profile="odrive-0.5"):
 def spec_of(peer, *nodes, **changes):
     values = {
         "index": 0, "name": "can0", "kind": "can", "port": peer.address, "baudrate": 500000,
-        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": "auto",
+        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": peer.engine,
         "joints": joints(*(nodes or peer.axes)), "watchdog_s": 0.5, "priority": 0,
     }  # fmt: skip
     return LineSpec(**{**values, **changes})
-
-
-BUSES = {"virtual": "asyncio", "udp_multicast": "asyncio", "unix": "rt"}
 
 
 @pytest.fixture(params=BUSES)
@@ -73,7 +71,7 @@ async def rig(peer):
 async def test_a_drive_is_configured_and_not_armed(rig, peer):
     await rig.ready()
     assert rig.line.state is LineState.READY
-    assert rig.line.engine == BUSES[peer.address.partition(":")[0]]
+    assert rig.line.engine == BUSES[peer.kind]
     await until(lambda: peer.axes[0].mode == peer.axes[3].mode == (2, 1))
     assert CLOSED_LOOP not in peer.axes[0].states()
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY, EventKind.DRIVE_READY]

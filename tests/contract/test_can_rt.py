@@ -26,6 +26,8 @@ HEARTBEAT, ESTIMATES = 0x01, 0x09
 class Bus:
     """A bus that is read when the test says so, from whichever thread is awake."""
 
+    engine = "auto"
+
     def __init__(self, folder):
         self.address = f"unix:{folder}/bus"
         self.door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)

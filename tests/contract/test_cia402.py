@@ -6,7 +6,7 @@ import math
 import pytest
 from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
-from scripted_odrive import new_address
+from scripted_odrive import BUSES, engine_asked, new_address
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import DriveFault
@@ -16,11 +16,11 @@ RPM = 2 * math.pi / 60
 NODE = 5
 
 
-@pytest.fixture(params=["udp_multicast", "unix"])
+@pytest.fixture(params=[kind for kind in BUSES if kind != "virtual"])
 async def node(request):
     address = new_address(request.param)
     node = Cia402Node(address, NODE)
-    node.address = address
+    node.address, node.engine = address, engine_asked(request.param)
     yield node
     node.close()
 
@@ -29,7 +29,8 @@ def spec_of(node):
     joint = JointSpec(index=0, name="wheel", profile=find_profile("cia402"), unit=NODE)
     return LineSpec(
         index=0, name="can0", kind="can", port=node.address, baudrate=500000, parity="none",
-        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=(joint,), watchdog_s=0.5,
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine=node.engine, joints=(joint,),
+        watchdog_s=0.5,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import math
 
 from motord.bus.messages import Body
 from motord.bus.topics import View
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 
 MS = 1_000_000
 BODY = Body(robot="r2", joints=("left", "right"))
@@ -18,8 +18,15 @@ def joint(**changes):
     return JointSnapshot(**plain | words | changes)
 
 
+def imu(at_ms):
+    nothing = {field.name: 0.0 for field in dataclasses.fields(ImuSnapshot)}
+    vectors = dict.fromkeys(("angular_rad_s", "acceleration_m_s2"), (0.0, 0.0, 0.0))
+    rest = {"stamp_ns": at_ms * MS, "state": "used", "heading_by_gyro": True, "still": True}
+    return ImuSnapshot(**nothing | vectors | rest | {"refused": 0})
+
+
 def view(at_ms, status=None, **changes):
-    values = {field.name: 0.0 for field in dataclasses.fields(Snapshot)}
+    values = {field.name: 0.0 for field in dataclasses.fields(Snapshot)} | {"imu": imu(at_ms)}
     rest = {"stamp_ns": at_ms * MS, "odometry_stamp_ns": at_ms * MS, "machine_state": 2,
             "reasons": (), "faults": (), "joints": (joint(),) * 2, "owner": 0, "tick": 1,
             "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3}  # fmt: skip

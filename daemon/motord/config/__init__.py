@@ -33,6 +33,7 @@ from motord.config.bus_sections import (
     ZenohNode,
     ZenohPublish,
 )
+from motord.config.imu_section import ChipImu, Imu, LineImu
 from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
 from motord.config.load import load_robot
 from motord.config.model import (
@@ -63,6 +64,9 @@ __all__ = [
     "Battery",
     "DrivesBattery",
     "InaBattery",
+    "Imu",
+    "ChipImu",
+    "LineImu",
     "RtuLine",
     "DdsmLine",
     "TcpLine",

@@ -150,7 +150,7 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
             text = 'is of no use without discovery = "subnet"'
             yield Finding(((*path, "interface"), (*path, "discovery")), text)
         before, first = domains.setdefault(section.domain_id, (path, section))
-        for key in ("discovery", "interface"):
+        for key in ("discovery", "interface", "distribution"):
             if getattr(section, key) != getattr(first, key):
                 text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
                 yield Finding(((*path, key), (*before, key)), text)

@@ -70,6 +70,7 @@ class Result:
                 "heading_error_rad": round(self.score.heading_error_rad, 5),
                 "distance_error_percent": round(self.score.distance_error_percent, 4),
                 "drift_percent": round(self.score.drift_percent, 4),
+                "jumps": sum(joint["jumps"] for joint in self.status["joints"].values()),
             },
             "loop": self.status["loop"],
             "lines": lines,

@@ -8,10 +8,11 @@ from collections import deque
 SAMPLES_KEPT = 32
 """The least delay of so many newest frames counts. A resonator that is 0.5 % off (the worst that
 boards have) makes stamps older by 0.5 % of the time of so many frames, never newer."""
-CATCH_UP_NS = 200_000_000
+CATCH_UP_NS = 240_000_000
 """When the least delay falls, stamps step back. Counts of a longer way than the time since the
-stamp before allows would be refused as a jump (csrc/odometry.c), and the way would be lost: so
-a frame is no news, for so long at most, until its stamp is on by half of what the board says."""
+stamp before allows would be refused as a jump (csrc/odometry.c, 1.5 times the highest speed), and
+the way would be lost: so a frame is no news, for so long at most, until its stamp is on by three
+quarters of what the board says."""
 _WRAP_US = 1 << 32
 NS_PER_US = 1000
 
@@ -36,7 +37,7 @@ class BoardClock:
         self._offsets_ns.append(came_ns - self._board_ns)
         stamp_ns = self._board_ns + min(self._offsets_ns)
         passed_ns = self._board_ns - self._given_board_ns
-        if stamp_ns - self._given_ns < passed_ns // 2 and passed_ns < CATCH_UP_NS:
+        if stamp_ns - self._given_ns < 3 * passed_ns // 4 and passed_ns < CATCH_UP_NS:
             return min(self._given_ns, came_ns)
         self._given_ns, self._given_board_ns = stamp_ns, self._board_ns
         return stamp_ns
