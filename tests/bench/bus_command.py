@@ -20,7 +20,7 @@ from typing import Any
 from datagram import PAUSE_S, _until, daemon, percentile
 from wire import ROOT, SPEC_GAP_US, slave
 
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT / "tests/peers"))
 DOMAIN = 91
 INPUT = f"""
 [input.ros2]
@@ -42,7 +42,8 @@ def writer() -> Iterator[Any]:
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
-    from tests.peers.ros2_peer import LOCALHOST, Header, Time, Twist, TwistStamped, Vector3
+    from ros2_peer import LOCALHOST
+    from ros2_peer_types import Header, Time, Twist, TwistStamped, Vector3
 
     domain = Domain(DOMAIN, LOCALHOST)
     participant = DomainParticipant(DOMAIN)
