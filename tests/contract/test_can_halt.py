@@ -9,7 +9,7 @@ from motord_hal.errors import PortError
 from motord_hal.lines import halt_line
 
 
-@pytest.fixture(params=["virtual", "udp_multicast"])
+@pytest.fixture(params=["virtual", "udp_multicast", "unix"])
 async def peer(request):
     async with living(Peer(request.param, nodes=(0, 3))) as peer:
         for axis in peer.axes.values():
