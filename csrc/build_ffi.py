@@ -29,11 +29,13 @@ FLAGS = [
 
 ffi = FFI()
 HEADERS = (
+    "api_imu.h",
     "api.h",
     "api_command.h",
     "api_line.h",
     "api_can.h",
     "api_board.h",
+    "api_encoder.h",
     "api_bridge.h",
     "api_journal.h",
 )

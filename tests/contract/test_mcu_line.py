@@ -15,7 +15,7 @@ from motord_hal.lines import halt_line, open_line
 from motord_hal.mcu import board
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState, Mounting
 from motord_hal.rt import Exchange
 
 COUNTS_PER_RAD = 1320 / math.tau
@@ -348,3 +348,28 @@ async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):
     os.write(peer.master, b"\0\x05hello\0\xff\xff\0")
     await until(lambda: rig.line.stats().errors.get("bad_reply", 0) >= 2)
     assert rig.states() == {DriveState.READY}
+
+
+# --------------------------------------------------------------------------- a sensor on the board
+async def test_a_sensor_on_the_board_reaches_the_core_in_the_bases_axes(peer):
+    spec = spec_of(peer, imu=Mounting(up="x", forward="y"))
+    async with running(spec) as rig:
+        await rig.ready()
+        peer.do("i")
+        await armed_and_turning(rig, peer)
+        # the second motor is inverted and geared, so its shaft turns at -6 rad/s
+        turning = -6.0
+        await until(lambda: abs(rig.loop.exchange.take_imu().angular_rad_s[2] - turning) < 0.1)
+        sample = rig.loop.exchange.take_imu()
+        assert sample.acceleration_m_s2[2] == pytest.approx(9.807)
+        assert math.isnan(sample.angular_rad_s[1])
+        assert 0 < now_ns() - sample.stamp_ns < 5_000_000_000
+
+
+async def test_a_sensor_that_the_robot_file_does_not_name_is_not_taken(rig, peer):
+    await rig.ready()
+    peer.do("i")
+    exchanges = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > exchanges + 20)
+    assert rig.loop.exchange.take_imu().stamp_ns == 0
+    assert "bad_reply" not in rig.line.stats().errors

@@ -10,13 +10,20 @@ from pydantic import Field
 from motord.config.section import Section, number
 
 Topic = Literal[
-    "odom", "tf", "joint_states", "battery_state", "diagnostics", "motor_status", "loop_statistics"
+    "odom",
+    "tf",
+    "joint_states",
+    "imu",
+    "battery_state",
+    "diagnostics",
+    "motor_status",
+    "loop_statistics",
 ]
 SLOW_HZ = 1.0
 SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
 """What changes slowly: at most SLOW_HZ where no rate of its own is given."""
 ALL_TOPICS: tuple[Topic, ...] = (
-    *("odom", "tf", "joint_states", "battery_state"),
+    *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
 ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
@@ -226,6 +233,8 @@ class Ros2Node(RosNode):
     discovery: Literal["localhost", "subnet"] = "localhost"
     """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
     networks that it is connected to."""
+    distribution: Literal["humble", "jazzy"] = "jazzy"
+    """Of those who are to list the node: Humble has another graph. Iron and later are as Jazzy."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
     """The one network interface to use, by name (discovery subnet); where it is not given, what the
     DDS library chooses."""
@@ -275,8 +284,9 @@ class ZenohPublish(RosTopics, ZenohNode):
 
 
 class Ros2Input(StampedInput, Ros2Node):
-    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist), and the
-    services arm, disarm, stop, estop, reset, reset_odometry, parameters and life cycle."""
+    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist),
+    joint_commands, the actions drive_distance, rotate and calibrate, and the services arm, disarm,
+    stop, estop, reset, reset_odometry, parameters and life cycle."""
 
     kind: Literal["ros2"]
     trust_network: bool = False
@@ -291,6 +301,16 @@ class ZenohInput(StampedInput, ZenohNode):
     trust_router: bool = False
     """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
     the network unless it is told not to. It has to be said that this is meant."""
+
+
+class RclpyInput(BusInput):
+    """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
+    motord-bus has no part in it."""
+
+    kind: Literal["ros2-rclpy"]
+    trust_network: bool = False
+    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
+    to be said that this is meant."""
 
 
 class OtherPublish(BusPublish):
