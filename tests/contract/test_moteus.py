@@ -173,6 +173,17 @@ async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives)
     assert drives[1].mode == STOPPED
 
 
+async def test_a_fault_is_said_also_where_this_program_had_a_pause_and_the_stop_has_cleared_it(
+    rig, drives
+):
+    await turning(rig, drives)
+    drives[1].fail(33)
+    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C goes on
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    await until(lambda: drives[1].mode == STOPPED)
+    await until(lambda: rig.line.drive_faults["wheel_9"] == ())
+
+
 async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, drives):
     await turning(rig, drives)
     drives[0].reboot()
