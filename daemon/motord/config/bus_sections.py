@@ -210,6 +210,10 @@ class JoystickInput(BusInput):
     rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
 
 
+_ROS_NAME = r"^(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*$"
+RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
+
+
 class RosNode(Section):
     """Which node we are. Sections that say the same are one node."""
 
@@ -218,6 +222,9 @@ class RosNode(Section):
     """Goes before the name of every topic and service."""
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
     """Name of the node."""
+    remap: dict[RosName, RosName] = Field(default_factory=dict)
+    """Topics and services of this section that have another name: cmd_vel = "/cmd_vel_safe". Names
+    as everywhere in ROS 2: below the namespace, below the node (~/), or as they are (/)."""
 
 
 class Ros2Node(RosNode):

@@ -69,6 +69,7 @@ class Node:
         """`distribution`: of who reads the graph. Raises DdsError."""
         self.name = name
         self.namespace = namespace
+        self.remap: dict[str, str] = {}
         self._participant = Participant(domain_id, discovery, interface)
         self._readers: list[Reader] = []
         self._writers: list[Writer] = []
@@ -81,8 +82,8 @@ class Node:
         )
 
     def full(self, name: str) -> str:
-        """A name with its namespace."""
-        return names.full_name(self.namespace, self.name, name)
+        """A name with its namespace, as `remap` has it."""
+        return names.remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
         """Of a type of `types.TYPES`. Raises DdsError."""

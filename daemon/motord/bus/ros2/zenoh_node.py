@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-from motord.bus.ros2.names import full_name
+from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
@@ -75,6 +75,7 @@ class ZenohNode:
         """Raises ValueError for a router that cannot be."""
         self.name = name
         self.namespace = namespace
+        self.remap: dict[str, str] = {}
         self._domain_id = domain_id
         self._router = router
         self._configuration = router.configuration()
@@ -89,8 +90,8 @@ class ZenohNode:
         self._ending = False
 
     def full(self, name: str) -> str:
-        """A name with its namespace."""
-        return full_name(self.namespace, self.name, name)
+        """A name with its namespace, as `remap` has it."""
+        return remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
         """Of a type of `types.TYPES`."""
