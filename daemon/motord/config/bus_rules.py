@@ -188,7 +188,7 @@ def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*path, "router")), "is of no use without tls/")
         node = (section.node_name, section.namespace, section.domain_id)
         before, first = routers.setdefault(node, (path, section))
-        for key in keys:
+        for key in (*keys, "distribution"):
             if getattr(section, key) != getattr(first, key):
                 text = f"a node has one router: {'.'.join(map(str, before))} says another"
                 yield Finding(((*path, key), (*before, key)), text)

@@ -8,17 +8,16 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
 
-Distribution = Literal["humble", "jazzy"]
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
     "jazzy": "rmw_dds_common/msg/ParticipantEntitiesInfo",

@@ -98,4 +98,4 @@ def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
         cert_file=path(section.cert_file),
         key_file=path(section.key_file),
     )
-    return zenoh_node.ZenohNode(*names, router)
+    return zenoh_node.ZenohNode(*names, router, section.distribution)

@@ -15,7 +15,7 @@ from typing import Any
 import zenoh
 
 from motord.bus.ros2.names import remapped
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
 
@@ -71,8 +71,16 @@ class Router:
 class ZenohNode:
     """Topics and services are made before `run`."""
 
-    def __init__(self, name: str, namespace: str, domain_id: int, router: Router) -> None:
-        """Raises ValueError for a router that cannot be."""
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        domain_id: int,
+        router: Router,
+        distribution: Distribution = "jazzy",
+    ) -> None:
+        """`distribution`: of the others. Raises ValueError for a router that cannot be."""
+        self._hashed = distribution != "humble"
         self.name = name
         self.namespace = namespace
         self.remap: dict[str, str] = {}
@@ -166,6 +174,7 @@ class ZenohNode:
             session_id=str(session.zid()),
             namespace=self.namespace,
             name=self.name,
+            hashed=self._hashed,
         )
         with session.liveliness().declare_token(names.token()):
             for number, endpoint in enumerate(self._endpoints, start=1):
