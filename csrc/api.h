@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; commands are in api_command.h, serial lines in api_line.h. Two readers: the C compiler
- * (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and prototypes, and no
- * preprocessor line.
+ * api.h: the border between Python and C; the gyro is in api_imu.h, commands in api_command.h, serial lines in api_line.h.
+ * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
+ * prototypes, and no preprocessor line.
  *
  * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
  * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.
@@ -102,6 +102,7 @@ typedef struct {
     double heading_variance_floor_rad2;    /* > 0 */
     double twist_variance_floor_m2_s2;     /* > 0 */
     double twist_variance_floor_rad2_s2;   /* > 0 */
+    gyro_config gyro;
     joint_config joint[JOINTS_MAX];
 } core_config;
 
@@ -146,6 +147,7 @@ typedef struct {
     twist_command command;
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
+    imu_sample imu;
 } core_input;
 
 /* ------------------------------------------------------------------------------------------------ outputs */
@@ -209,6 +211,7 @@ typedef struct {
     double pose_covariance[6];  /* xx, xy, xh, yy, yh, hh in m2, m rad, rad2 */
     double twist_covariance[3]; /* vv, vw, ww */
     joint_state joint[JOINTS_MAX];
+    imu_state imu;
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
@@ -261,7 +264,7 @@ typedef struct {
     uint32_t degraded;
     uint32_t epoch;
     uint32_t blind;             /* 1: no wheel of one side is heard, nothing is integrated */
-    uint32_t reserved;
+    uint32_t by_gyro;           /* 1: the last turn was the gyro's */
     double x_m;
     double y_m;
     double heading_rad;
@@ -271,6 +274,7 @@ typedef struct {
     double angular_rad_s;
     double pose_covariance[6];
     double twist_covariance[3];
+    gyro_state gyro;
 } odometry_state;
 
 void odometry_init(odometry_state *state, const core_config *config);
@@ -372,11 +376,13 @@ size_t exchange_bytes(void);
 void exchange_init(exchange *x);                       /* memory aligned to 64 bytes */
 void exchange_put_control(exchange *x, const core_control *control);      /* asyncio → loop */
 int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback);   /* line → loop */
+void exchange_put_imu(exchange *x, const imu_sample *sample);             /* whoever reads the sensor → loop */
 int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);  /* loop → line */
 /* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
  * -EINVAL for a bad index. Never written: all zero. */
 int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
+int exchange_take_imu(exchange *x, imu_sample *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
 /* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
 int exchange_set_line_wake(exchange *x, uint32_t line, int fd);

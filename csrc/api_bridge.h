@@ -31,6 +31,7 @@ typedef struct {
     uint32_t rest_mode;         /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
     double sign;                /* -1: the motor turns backward when the robot drives forward */
     uint64_t fault_mask;        /* of the input request's lines: one that is active is a fault */
+    encoder_config encoder;
 } bridge_joint;
 
 typedef struct {
@@ -63,7 +64,7 @@ typedef struct {
     uint32_t demoted;           /* of the last arming */
     uint32_t number;            /* of the wish that was obeyed last */
     int32_t error;              /* errno that ended the thread */
-    int32_t error_output;       /* at which output, -1: the GPIO request */
+    int32_t error_output;       /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
     uint32_t reserved;
@@ -71,6 +72,8 @@ typedef struct {
     uint64_t cycles;
     uint64_t late_cycles;       /* periods that were missed */
     uint64_t writes;
+    uint64_t encoder_illegal;   /* of all encoders, as encoder_state has them */
+    uint64_t encoder_lost;
 } bridge_report;
 
 /* -------------------------------------------------------------------------------- pure: what the pins shall be */

@@ -125,7 +125,8 @@ int bridge_config_check(const bridge_config *config)
     for (uint32_t i = 0; good && i < config->joint_count; i++) {
         const bridge_joint *joint = &config->joint[i];
         good = joint->index < JOINTS_MAX && (joint->sign == 1.0 || joint->sign == -1.0) &&
-               (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE);
+               (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE) &&
+               encoder_config_check(&joint->encoder) == 0;
     }
     for (uint32_t i = 0; good && i < config->output_count; i++) {
         good = output_is_good(config, &config->output[i]);

@@ -28,7 +28,17 @@ FLAGS = [
 ]
 
 ffi = FFI()
-HEADERS = ("api.h", "api_command.h", "api_line.h", "api_can.h", "api_bridge.h", "api_journal.h")
+HEADERS = (
+    "api_imu.h",
+    "api.h",
+    "api_command.h",
+    "api_line.h",
+    "api_can.h",
+    "api_board.h",
+    "api_encoder.h",
+    "api_bridge.h",
+    "api_journal.h",
+)
 for header in HEADERS:
     ffi.cdef((HERE / header).read_text(encoding="utf-8"))
 ffi.set_source(

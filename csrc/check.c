@@ -47,6 +47,15 @@ static const rule CONFIG_RULES[] = {
     RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
 };
 
+/* Where there is a gyro. */
+static const rule GYRO_RULES[] = {
+    RULE(core_config, gyro.timeout_s, LEAST, MOST),
+    RULE(core_config, gyro.bias_max_rad_s, LEAST, MOST),
+    RULE(core_config, gyro.still_variance_rad2_s2, LEAST, MOST),
+    RULE(core_config, gyro.heading_variance_rad2_per_s, LEAST, MOST),
+    RULE(core_config, gyro.turn_variance_rad2_per_rad, LEAST, MOST),
+};
+
 static const rule JOINT_RULES[] = {
     RULE(joint_config, side, -1.0, 1.0),
     RULE(joint_config, wheel_radius_m, LEAST, MOST),
@@ -95,7 +104,10 @@ static const char *bad_base_field(const core_config *config)
         return "on_fault";
     if ((uint32_t)config->on_estop > STOP_COAST)
         return "on_estop";
-    return first_bad(config, CONFIG_RULES, COUNT(CONFIG_RULES));
+    const char *bad = first_bad(config, CONFIG_RULES, COUNT(CONFIG_RULES));
+    if (bad != NULL || config->gyro.used == 0)
+        return bad;
+    return config->gyro.used == 1 ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
 }
 
 

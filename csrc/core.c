@@ -170,9 +170,20 @@ static bool all_slow(const core_state *state)
     return true;
 }
 
+/* Before the wheels, so that a turn which both have seen is in the pose at once. */
+static void take_gyro(core_state *state, const tick *t)
+{
+    const gyro_config *config = &state->config.gyro;
+    if (!config->used)
+        return;
+    bool wheels_rest = state->at_rest && !t->any_stale;
+    gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
+}
+
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */
 static void measure(core_state *state, tick *t)
 {
+    take_gyro(state, t);
     if (!t->news)
         return;
     double setpoint_rad_s[JOINTS_MAX];

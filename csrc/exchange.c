@@ -15,6 +15,7 @@ void exchange_init(exchange *x)
     mailbox_init(&x->grants.box);
     mailbox_init(&x->commands.box);
     mailbox_init(&x->control.box);
+    mailbox_init(&x->imu.box);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         mailbox_init(&x->feedback[joint].box);
     }
@@ -71,6 +72,16 @@ int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out)
     }
     feedback_box *from = &x->feedback[joint];
     return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}
+
+void exchange_put_imu(exchange *x, const imu_sample *sample)
+{
+    mailbox_put(&x->imu.box, x->imu.slot, sample, sizeof *sample);
+}
+
+int exchange_take_imu(exchange *x, imu_sample *out)
+{
+    return mailbox_take(&x->imu.box, x->imu.slot, out, sizeof *out);
 }
 
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)

@@ -28,6 +28,11 @@ typedef struct {
 
 typedef struct {
     mailbox box;
+    imu_sample slot[MAILBOX_SLOTS];
+} imu_box;
+
+typedef struct {
+    mailbox box;
     setpoints slot[MAILBOX_SLOTS];
 } setpoints_box;
 
@@ -36,6 +41,7 @@ struct exchange {
     commands_box commands;
     control_box control;
     feedback_box feedback[JOINTS_MAX];
+    imu_box imu;
     setpoints_box setpoints[LINES_MAX];
     _Atomic int line_wake_fd[LINES_MAX];
     _Atomic uint64_t takes[LINES_MAX];

@@ -70,6 +70,7 @@ void loop_rehearse(loop_work *work, core_state *scratch)
                                                      .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN,
                                                      .enabled = 1};
         }
+        input.imu = (imu_sample){.stamp_ns = input.now_ns, .angular_rad_s = {0.0, 0.0, 0.1}};
         core_step(scratch, &input, (double)work->period_ns * 1e-9, &work->out, &work->snapshot);
     }
     memset(&work->out, 0, sizeof work->out);
@@ -141,6 +142,7 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {
         exchange_take_feedback(&work->exchange, joint, &input->feedback[joint]);
     }
+    exchange_take_imu(&work->exchange, &input->imu);
 }
 
 /* Why it stands, not why it is slower than asked: a ramp changes the latter in every other tick. */

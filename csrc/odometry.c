@@ -24,6 +24,16 @@ typedef struct {
     uint32_t degraded;
 } arc;
 
+/* What the base did, with the variances of what is not known of it. */
+typedef struct {
+    double distance_m;
+    double turn_rad;
+    double distance_m2;
+    double distance_turn_m_rad;
+    double turn_rad2;
+    double scrub_rad2;          /* of the heading alone */
+} motion;
+
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits)
 {
     if (bits == 0 || bits > 64)
@@ -58,6 +68,7 @@ static void pose_to_origin(odometry_state *state, const core_config *config)
 void odometry_init(odometry_state *state, const core_config *config)
 {
     *state = (odometry_state){0};
+    gyro_init(&state->gyro);
     for (uint32_t j = 0; j < JOINTS_MAX; j++)
         state->joint[j].velocity_rad_s = NAN;
     pose_to_origin(state, config);
@@ -69,6 +80,7 @@ void odometry_reset(odometry_state *state, const core_config *config)
 {
     pose_to_origin(state, config);
     state->epoch++;
+    state->gyro.referenced = 0;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         state->joint[j].pending_rad = 0.0;
         state->joint[j].fresh = NOTHING;
@@ -81,7 +93,8 @@ bool odometry_finite(const odometry_state *state, uint32_t joint_count)
     /* a sum with an infinity or a NaN in it is one itself */
     double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
         + state->linear_m_s + state->angular_rad_s
-        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2];
+        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2]
+        + state->gyro.yaw_rad + state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
     for (uint32_t j = 0; j < joint_count; j++)
         sum += state->joint[j].position_rad + state->joint[j].pending_rad;
     return isfinite(sum);
@@ -197,54 +210,72 @@ static double sine_over(double half_rad)
     return sine / half_rad;
 }
 
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the error of each side's travel grows with the travel and
- * is carried into the pose by the Jacobians of the motion; the scrub of turning is added to the heading. */
-static void grow_pose_covariance(odometry_state *state, const core_config *config, const arc *found,
+static motion by_wheels(const core_config *config, const arc *found)
+{
+    double left_m = found->travel_m[0], right_m = found->travel_m[1];
+    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m);
+    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m);
+    double over_track = 1.0 / config->track_m;
+    return (motion){
+        .distance_m = 0.5 * (left_m + right_m),
+        .turn_rad = (right_m - left_m) / config->track_m,
+        .distance_m2 = 0.25 * (right_m2 + left_m2),
+        .distance_turn_m_rad = 0.5 * (right_m2 - left_m2) * over_track,
+        .turn_rad2 = (right_m2 + left_m2) * over_track * over_track,
+        .scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(right_m - left_m) * over_track,
+    };
+}
+
+/* The way is the wheels', the turn the gyro's: their errors have nothing to do with each other. */
+static void turn_by_gyro(odometry_state *state, const core_config *config, int64_t moment_ns, motion *moved)
+{
+    double turn_rad, variance_rad2;
+    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2)
+        && !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
+    if (!state->by_gyro)
+        return;
+    moved->turn_rad = turn_rad;
+    moved->turn_rad2 = variance_rad2;
+    moved->distance_turn_m_rad = moved->scrub_rad2 = 0.0;
+}
+
+/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of way and turn are carried into the pose by the
+ * Jacobians of the motion; the scrub of turning is added to the heading. */
+static void grow_pose_covariance(odometry_state *state, const core_config *config, const motion *moved,
                                  double sine, double cosine)
 {
     double *p = state->pose_covariance;
-    double left_m = found->travel_m[0], right_m = found->travel_m[1];
-    double distance_m = 0.5 * (left_m + right_m);
-    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m);
-    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m);
-    double a = -distance_m * sine, b = distance_m * cosine;
+    double a = -moved->distance_m * sine, b = moved->distance_m * cosine;
     double xx = p[0] + a * (2.0 * p[2] + a * p[5]);
     double xy = p[1] + a * p[4] + b * p[2] + a * b * p[5];
     double xh = p[2] + a * p[5];
     double yy = p[3] + b * (2.0 * p[4] + b * p[5]);
     double yh = p[4] + b * p[5];
 
-    double over_track = 1.0 / config->track_m;
-    double lever = 0.5 * distance_m * over_track;
-    double right_x = 0.5 * cosine - lever * sine, right_y = 0.5 * sine + lever * cosine;
-    double left_x = 0.5 * cosine + lever * sine, left_y = 0.5 * sine - lever * cosine;
-    double turn_rad2 = config->turn_variance_rad2_per_rad * fabs(right_m - left_m) * over_track;
-
-    p[0] = xx + right_m2 * right_x * right_x + left_m2 * left_x * left_x;
-    p[1] = xy + right_m2 * right_x * right_y + left_m2 * left_x * left_y;
-    p[2] = xh + (right_m2 * right_x - left_m2 * left_x) * over_track;
-    p[3] = yy + right_m2 * right_y * right_y + left_m2 * left_y * left_y;
-    p[4] = yh + (right_m2 * right_y - left_m2 * left_y) * over_track;
-    p[5] += (right_m2 + left_m2) * over_track * over_track + turn_rad2;
+    /* half of the turn's error is there in the middle of the arc, whose direction the way has */
+    double turn_x = 0.5 * a, turn_y = 0.5 * b;
+    double ss = moved->distance_m2, st = moved->distance_turn_m_rad, tt = moved->turn_rad2;
+    p[0] = xx + ss * cosine * cosine + 2.0 * st * cosine * turn_x + tt * turn_x * turn_x;
+    p[1] = xy + ss * cosine * sine + st * (cosine * turn_y + sine * turn_x) + tt * turn_x * turn_y;
+    p[2] = xh + st * cosine + tt * turn_x;
+    p[3] = yy + ss * sine * sine + 2.0 * st * sine * turn_y + tt * turn_y * turn_y;
+    p[4] = yh + st * sine + tt * turn_y;
+    p[5] += tt + moved->scrub_rad2;
     floor_covariance(state, config);
 }
 
-static void measure_twist(odometry_state *state, const core_config *config, const arc *found, double elapsed_s)
+static void measure_twist(odometry_state *state, const core_config *config, const motion *moved, double elapsed_s)
 {
-    double left_m = found->travel_m[0], right_m = found->travel_m[1];
-    double turn_rad = (right_m - left_m) / config->track_m;
     double per_s2 = 1.0 / (elapsed_s * elapsed_s);
-    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m) * per_s2;
-    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m) * per_s2;
-    double turn_rad2 = config->turn_variance_rad2_per_rad * fabs(turn_rad) * per_s2;
-    double over_track = 1.0 / config->track_m;
-
-    state->linear_m_s = 0.5 * (left_m + right_m) / elapsed_s;
-    state->angular_rad_s = turn_rad / elapsed_s;
-    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + 0.25 * (right_m2 + left_m2);
-    state->twist_covariance[1] = 0.5 * (right_m2 - left_m2) * over_track;
-    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2
-        + (right_m2 + left_m2) * over_track * over_track + turn_rad2;
+    state->linear_m_s = moved->distance_m / elapsed_s;
+    state->angular_rad_s = moved->turn_rad / elapsed_s;
+    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + moved->distance_m2 * per_s2;
+    state->twist_covariance[1] = moved->distance_turn_m_rad * per_s2;
+    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + (moved->turn_rad2 + moved->scrub_rad2) * per_s2;
+    if (state->by_gyro) {
+        state->angular_rad_s = state->gyro.still ? 0.0 : state->gyro.rate_rad_s;
+        state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + state->gyro.rate_variance_rad2_s2;
+    }
 }
 
 static void integrate(odometry_state *state, const core_config *config, const uint32_t *stale)
@@ -259,20 +290,20 @@ static void integrate(odometry_state *state, const core_config *config, const ui
         state->degraded |= found.joints[0] != found.joints[1];
         return;
     }
-    double distance_m = 0.5 * (found.travel_m[0] + found.travel_m[1]);
-    double turn_rad = (found.travel_m[1] - found.travel_m[0]) / config->track_m;
-    double chord_m = distance_m * sine_over(0.5 * turn_rad);
+    motion moved = by_wheels(config, &found);
+    turn_by_gyro(state, config, state->stamp_ns, &moved);
+    double chord_m = moved.distance_m * sine_over(0.5 * moved.turn_rad);
     double sine, cosine;
-    angle_sine_cosine(angle_wrap(state->heading_rad + 0.5 * turn_rad), &sine, &cosine);
+    angle_sine_cosine(angle_wrap(state->heading_rad + 0.5 * moved.turn_rad), &sine, &cosine);
 
     state->x_m += chord_m * cosine;
     state->y_m += chord_m * sine;
-    state->heading_rad = angle_wrap(state->heading_rad + turn_rad);
-    state->distance_m += fabs(distance_m);
-    state->turned_rad += fabs(turn_rad);
-    grow_pose_covariance(state, config, &found, sine, cosine);
+    state->heading_rad = angle_wrap(state->heading_rad + moved.turn_rad);
+    state->distance_m += fabs(moved.distance_m);
+    state->turned_rad += fabs(moved.turn_rad);
+    grow_pose_covariance(state, config, &moved, sine, cosine);
     if (before_ns > 0 && found.stamp_ns > before_ns)
-        measure_twist(state, config, &found, (double)(found.stamp_ns - before_ns) * 1e-9);
+        measure_twist(state, config, &moved, (double)(found.stamp_ns - before_ns) * 1e-9);
 }
 
 static bool both_sides_heard(const core_config *config, const uint32_t *stale)

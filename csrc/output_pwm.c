@@ -12,9 +12,10 @@
 
 #include "loop.h"
 
+enum { EPOCH_BITS = 16 };   /* of the encoder's own epochs, below those of openings */
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t REPORT_EVERY_NS = 40 * 1000000;
-static const int32_t AT_GPIO = -1;
+static const int32_t AT_GPIO = -1, AT_ENCODER = -2;
 
 typedef struct {
     mailbox box;
@@ -37,6 +38,7 @@ typedef struct {
     bridge_state state;
     setpoints newest;
     bridge_report out;
+    encoder_state encoder[JOINTS_MAX];
     uint64_t duty_ns[PWM_OUTPUTS_MAX];
     bool known[PWM_OUTPUTS_MAX];        /* duty_ns is what the file was told */
     uint64_t bits;
@@ -172,17 +174,37 @@ static int read_inputs(pwm_thread *t)
     return 0;
 }
 
+static int read_encoders(pwm_thread *t, int64_t now_ns)
+{
+    uint64_t illegal = 0, lost = 0;
+    for (uint32_t i = 0; i < t->config.joint_count; i++) {
+        int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
+        if (error != 0) {
+            t->out.error_output = AT_ENCODER - (int32_t)i;
+            return error;
+        }
+        illegal += t->encoder[i].illegal;
+        lost += t->encoder[i].lost;
+    }
+    t->out.encoder_illegal = illegal;
+    t->out.encoder_lost = lost;
+    return 0;
+}
+
 /* ------------------------------------------------------------------------------------------------- the hand-over */
-static void feed_back(const pwm_thread *t, int64_t now_ns)
+static void feed_back(pwm_thread *t, int64_t now_ns)
 {
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
+        const encoder_config *encoder = &t->config.joint[i].encoder;
+        bool counts = encoder->kind != ENCODER_NONE;
         joint_feedback feedback = {
             .stamp_ns = now_ns,
-            .velocity_rad_s = NAN,
+            .count = (uint64_t)t->encoder[i].count,
+            .velocity_rad_s = counts ? encoder_velocity_rad_s(&t->encoder[i], encoder, now_ns) : (double)NAN,
             .current_a = NAN,
             .voltage_v = NAN,
             .temperature_c = NAN,
-            .epoch = t->config.epoch,
+            .epoch = (t->config.epoch << EPOCH_BITS) + t->encoder[i].epoch,
             .enabled = 2,
             .drive_faults = (t->out.active_inputs & t->config.joint[i].fault_mask) != 0,
         };
@@ -219,6 +241,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     double level[PWM_OUTPUTS_MAX];
     uint64_t inputs_before = t->out.active_inputs;
     int error = read_inputs(t);
+    error = error != 0 ? error : read_encoders(t, now_ns);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
     bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);
@@ -277,6 +300,9 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     mailbox_init(&t->report.box);
     t->out.running = 1;
     t->out.error_output = AT_GPIO;
+    for (uint32_t i = 0; i < config->joint_count; i++) {
+        encoder_init(&t->encoder[i], &config->joint[i].encoder);
+    }
     mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
     int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
     t->made = t->joinable = error == 0;

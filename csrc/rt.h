@@ -7,10 +7,13 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "api_imu.h"
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"
 #include "api_can.h"
+#include "api_board.h"
+#include "api_encoder.h"
 #include "api_bridge.h"
 #include "api_journal.h"
 

@@ -73,6 +73,28 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
         write_joint(state, &feedback[j], j, &to->joint[j]);
 }
 
+static inline void write_imu(core_state *state, const core_input *input)
+{
+    const gyro_config *config = &state->config.gyro;
+    const gyro_state *gyro = &state->odometry.gyro;
+    const imu_sample *from = &input->imu;
+    imu_state *to = &state->snapshot.imu;
+    bool known = gyro->bias_stamp_ns != 0;
+    to->stamp_ns = from->stamp_ns;
+    for (int axis = 0; axis < 3; axis++) {
+        to->angular_rad_s[axis] = measured(from->angular_rad_s[axis]);
+        to->acceleration_m_s2[axis] = measured(from->acceleration_m_s2[axis]);
+    }
+    to->angular_rad_s[2] -= gyro->bias_rad_s;
+    to->bias_rad_s = known ? gyro->bias_rad_s : (double)NAN;
+    to->bias_variance_rad2_s2 = known ? gyro->bias_variance_rad2_s2 : (double)NAN;
+    to->rate_variance_rad2_s2 = known ? gyro->rate_variance_rad2_s2 : (double)NAN;
+    to->state = gyro_status(gyro, config, input->now_ns);
+    to->heading_by_gyro = state->odometry.by_gyro;
+    to->still = gyro->still;
+    to->refused = gyro->refused;
+}
+
 static inline uint32_t all_reasons(const core_state *state, const tick *t)
 {
     uint32_t reasons = t->reasons;
@@ -106,12 +128,16 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->setpoint_linear_m_s = state->linear.velocity_u_s;
     to->setpoint_angular_rad_s = state->angular.velocity_u_s;
     to->saturation = t->saturation;
+    if (state->config.gyro.used)
+        write_imu(state, t->input);
 }
 
 /* every byte is a field, so that no padding carries what was in memory before */
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
+_Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 16, "padding in setpoints");
-_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80,
+_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80
+               + sizeof(imu_state),
                "padding in robot_state");
 
 #endif

@@ -21,6 +21,7 @@ from motord.config import Robot
 from motord.doors import open_doors
 from motord.guards import open_guard
 from motord.health import Health, Heart
+from motord.imu_task import watch_imu
 from motord.machine import Event
 from motord.methods import methods
 from motord.operation import Operation
@@ -84,6 +85,7 @@ async def run(
             work.append(tasks.create_task(_watch(operation, feeds)))
             work.append(tasks.create_task(_beat(operation)))
             work.append(tasks.create_task(watch_battery(operation)))
+            work.append(tasks.create_task(watch_imu(operation)))
             work.append(tasks.create_task(_watch_health(operation, health, notifier)))
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
             if bus is not None:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-import math
-
 from motord import rt
+from motord.config.imu_section import Imu
 from motord.config.model import Joint, Limits, Robot
 from motord.config.wheels import (
     Profiles,
-    counts_per_turn,
+    counter_bits,
     profile_of,
+    rad_per_count,
     takes_duty,
     velocity_range_rad_s,
 )
@@ -68,7 +68,21 @@ def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
         "heading_variance_floor_rad2": robot.odometry.heading_variance_floor_rad2,
         "twist_variance_floor_m2_s2": robot.odometry.twist_variance_floor_m2_s2,
         "twist_variance_floor_rad2_s2": robot.odometry.twist_variance_floor_rad2_s2,
+        "gyro": _gyro(robot.imu),
         "joint": [_joint(robot, name, profiles) for name in robot.joint],
+    }
+
+
+def _gyro(imu: Imu | None) -> rt.GyroConfig:
+    if imu is None:
+        return {"used": 0}
+    return {
+        "used": 1,
+        "timeout_s": imu.timeout_s,
+        "bias_max_rad_s": imu.bias_max_rad_s,
+        "still_variance_rad2_s2": imu.still_deviation_rad_s**2,
+        "heading_variance_rad2_per_s": imu.heading_variance_rad2_per_s,
+        "turn_variance_rad2_per_rad": imu.turn_variance_rad2_per_rad,
     }
 
 
@@ -94,24 +108,16 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
     joint = robot.joint[name]
     profile = profiles[joint.drive]
     backward_rad_s, forward_rad_s = velocity_range_rad_s(joint, profile)
-    counts = counts_per_turn(joint, profile)
     return {
         "side": -1.0 if joint.side == "left" else 1.0,
         "wheel_radius_m": robot.wheel_radius_m(name),
         "velocity_min_rad_s": backward_rad_s,
         "velocity_max_rad_s": forward_rad_s,
-        "rad_per_count": _rad_per_count(joint, counts),
-        "counter_bits": profile.counter_bits if counts else 0,
+        "rad_per_count": rad_per_count(joint, profile),
+        "counter_bits": counter_bits(joint, profile),
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
     }
-
-
-def _rad_per_count(joint: Joint, counts: int) -> float:
-    """Wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel turn), signed.
-    Without a counter the core does not use it."""
-    sign = -1.0 if joint.inverted else 1.0
-    return sign * 2 * math.pi / (counts * joint.gear_ratio) if counts else sign
 
 
 def _pwm(

@@ -13,6 +13,7 @@ from motord.commands import CommandReport
 from motord.health import Health
 from motord.operation import Operation
 from motord.rt import HistogramKind, Loop, Percentiles
+from motord.snapshot import Snapshot
 from motord_hal.ports import Line
 from motord_hal.rt import now_ns
 
@@ -53,6 +54,7 @@ def status(
         },
         "joints": _joints(operation, snapshot["joints"]),
         "battery": operation.battery.report(now_ns()) if operation.battery else None,
+        "imu": _imu(operation.snapshot, snapshot["imu"]),
         "loop": _loop(operation),
         "lines": {line.spec.name: _line(line) for line in operation.lines},
         "leases": _leases(operation),
@@ -80,6 +82,13 @@ def latency(loop: Loop) -> dict[str, Any]:
 def _age_s(stamp_ns: int) -> float | None:
     """None: never."""
     return (now_ns() - stamp_ns) / 1e9 if stamp_ns else None
+
+
+def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | None:
+    """None: there is none, or it was never heard."""
+    if snapshot.imu is None or shown is None:
+        return None
+    return shown | {"age_s": _age_s(snapshot.imu.stamp_ns)}
 
 
 def _joints(operation: Operation, measured: list[dict[str, Any]]) -> dict[str, Any]:

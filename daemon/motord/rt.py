@@ -30,19 +30,21 @@ from motord.commands import (
     datagram,
 )
 from motord.page_file import JOURNAL_PREFIX, PageFile, PageInUse
+from motord.rt_snapshot import imu_of, joint_of
 from motord.rt_types import (
     AxisLimits,
     BaseLimits,
     Bucket,
     Control,
     CoreConfig,
+    GyroConfig,
     JointConfig,
     LoopSettings,
     LoopStatus,
     Percentiles,
     PwmConfig,
 )
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import Snapshot
 
 __all__ = [
     "AxisLimits",
@@ -50,6 +52,7 @@ __all__ = [
     "PwmConfig",
     "JointConfig",
     "CoreConfig",
+    "GyroConfig",
     "StopAction",
     "ConfigRefused",
     "limits_problem",
@@ -66,7 +69,6 @@ __all__ = [
 ]
 
 LEASES_MAX: int = lib.LEASES_MAX
-_ENABLED_UNKNOWN = 2
 LEASE_NUMBERS = itertools.count(1)  # of the whole process: the loop tells leases apart by them
 _ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
@@ -479,22 +481,6 @@ def _snapshot(raw: Any) -> Snapshot:
         angular_rad_s=raw.angular_rad_s,
         pose_covariance=tuple(raw.pose_covariance),
         twist_covariance=tuple(raw.twist_covariance),
-        joints=tuple(_joint(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
-    )
-
-
-def _joint(raw: Any) -> JointSnapshot:
-    return JointSnapshot(
-        position_rad=raw.position_rad,
-        velocity_rad_s=raw.velocity_rad_s,
-        setpoint_rad_s=raw.setpoint_rad_s,
-        duty=raw.duty,
-        current_a=raw.current_a,
-        voltage_v=raw.voltage_v,
-        temperature_c=raw.temperature_c,
-        feedback_age_s=raw.feedback_age_s,
-        drive_faults=raw.drive_faults,
-        enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
-        stale=raw.stale != 0,
-        jumps=raw.jumps,
+        joints=tuple(joint_of(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
+        imu=imu_of(raw.imu),
     )

@@ -8,7 +8,7 @@ ranges.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import NotRequired, Required, TypedDict
 
 
 class AxisLimits(TypedDict):
@@ -44,6 +44,17 @@ class JointConfig(TypedDict):
     pwm: PwmConfig
 
 
+class GyroConfig(TypedDict, total=False):
+    """Without a gyro `used` is 0, and the rest may be left out."""
+
+    used: Required[int]
+    timeout_s: float
+    bias_max_rad_s: float
+    still_variance_rad2_s2: float
+    heading_variance_rad2_per_s: float
+    turn_variance_rad2_per_rad: float
+
+
 class CoreConfig(TypedDict):
     joint_count: int
     track_m: float
@@ -62,6 +73,7 @@ class CoreConfig(TypedDict):
     heading_variance_floor_rad2: float
     twist_variance_floor_m2_s2: float
     twist_variance_floor_rad2_s2: float
+    gyro: NotRequired[GyroConfig]
     joint: list[JointConfig]
 
 

@@ -14,6 +14,8 @@ from typing import Any
 
 SNAPSHOT_VERSION = 1
 """Raised when a field is renamed, removed or changes its meaning; not when one is added."""
+GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
+"""By GYRO_* of csrc/api_imu.h."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +35,31 @@ class JointSnapshot:
     enabled: bool | None
     stale: bool
     jumps: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSnapshot:
+    """The inertial measurement unit, about the base's x, y, z. NaN: not measured, or not known
+    yet."""
+
+    stamp_ns: int
+    angular_rad_s: tuple[float, ...]
+    """About z without the zero-rate offset."""
+    acceleration_m_s2: tuple[float, ...]
+    bias_rad_s: float
+    """Zero-rate offset about z, estimated while the base stood."""
+    bias_variance_rad2_s2: float
+    rate_variance_rad2_s2: float
+    """Of a sample about z, measured while the base stood."""
+    state: str
+    """"unbiased" (the base has not stood still yet), "used", "stale", or "reversed" (it has turned
+    against the wheels)."""
+    heading_by_gyro: bool
+    """The newest turn in the pose is the gyro's; else the wheels'."""
+    still: bool
+    """The base stands, by wheels and gyro: the heading is held."""
+    refused: int
+    """Samples that were no numbers, off the scale or out of order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +101,8 @@ class Snapshot:
     twist_covariance: tuple[float, ...]
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
     joints: tuple[JointSnapshot, ...]
+    imu: ImuSnapshot | None = None
+    """None: there is none, or it was never heard."""
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
@@ -81,7 +110,13 @@ class Snapshot:
         return _record(self)
 
 
-def _record(record: Snapshot | JointSnapshot) -> dict[str, Any]:
+def gyro_word(state: int) -> str:
+    """What `state` of the C core's imu_state means; a number that is not known is shown as it
+    is."""
+    return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
+
+
+def _record(record: Snapshot | JointSnapshot | ImuSnapshot) -> dict[str, Any]:
     return {key.name: _plain(getattr(record, key.name)) for key in dataclasses.fields(record)}
 
 
@@ -90,4 +125,4 @@ def _plain(value: Any) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    return _record(value) if isinstance(value, JointSnapshot) else value
+    return _record(value) if isinstance(value, JointSnapshot | ImuSnapshot) else value

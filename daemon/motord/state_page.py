@@ -13,10 +13,10 @@ import os
 import struct
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from motord.page_file import FOLDER, PREFIX
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot, gyro_word
 
 REASONS = {
     0: "linear_velocity",
@@ -57,7 +57,10 @@ _PUBLISHED = struct.Struct("=Q")
 _PUBLISHED_OFFSET = 32
 _STATE = struct.Struct("=qQ10I7dq7d6d3d")
 _JOINT = struct.Struct("=8d4I")
+_IMU = struct.Struct("=q9d4I")
 _JOINTS_MAX = 8
+_IMU_OFFSET = _STATE.size + _JOINTS_MAX * _JOINT.size
+_PAYLOAD_BYTES = _IMU_OFFSET + _IMU.size
 _ENABLED_UNKNOWN = 2
 _TRIES = 8
 
@@ -91,7 +94,7 @@ class StatePage:
         finally:
             os.close(fd)
         magic, version, payload_bytes, *_ = _HEADER.unpack_from(memory)
-        known = _STATE.size + _JOINTS_MAX * _JOINT.size
+        known = _PAYLOAD_BYTES
         if magic != _MAGIC or version != _LAYOUT_VERSION or payload_bytes < known:
             memory.close()
             raise NoPage(f"{path} is not a page of layout {_LAYOUT_VERSION}, or is being made")
@@ -133,7 +136,7 @@ class StatePage:
             if number == 0:
                 return None
             at = self._offset + (number - 1) % self._slots * self._stride
-            size = _STATE.size + _JOINTS_MAX * _JOINT.size
+            size = _PAYLOAD_BYTES
             before = _PUBLISHED.unpack_from(self._memory, at)[0]
             payload = self._memory[at + _PUBLISHED.size : at + _PUBLISHED.size + size]
             after = _PUBLISHED.unpack_from(self._memory, at)[0]
@@ -181,11 +184,30 @@ def decode(payload: bytes) -> Snapshot:
             _joint(_JOINT.unpack_from(payload, _STATE.size + index * _JOINT.size))
             for index in range(min(count, _JOINTS_MAX))
         ),
+        imu=_imu(_IMU.unpack_from(payload, _IMU_OFFSET)),
     )
 
 
 def _words(bits: int, names: dict[int, str]) -> tuple[str, ...]:
     return tuple(name for bit, name in names.items() if bits >> bit & 1)
+
+
+def _imu(raw: tuple[Any, ...]) -> ImuSnapshot | None:
+    state, by_gyro, still, refused = raw[10:]
+    if state == 0:
+        return None
+    return ImuSnapshot(
+        stamp_ns=raw[0],
+        angular_rad_s=raw[1:4],
+        acceleration_m_s2=raw[4:7],
+        bias_rad_s=raw[7],
+        bias_variance_rad2_s2=raw[8],
+        rate_variance_rad2_s2=raw[9],
+        state=gyro_word(state),
+        heading_by_gyro=by_gyro != 0,
+        still=still != 0,
+        refused=refused,
+    )
 
 
 def _joint(raw: tuple[float, ...]) -> JointSnapshot:

@@ -4,9 +4,11 @@
 #include <string.h>
 
 enum { VERSION = 1, SETPOINTS = 0x01, FEEDBACK = 0x81 };
-enum { HEAD_BYTES = 8, CRC_BYTES = 2, SETPOINTS_HEAD = 6, SETPOINTS_MOTOR = 6, FEEDBACK_HEAD = 16, FEEDBACK_MOTOR = 10 };
+enum { HEAD_BYTES = 8, CRC_BYTES = 2, SETPOINTS_HEAD = 6, SETPOINTS_MOTOR = 6, FEEDBACK_HEAD = 16, FEEDBACK_MOTOR = 10,
+       FEEDBACK_IMU = 20 };
 enum { CONTROL_ENABLE = 1, CONTROL_BRAKE = 2, CONTROL_CLEAR = 4, CONTROL_RESTART_NOTED = 8 };
-enum { STATUS_ENABLED = 1, STATUS_BRAKING = 2, STATUS_STOPPED_BY_SILENCE = 4, STATUS_RESTARTED = 8 };
+enum { STATUS_ENABLED = 1, STATUS_BRAKING = 2, STATUS_STOPPED_BY_SILENCE = 4, STATUS_RESTARTED = 8, STATUS_IMU = 16 };
+enum { IMU_SATURATED = 1 };
 enum { FIRST_WATCHDOG_MS = 100, FIRST_FEEDBACK_MS = 100 };
 
 static uint16_t get16(const uint8_t *at)
@@ -200,13 +202,31 @@ static uint8_t status_of(const motord_board *board)
 {
     return (uint8_t)((board->enabled ? STATUS_ENABLED : 0) | (board->braking ? STATUS_BRAKING : 0) |
                      (board->stopped_by_silence ? STATUS_STOPPED_BY_SILENCE : 0) |
-                     (board->restarted ? STATUS_RESTARTED : 0));
+                     (board->restarted ? STATUS_RESTARTED : 0) | (board->has_imu ? STATUS_IMU : 0));
+}
+
+void motord_board_imu(motord_board *board, const motord_imu *imu)
+{
+    board->imu = *imu;
+    board->has_imu = 1;
+}
+
+static uint8_t *put_imu(motord_board *board, uint8_t *at)
+{
+    for (int i = 0; i < 3; i++) {
+        put32(at + 4 * i, (uint32_t)board->imu.rate_urad_s[i]);
+        put16(at + 12 + 2 * i, (uint16_t)board->imu.acceleration_mm_s2[i]);
+    }
+    put16(at + 18, board->imu.saturated ? IMU_SATURATED : 0);
+    board->has_imu = 0;
+    return at + FEEDBACK_IMU;
 }
 
 size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor,
                              const motord_health *health, uint8_t *sent)
 {
-    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + CRC_BYTES];
+    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + FEEDBACK_IMU +
+                CRC_BYTES];
     uint8_t *payload = raw + HEAD_BYTES, *at = payload + FEEDBACK_HEAD;
     motord_board_watch(board, now_us);
     board->faults |= health->faults;
@@ -235,6 +255,8 @@ size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_
         put32(at + 4, (uint32_t)motor[i].velocity_mrad_s);
         put16(at + 8, (uint16_t)motor[i].current_10ma);
     }
+    if (board->has_imu)
+        at = put_imu(board, at);
     put16(at, crc16(raw, (size_t)(at - raw)));
     sent[0] = 0;
     const size_t stuffed = stuff(raw, (size_t)(at - raw) + CRC_BYTES, sent + 1);

@@ -39,6 +39,16 @@ typedef struct {
     int16_t temperature_100mc; /* 0.1 degC */
 } motord_health;
 
+#define MOTORD_NO_RATE INT32_MIN          /* an axis that the sensor does not measure */
+#define MOTORD_NO_ACCELERATION INT16_MIN
+
+/* What an inertial sensor on the board measures, about its own axes. */
+typedef struct {
+    int32_t rate_urad_s[3];           /* 0.000001 rad/s */
+    int16_t acceleration_mm_s2[3];
+    uint8_t saturated;                /* a rate was at the end of its scale */
+} motord_imu;
+
 typedef struct {
     /* for you to read */
     uint8_t enabled;   /* follow the set-points */
@@ -49,6 +59,8 @@ typedef struct {
     uint8_t motors, control, stopped_by_silence, restarted, has_heard;
     uint16_t watchdog_ms, feedback_ms, heard_sequence, sequence, faults;
     uint32_t heard_us, fed_us;
+    motord_imu imu;
+    uint8_t has_imu;
     uint8_t received[MOTORD_SENT_BYTES_MAX];
     size_t received_bytes;
 } motord_board;
@@ -64,6 +76,9 @@ void motord_board_watch(motord_board *board, uint32_t now_us);
 /* The frame to send now, or 0 bytes where none is due yet. `sent` has MOTORD_SENT_BYTES_MAX bytes. */
 size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor,
                              const motord_health *health, uint8_t *sent);
+
+/* The sensor has been read: it goes with the next feedback, once. Without a sensor never call it. */
+void motord_board_imu(motord_board *board, const motord_imu *imu);
 
 #ifdef __cplusplus
 }

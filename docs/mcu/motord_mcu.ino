@@ -86,6 +86,7 @@ void loop()
         control((now_us - controlled_us) * 1e-6f);
         controlled_us = now_us;
     }
+    /* With a gyro: read it here a hundred times a second, and motord_board_imu(&board, &what_it_said). */
     const size_t size = motord_board_feedback(&board, now_us, measured, &health, sent);
     if (size > 0 && Serial.availableForWrite() >= (int)size)
         Serial.write(sent, size);

@@ -10,7 +10,7 @@ cancelled.
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -18,6 +18,32 @@ from motord_hal.drives.profile import DriveProfile, Gap
 
 SETPOINT_TIMEOUT_S = 0.1
 """A line takes set-points older than this for none: it stops and disarms its drives."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgesEncoder:
+    """A quadrature encoder on two GPIO lines."""
+
+    gpio_chip: str
+    a: str
+    """The line's name, or its number on the chip."""
+    b: str
+    pull: str
+    """"none", "up" or "down"."""
+    rad_per_count: float
+    """Of the wheel, positive where it turns forward; a count is an edge."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CounterEncoder:
+    """A quadrature encoder on a counter of the kernel."""
+
+    counter: str
+    """Its name, part of its device's path, or counterN."""
+    count: int
+    """Which count of it."""
+    rad_per_count: float
+    """As of EdgesEncoder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +64,8 @@ class JointSpec:
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
     it is active low. "fault" is an input."""
+    encoder: EdgesEncoder | CounterEncoder | None = None
+    """Of a bridge's motor."""
     tries: int = 3
     reply_timeout_s: float | None = None
     """Deadline for a reply after the request's last byte; None: frame time plus the profile's
@@ -115,6 +143,40 @@ class TextSpec:
     track_m: float
 
 
+AXES = ("x", "-x", "y", "-y", "z", "-z")
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """How an inertial sensor sits on the base: which of its axes (AXES) points up, and which
+    forward."""
+
+    up: str = "z"
+    forward: str = "x"
+
+    def to_base(self, vector: Sequence[float]) -> tuple[float, ...]:
+        """From the sensor's axes to the base's: x forward, y left (up × forward), z up."""
+        return tuple(sign * vector[axis] for axis, sign in self._rows())
+
+    def from_base(self, vector: Sequence[float]) -> tuple[float, ...]:
+        """The other way round: a sensor that sits so says this."""
+        said = [0.0, 0.0, 0.0]
+        for (axis, sign), value in zip(self._rows(), vector, strict=True):
+            said[axis] = sign * value
+        return tuple(said)
+
+    def _rows(self) -> tuple[tuple[int, float], ...]:
+        """Of each of the base's axes: the sensor's that lies along it, and its sign."""
+        (f, forward_sign), (u, up_sign) = _axis(self.forward), _axis(self.up)
+        even = (f - u) % 3 == 1
+        left_sign = forward_sign * up_sign * (1.0 if even else -1.0)
+        return (f, forward_sign), (3 - f - u, left_sign), (u, up_sign)
+
+
+def _axis(name: str) -> tuple[int, float]:
+    return "xyz".index(name[-1]), -1.0 if name.startswith("-") else 1.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineSpec:
     """One medium and the joints on it. `index` is the line's place in the exchange."""
@@ -151,6 +213,8 @@ class LineSpec:
     joints: tuple[JointSpec, ...]
     text: TextSpec | None = None
     """Of the kind "ascii"."""
+    imu: Mounting | None = None
+    """Of the sensor that the board reads for the core; None: it reads none."""
     pins: PinsSpec = PinsSpec()
     """Of the kind "pwm"."""
     watchdog_s: float

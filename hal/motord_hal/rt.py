@@ -8,6 +8,7 @@ or not. The meaning of each field is in csrc/api.h.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from _motord_rt import ffi, lib
@@ -63,6 +64,17 @@ class Feedback:
     drive_faults: int
 
 
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """What the inertial sensor said last, about the base's axes. Stamp 0: never."""
+
+    stamp_ns: int
+    angular_rad_s: tuple[float, ...]
+    acceleration_m_s2: tuple[float, ...]
+    saturated: bool
+    epoch: int
+
+
 class Exchange:
     """The mailboxes, from one thread: the buffers that values pass through belong to the object.
 
@@ -75,6 +87,7 @@ class Exchange:
         self._memory = memory
         self._setpoints = ffi.new("setpoints *")
         self._feedback = ffi.new("joint_feedback *")
+        self._imu = ffi.new("imu_sample *")
 
     @classmethod
     def of_loop(cls) -> Exchange:
@@ -148,6 +161,36 @@ class Exchange:
         raw.enabled = _ENABLED_UNKNOWN if enabled is None else int(enabled)
         raw.drive_faults = drive_faults & _U32
         _check(lib.exchange_put_feedback(self._exchange, joint, raw), "joint", joint)
+
+    def put_imu(
+        self,
+        *,
+        stamp_ns: int,
+        angular_rad_s: Sequence[float],
+        acceleration_m_s2: Sequence[float],
+        saturated: bool,
+        epoch: int,
+    ) -> None:
+        """Of whoever reads the inertial sensor: about the base's x, y, z."""
+        raw = self._imu
+        raw.stamp_ns = stamp_ns
+        raw.angular_rad_s = angular_rad_s
+        raw.acceleration_m_s2 = acceleration_m_s2
+        raw.saturated = saturated
+        raw.epoch = epoch & _U32
+        lib.exchange_put_imu(self._exchange, raw)
+
+    def take_imu(self) -> ImuSample:
+        """The loop's side, for tests and tools."""
+        raw = self._imu
+        lib.exchange_take_imu(self._exchange, raw)
+        return ImuSample(
+            stamp_ns=raw.stamp_ns,
+            angular_rad_s=tuple(raw.angular_rad_s),
+            acceleration_m_s2=tuple(raw.acceleration_m_s2),
+            saturated=raw.saturated != 0,
+            epoch=raw.epoch,
+        )
 
     def take_feedback(self, joint: int) -> Feedback:
         """The loop's side, for tests and tools."""

@@ -4,6 +4,7 @@ csrc/api_bridge.h."""
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import os
 from collections.abc import Sequence
@@ -52,6 +53,25 @@ class Pin:
     """It changes with every cycle while the motor may move; the levels do not count."""
 
 
+class EncoderKind(enum.IntEnum):
+    NONE = lib.ENCODER_NONE
+    EDGES = lib.ENCODER_EDGES
+    COUNTER = lib.ENCODER_COUNTER
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderConfig:
+    """csrc/api_encoder.h has the meanings."""
+
+    kind: EncoderKind
+    fd: int
+    a_offset: int = 0
+    b_offset: int = 0
+    levels: int = 0
+    ceiling: int = 0
+    rad_per_count: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BridgeJoint:
     index: int
@@ -59,6 +79,7 @@ class BridgeJoint:
     brakes_at_rest: bool
     inverted: bool
     fault_mask: int
+    encoder: EncoderConfig | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +112,10 @@ class BridgeReport:
     cycles: int = 0
     late_cycles: int = 0
     writes: int = 0
+    encoder_illegal: int = 0
+    """Pulses that were too short to be told apart."""
+    encoder_lost: int = 0
+    """Edges that the kernel could not keep."""
 
 
 class BridgeThread:
@@ -137,6 +162,8 @@ class BridgeThread:
             cycles=raw.cycles,
             late_cycles=raw.late_cycles,
             writes=raw.writes,
+            encoder_illegal=raw.encoder_illegal,
+            encoder_lost=raw.encoder_lost,
         )
 
 
@@ -159,6 +186,8 @@ def _config(config: BridgeConfig, exchange: Exchange) -> Any:
         place.rest_mode = lib.BRIDGE_BRAKE if joint.brakes_at_rest else lib.BRIDGE_COAST
         place.sign = -1.0 if joint.inverted else 1.0
         place.fault_mask = joint.fault_mask
+        if joint.encoder is not None:
+            place.encoder = dataclasses.asdict(joint.encoder)
     for place, pin in zip(raw.output, config.pins, strict=False):
         place.joint, place.fd, place.bit = pin.joint, pin.fd, pin.bit
         place.inverted, place.period_ns, place.pumps = pin.inverted, pin.period_ns, pin.pumps

@@ -369,8 +369,31 @@ static void hostile_input_never_moves_an_unarmed_base(void)
     }
 }
 
+/* The gyro says that the base turns though its wheels do not: somebody carries it. */
+static void a_gyro_turns_the_pose(void)
+{
+    core_config config = good_config();
+    rig r;
+    config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .bias_max_rad_s = 0.5, .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7, .turn_variance_rad2_per_rad = 1e-4};
+    start(&r, &config);
+    for (int i = 0; i < 4000; i++) {
+        r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns, .angular_rad_s = {NAN, INFINITY, i < 2000 ? 0.0 : 0.5},
+                                   .acceleration_m_s2 = {0.0, 0.0, 9.8}};
+        tick(&r);
+        CHECK(isfinite(r.shown.heading_rad) && isnan(r.shown.imu.angular_rad_s[1]));
+    }
+    CHECK(r.shown.imu.heading_by_gyro == 1 && fabs(r.shown.heading_rad - 1.0) < 0.01);
+    config.gyro.timeout_s = NAN;
+    char name[FIELD_NAME_BYTES];
+    CHECK(strcmp(core_config_check(&config, name), "gyro.timeout_s") == 0);
+    config.gyro.used = 2;
+    CHECK(strcmp(core_config_check(&config, name), "gyro.used") == 0);
+}
+
 int main(void)
 {
+    a_gyro_turns_the_pose();
     a_ramp_arrives_and_comes_back_through_zero();
     no_number_leaves_the_small_functions();
     counters_wrap_both_ways();

@@ -2,7 +2,8 @@
  *
  * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
  * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute ('m') or deaf ('d'),
- * or well again ('w'). Each change of what the motors are told is a line on stdout.
+ * well again ('w'), or gives it a sensor ('i') whose x axis points up. Each change of what the motors are told is a line
+ * on stdout.
  */
 #include "motord_mcu.h"
 
@@ -66,7 +67,7 @@ int main(int argc, char **argv)
     motord_measured measured[MOTORS] = {{0, 0, 0}};
     motord_health health = {0, 2400, 310};
     motor motors[MOTORS] = {{0, 0}};
-    int mute = 0, deaf = 0;
+    int mute = 0, deaf = 0, senses = 0;
     uint32_t before_us = now_us();
     fcntl(fd, F_SETFL, O_NONBLOCK);
     motord_board_init(&board, MOTORS, before_us);
@@ -80,6 +81,7 @@ int main(int argc, char **argv)
             health.faults = data[0] == 'f' ? 1 : data[0] == 'g' ? 0 : health.faults;
             mute = data[0] == 'm' ? 1 : data[0] == 'w' ? 0 : mute;
             deaf = data[0] == 'd' ? 1 : data[0] == 'w' ? 0 : deaf;
+            senses |= data[0] == 'i';
             if (data[0] == 'r')
                 motord_board_init(&board, MOTORS, now_us());
         }
@@ -90,6 +92,11 @@ int main(int argc, char **argv)
         motord_board_watch(&board, at_us);
         turn(motors, &board, (at_us - before_us) * 1e-6, measured);
         before_us = at_us;
+        if (senses) {
+            const motord_imu imu = {{(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE},
+                                    {9807, 0, MOTORD_NO_ACCELERATION}, 0};
+            motord_board_imu(&board, &imu);
+        }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);
         if (length > 0 && !mute && write(fd, sent, length) < 0)
             usleep(1000); /* nobody has the other side open */

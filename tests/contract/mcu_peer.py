@@ -62,7 +62,7 @@ class McuPeer:
             self.told.append(Told(bool(enabled), bool(braking), left, right, duty))
 
     def do(self, letter: str) -> None:
-        """f fault, g fault gone, r restart, m mute, d deaf, w well again."""
+        """f fault, g fault gone, r restart, m mute, d deaf, w well again, i a sensor."""
         assert self.process.stdin is not None
         self.process.stdin.write(letter.encode())
         self.process.stdin.flush()

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord import rt
-from motord.snapshot import SNAPSHOT_VERSION, JointSnapshot, Snapshot
+from motord.snapshot import SNAPSHOT_VERSION, ImuSnapshot, JointSnapshot, Snapshot
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -32,7 +32,7 @@ def raw_state():
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
             setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
-        elif name != "joint":
+        elif name not in ("joint", "imu"):
             setattr(raw, name, number)
     raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
     raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
@@ -40,6 +40,10 @@ def raw_state():
     for index in range(3):
         for number, name in enumerate(c_fields("joint_state"), 5000 + 100 * index):
             setattr(raw.joint[index], name, number)
+    for number, name in enumerate(c_fields("imu_state"), 7000):
+        vector = name in ("angular_rad_s", "acceleration_m_s2")
+        setattr(raw.imu, name, [number * 10 + i for i in range(3)] if vector else number)
+    raw.imu.state = lib.GYRO_USED
     return raw
 
 
@@ -47,13 +51,14 @@ def test_the_names_are_those_of_the_c_struct():
     expected = set(c_fields("robot_state")) - {"joint_count", "joint"} | {"joints", "version"}
     assert set(python_fields(Snapshot)) == expected
     assert python_fields(JointSnapshot) == c_fields("joint_state")
+    assert python_fields(ImuSnapshot) == c_fields("imu_state")
 
 
 def test_every_field_arrives_in_its_place():
     raw = raw_state()
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
-    for name in set(python_fields(Snapshot)) - {"joints", "version", "reasons", "faults"}:
+    for name in set(python_fields(Snapshot)) - {"joints", "version", "reasons", "faults", "imu"}:
         value = getattr(made, name)
         assert value == type(value)(getattr(raw, name)), name
     assert len(made.joints) == 3
@@ -61,6 +66,20 @@ def test_every_field_arrives_in_its_place():
         for name in python_fields(JointSnapshot):
             value = getattr(joint, name)
             assert value == type(value)(getattr(raw.joint[index], name)), name
+    for name in set(python_fields(ImuSnapshot)) - {"state"}:
+        value = getattr(made.imu, name)
+        assert value == type(value)(getattr(raw.imu, name)), name
+
+
+def test_every_state_of_the_gyro_has_its_word_and_none_is_no_imu():
+    raw, words = raw_state(), []
+    numbers = {name: getattr(lib, name) for name in dir(lib) if name.startswith("GYRO_")}
+    for number in sorted(numbers.values()):
+        raw.imu.state = number
+        made = rt._snapshot(raw).imu
+        words.append("none" if made is None else made.state)
+    assert words == ["none", "unbiased", "used", "stale", "reversed"]
+    assert len(words) == len(numbers)
 
 
 FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")

@@ -12,7 +12,7 @@ from motord.bus import messages
 from motord.bus.message_types import Level, Time
 from motord.bus.messages import Body, Commander
 from motord.machine import State
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 
 BODY = Body(robot="r2", joints=("left", "right"))
 OFFSET_NS = 1_700_000_000_000_000_000
@@ -26,7 +26,7 @@ def joint(**changes):
 
 
 def snapshot(**changes):
-    plain = {field.name: 0.0 for field in dataclasses.fields(Snapshot)}
+    plain = {field.name: 0.0 for field in dataclasses.fields(Snapshot)} | {"imu": None}
     flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
     rest = {
         "stamp_ns": TICK_NS, "odometry_stamp_ns": TICK_NS - 7_000_000, "tick": 9,
@@ -168,3 +168,50 @@ def test_states_have_the_names_and_numbers_of_the_state_machine():
 def test_a_snapshot_of_another_number_of_joints_is_refused():
     with pytest.raises(ValueError, match="shorter"):
         messages.joint_state(snapshot(joints=(joint(),)), BODY, OFFSET_NS)
+
+
+def inertial(**changes):
+    values = {
+        "stamp_ns": TICK_NS - 3_000_000, "angular_rad_s": (0.1, 0.2, 0.3),
+        "acceleration_m_s2": (0.0, -0.5, 9.8), "bias_rad_s": 0.02, "bias_variance_rad2_s2": 1e-8,
+        "rate_variance_rad2_s2": 1e-6, "state": "used", "heading_by_gyro": True, "still": False,
+        "refused": 0,
+    }  # fmt: skip
+    return snapshot(imu=ImuSnapshot(**values | changes))
+
+
+def test_an_imu_has_its_own_stamp_no_orientation_and_the_variance_that_was_measured():
+    message = messages.imu(inertial(), BODY, OFFSET_NS)
+    assert message.header.stamp == Time(1_700_000_089, 997_000_000)
+    assert message.header.frame_id == "base_link"
+    assert message.orientation_covariance == (-1.0, *[0.0] * 8)
+    rate = message.angular_velocity
+    assert (rate.x, rate.y, rate.z) == (0.1, 0.2, 0.3)
+    diagonal = [message.angular_velocity_covariance[4 * axis] for axis in range(3)]
+    assert diagonal == pytest.approx([1.01e-6] * 3)
+    assert message.linear_acceleration.z == 9.8
+    assert message.linear_acceleration_covariance == (0.0,) * 9
+
+
+def test_what_an_imu_does_not_measure_is_said_to_be_so():
+    bare = inertial(angular_rad_s=(math.nan, math.nan, 0.3), acceleration_m_s2=(math.nan,) * 3)
+    message = messages.imu(bare, BODY, OFFSET_NS)
+    assert message.linear_acceleration_covariance[0] == -1.0
+    rate, covariance = message.angular_velocity, message.angular_velocity_covariance
+    assert (rate.x, rate.y, rate.z) == (0.0, 0.0, 0.3)
+    assert (covariance[0], covariance[4]) == (messages.UNMEASURED, messages.UNMEASURED)
+    assert covariance[8] == pytest.approx(1.01e-6)
+
+
+def test_before_the_gyro_has_a_zero_its_error_is_unknown():
+    unknown = {"bias_variance_rad2_s2": math.nan, "rate_variance_rad2_s2": math.nan}
+    message = messages.imu(inertial(state="unbiased", **unknown), BODY, OFFSET_NS)
+    assert message.angular_velocity_covariance == (0.0,) * 9
+
+
+@pytest.mark.parametrize(
+    "changes", [{"state": "stale"}, {"state": "reversed"}, {"angular_rad_s": (0.0, 0.0, math.nan)}]
+)
+def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
+    assert messages.imu(inertial(**changes), BODY, OFFSET_NS) is None
+    assert messages.imu(snapshot(), BODY, OFFSET_NS) is None

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of boards: stuffing, check sums, cutting a stream, places of registers."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,7 +10,10 @@ from hypothesis import strategies as st
 from motord_hal.drives.profile import Register, RegisterType
 from motord_hal.mcu import cobs
 from motord_hal.mcu.frames import (
+    FEEDBACK_HEAD_BYTES,
     FRAME_BYTES_MAX,
+    HAS_IMU,
+    BoardImu,
     Frame,
     FrameError,
     Heard,
@@ -18,6 +23,8 @@ from motord_hal.mcu.frames import (
     crc16,
     feedback_payload,
     heard_in,
+    imu_in,
+    imu_payload,
     newer,
     parse,
     pick,
@@ -164,3 +171,37 @@ def test_a_board_says_which_set_points_it_has_heard_and_when():
     assert heard_in(payload) == Heard(0x1234, pytest.approx(0.0052))
     with pytest.raises(FrameError):
         heard_in(payload[:15])
+
+
+RATE = st.floats(-2147.0, 2147.0)
+ACCELERATION = st.floats(-32.0, 32.0)
+
+
+@given(st.tuples(RATE, RATE, RATE), st.tuples(*[ACCELERATION] * 3), st.booleans())
+def test_an_inertial_sensor_comes_back_from_behind_the_motors(rates, accelerations, saturated):
+    payload = bytearray(feedback_payload([], {}, 2, 20, Heard(1, 0.0)))
+    payload[0] |= HAS_IMU
+    payload += imu_payload(BoardImu(rates, accelerations, saturated))
+    found = imu_in(bytes(payload))
+    assert found.angular_rad_s == pytest.approx(rates, abs=0.6e-6)
+    assert found.acceleration_m_s2 == pytest.approx(accelerations, abs=0.6e-3)
+    assert found.saturated == saturated
+    for size in range(FEEDBACK_HEAD_BYTES, len(payload)):
+        with pytest.raises(FrameError, match="before the inertial sensor"):
+            imu_in(bytes(payload[:size]))
+
+
+def test_an_axis_that_is_not_measured_is_no_number_and_the_scale_has_an_end():
+    beyond = BoardImu((math.nan, math.inf, 1e9), (-math.inf, -1e9, 0.0), saturated=False)
+    payload = bytearray(feedback_payload([], {}, 1, 20, Heard(1, 0.0)))
+    payload[0] |= HAS_IMU
+    found = imu_in(bytes(payload) + imu_payload(beyond))
+    assert [math.isnan(rate) for rate in found.angular_rad_s] == [True, True, False]
+    assert found.angular_rad_s[2] == pytest.approx(2147.483647)
+    assert math.isnan(found.acceleration_m_s2[0])
+    assert found.acceleration_m_s2[1:] == pytest.approx((-32.767, 0.0))
+
+
+def test_a_feedback_that_does_not_say_so_carries_no_sensor():
+    payload = feedback_payload([], {}, 1, 20, Heard(1, 0.0))
+    assert imu_in(payload + bytes(20)) is None

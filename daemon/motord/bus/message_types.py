@@ -124,6 +124,20 @@ class JointState:
     effort: tuple[float, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """sensor_msgs/Imu: rad/s, m/s², in the header's frame. A covariance that begins with -1 belongs
+    to what is not measured, one of zeros to what is measured with an unknown error."""
+
+    header: Header
+    orientation: Quaternion
+    orientation_covariance: tuple[float, ...]
+    angular_velocity: Vector3
+    angular_velocity_covariance: tuple[float, ...]
+    linear_acceleration: Vector3
+    linear_acceleration_covariance: tuple[float, ...]
+
+
 class PowerSupply(enum.IntEnum):
     """Of sensor_msgs/BatteryState: status; health and technology are unknown to us."""
 

@@ -17,6 +17,7 @@ from motord.bus.message_types import (
     DiagnosticArray,
     DiagnosticStatus,
     Header,
+    Imu,
     JointState,
     KeyValue,
     Level,
@@ -151,6 +152,51 @@ def joint_state(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> JointSta
         position=tuple(joint.position_rad for _, joint in heard),
         velocity=tuple(joint.velocity_rad_s for _, joint in heard),
     )
+
+
+_NOT_MEASURED = (-1.0, *[0.0] * 8)
+_ERROR_UNKNOWN = (0.0,) * 9
+
+
+def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
+    """sensor_msgs/Imu, of the newest sample, turned into the base's axes. An axis that is not
+    measured has the variance UNMEASURED. None: no sensor, one that turns
+    against the wheels, or its last good sample is old."""
+    found = snapshot.imu
+    if (
+        found is None
+        or found.state in ("stale", "reversed")
+        or not math.isfinite(found.angular_rad_s[2])
+    ):
+        return None
+    variances = (*[math.nan] * 2, found.rate_variance_rad2_s2 + found.bias_variance_rad2_s2)
+    felt = found.acceleration_m_s2
+    feels = all(map(math.isfinite, felt))
+    return Imu(
+        header=Header(wall_time(found.stamp_ns, wall_offset_ns), body.base_frame),
+        orientation=Quaternion(),
+        orientation_covariance=_NOT_MEASURED,
+        angular_velocity=Vector3(*(_or_zero(rate) for rate in found.angular_rad_s)),
+        angular_velocity_covariance=_rate_covariance(found.angular_rad_s, variances),
+        linear_acceleration=Vector3(*felt) if feels else Vector3(),
+        linear_acceleration_covariance=_ERROR_UNKNOWN if feels else _NOT_MEASURED,
+    )
+
+
+def _or_zero(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def _rate_covariance(rates: tuple[float, ...], variances: tuple[float, ...]) -> tuple[float, ...]:
+    """What is measured without a known error is taken for as good as the yaw rate; before the gyro
+    has a zero, nobody knows how good that is."""
+    yaw_variance = variances[2]
+    if not math.isfinite(yaw_variance):
+        return _ERROR_UNKNOWN
+    matrix = [0.0] * 9
+    for axis, rate in enumerate(rates):
+        matrix[4 * axis] = yaw_variance if math.isfinite(rate) else UNMEASURED
+    return tuple(matrix)
 
 
 def battery_state(

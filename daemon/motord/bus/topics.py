@@ -74,6 +74,12 @@ _ALL = (
         build=lambda view, body, offset_ns: messages.joint_state(view.snapshot, body, offset_ns),
     ),
     Topic(
+        name="imu",
+        type_name="sensor_msgs/msg/Imu",
+        message=message_types.Imu,
+        build=lambda view, body, offset_ns: messages.imu(view.snapshot, body, offset_ns),
+    ),
+    Topic(
         name="battery_state",
         type_name="sensor_msgs/msg/BatteryState",
         message=message_types.BatteryState,

@@ -20,6 +20,7 @@ def show_status(found: dict[str, Any]) -> None:
         ("odometry", _odometry(found["odometry"])),
         *((f"joint {name}", _joint(joint)) for name, joint in found["joints"].items()),
         ("battery", _battery(found["battery"])),
+        ("imu", _imu(found["imu"])),
         ("loop", _loop(found["loop"])),
         ("e-stop", _contact(found["loop"]["estop_input"])),
         *(("", text) for text in found["loop"]["refusals"].values()),
@@ -77,6 +78,25 @@ def _battery(battery: dict[str, Any] | None) -> str:
         for key, unit, digits in measures
         if battery[key] is not None
     ]
+    return ", ".join(parts)
+
+
+def _imu(imu: dict[str, Any] | None) -> str:
+    if imu is None:
+        return ""
+    rate_rad_s, zero_rad_s = imu["angular_rad_s"][2], imu["bias_rad_s"]
+    parts = [
+        {"unbiased": "its zero is not known yet: let the base stand"}.get(
+            imu["state"], imu["state"]
+        )
+    ]
+    parts.append(f"heading by {'gyro' if imu['heading_by_gyro'] else 'wheels'}")
+    if rate_rad_s is not None:
+        parts.append(f"{rate_rad_s:.3f} rad/s")
+    if zero_rad_s is not None:
+        parts.append(f"zero at {zero_rad_s:.4f} rad/s")
+    if imu["refused"]:
+        parts.append(f"{imu['refused']} samples refused")
     return ", ".join(parts)
 
 

@@ -15,6 +15,7 @@ from motord.config.bus_sections import (
     OtherPublish,
     PrometheusPublish,
     Publish,
+    RclpyInput,
     Ros2Input,
     Ros2Node,
     Ros2Publish,
@@ -32,6 +33,7 @@ from motord.config.bus_sections import (
     ZenohNode,
     ZenohPublish,
 )
+from motord.config.imu_section import ChipImu, Imu, LineImu
 from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
 from motord.config.load import load_robot
 from motord.config.model import (
@@ -62,6 +64,9 @@ __all__ = [
     "Battery",
     "DrivesBattery",
     "InaBattery",
+    "Imu",
+    "ChipImu",
+    "LineImu",
     "RtuLine",
     "DdsmLine",
     "TcpLine",
@@ -94,6 +99,7 @@ __all__ = [
     "McapPublish",
     "MqttPublish",
     "MqttInput",
+    "RclpyInput",
     "PrometheusPublish",
     "OtherPublish",
     "OtherInput",

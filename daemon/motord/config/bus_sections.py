@@ -10,13 +10,20 @@ from pydantic import Field
 from motord.config.section import Section, number
 
 Topic = Literal[
-    "odom", "tf", "joint_states", "battery_state", "diagnostics", "motor_status", "loop_statistics"
+    "odom",
+    "tf",
+    "joint_states",
+    "imu",
+    "battery_state",
+    "diagnostics",
+    "motor_status",
+    "loop_statistics",
 ]
 SLOW_HZ = 1.0
 SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
 """What changes slowly: at most SLOW_HZ where no rate of its own is given."""
 ALL_TOPICS: tuple[Topic, ...] = (
-    *("odom", "tf", "joint_states", "battery_state"),
+    *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
 ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
@@ -302,6 +309,16 @@ class ZenohInput(StampedInput, ZenohNode):
     trust_router: bool = False
     """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
     the network unless it is told not to. It has to be said that this is meant."""
+
+
+class RclpyInput(BusInput):
+    """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
+    motord-bus has no part in it."""
+
+    kind: Literal["ros2-rclpy"]
+    trust_network: bool = False
+    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
+    to be said that this is meant."""
 
 
 class OtherPublish(BusPublish):

@@ -14,6 +14,7 @@ from motord.config.pin_rules import PIN_RULES
 from motord.config.toml_lines import Path
 from motord.config.wheels import (
     Profiles,
+    counter_bits,
     counts_per_turn,
     drive_can_reverse,
     drive_velocity_max_rad_s,
@@ -133,7 +134,7 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
-        if counts_per_turn(joint, profile) and not profile.counter_bits:
+        if counts_per_turn(joint, profile) and not counter_bits(joint, profile):
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
         elif not counts_per_turn(joint, profile) and joint.drive not in said:
             said.add(joint.drive)

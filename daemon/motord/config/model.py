@@ -26,6 +26,7 @@ from motord.config.bus_sections import (
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    RclpyInput,
     Ros2Input,
     Ros2Publish,
     RosbridgeInput,
@@ -35,7 +36,9 @@ from motord.config.bus_sections import (
     ZenohInput,
     ZenohPublish,
 )
+from motord.config.encoder_section import AnyEncoder
 from motord.config.guard_sections import EstopInput, WatchdogOutput
+from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
@@ -241,6 +244,7 @@ class Joint(Section):
         "1",
         None,
     )
+    encoder: AnyEncoder | None = None
     duty_dead_band: float = number("duty at which the motor just turns", 0, 0.9, "1", 0.0)
     duty_min: float = number("least duty; 0: never backward", -1, 0, "1", -1.0)
     duty_max: float = number("greatest duty", 0.01, 1, "1", 1.0)
@@ -302,6 +306,7 @@ Input = (
     | JoystickInput
     | Ros2Input
     | ZenohInput
+    | RclpyInput
     | OtherInput
 )
 AnyPublish = (
@@ -328,6 +333,7 @@ class Robot(Section):
     safety: Safety = Field(default_factory=Safety)
     odometry: Odometry = Field(default_factory=Odometry)
     battery: Annotated[DrivesBattery | InaBattery, Field(discriminator="source")] | None = None
+    imu: Annotated[ChipImu | LineImu, Field(discriminator="source")] | None = None
     line: dict[Name, LineSection]
     """The wires."""
     joint: dict[Name, Joint]
@@ -361,7 +367,10 @@ class Robot(Section):
     @property
     def has_bus(self) -> bool:
         """Somebody is told, or may command, by the second process."""
-        inputs = any(isinstance(section, BusInput) for section in self.input.values())
+        inputs = any(
+            isinstance(section, BusInput) and not isinstance(section, RclpyInput)
+            for section in self.input.values()
+        )
         own = (StdoutPublish, UdpPublish)
         return inputs or any(not isinstance(section, own) for section in self.publish.values())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from motord.config.encoder_section import GpioEncoder
 from motord.config.finding import Finding
 from motord.config.line_sections import PwmLine
 from motord.config.model import Robot
@@ -66,4 +67,34 @@ def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
         yield Finding((("line", spec.name, "pwm_hz"), ("joint", joint.name, "drive")), text)
 
 
-PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_pins,)
+def _encoders(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for spec in line_specs(robot, profiles):
+        line = robot.line[spec.name]
+        for joint in spec.joints:
+            encoder, at = robot.joint[joint.name].encoder, ("joint", joint.name, "encoder")
+            if encoder is None:
+                continue
+            if not isinstance(line, PwmLine):
+                text = f'is only for a line of kind "pwm": this one is "{line.kind}"'
+                yield Finding((at, ("line", spec.name)), text)
+            elif isinstance(encoder, GpioEncoder):
+                yield from _edges(line, joint, encoder)
+            if robot.joint[joint.name].counts_per_turn is not None:
+                path: Path = ("joint", joint.name, "counts_per_turn")
+                yield Finding((path, at), "is that of the encoder: say it there")
+
+
+def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Finding]:
+    at: Path = ("joint", joint.name, "encoder")
+    if not (encoder.gpio_chip or line.gpio_chip):
+        yield Finding((at,), "gpio_chip is missing, here and on the line")
+    if encoder.a == encoder.b:
+        yield Finding((at,), f"a and b are the same line ({encoder.a})")
+    same_chip = encoder.gpio_chip in (None, line.gpio_chip)
+    pins = {where.removeprefix("!"): pin for pin, where in joint.pins.items()}
+    for channel in (encoder.a, encoder.b) if same_chip else ():
+        if channel in pins:
+            yield Finding((at,), f"{channel} is pin {pins[channel]} already")
+
+
+PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_pins, _encoders)

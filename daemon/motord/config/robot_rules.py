@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 from motord.config.battery_section import DrivesBattery
 from motord.config.finding import Finding
+from motord.config.imu_rules import imu_axes, imu_line, imu_rates
 from motord.config.model import REST_MAX_S, Robot, SkidBase
 from motord.config.problems import nearest
 
@@ -88,5 +89,8 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _stops_in_time,
     _slip_factor,
     _battery,
+    imu_axes,
+    imu_line,
+    imu_rates,
     _safety_pins,
 )

@@ -56,8 +56,26 @@ def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, fl
 
 def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
     """Of the motor's shaft; 0: no counter."""
+    if joint.encoder is not None:
+        return joint.encoder.counts_per_turn
     own = joint.counts_per_turn
     return profile.counts_per_turn if own is None else own
+
+
+def counter_bits(joint: Joint, profile: DriveProfile) -> int:
+    """0: no counter. What counts an encoder of this machine's never wraps."""
+    if joint.encoder is not None:
+        return 64
+    return profile.counter_bits if counts_per_turn(joint, profile) else 0
+
+
+def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
+    """Wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel turn), signed.
+    Without a counter the core does not use it."""
+    counts = counts_per_turn(joint, profile)
+    backward = joint.inverted != (joint.encoder is not None and joint.encoder.reversed)
+    sign = -1.0 if backward else 1.0
+    return sign * 2 * math.pi / (counts * joint.gear_ratio) if counts else sign
 
 
 def _setpoint(joint: Joint, profile: DriveProfile) -> Register:

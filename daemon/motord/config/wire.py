@@ -114,7 +114,7 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
     if spec.kind == "mcu":
-        return wire_bytes(max(joints[0].profile.channels))
+        return wire_bytes(max(joints[0].profile.channels), imu=spec.imu is not None)
     try:
         return text_bytes(spec)
     except ProfileError:

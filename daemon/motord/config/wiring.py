@@ -5,16 +5,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from motord.config.imu_section import LineImu
 from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.model import Joint, Robot
-from motord.config.wheels import Profiles
-from motord_hal.drives.profile import Gap
+from motord.config.wheels import Profiles, rad_per_count
+from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.ports import (
+    CounterEncoder,
     DirectionKind,
     DirectionSpec,
     Echo,
+    EdgesEncoder,
     JointSpec,
     LineSpec,
+    Mounting,
     PinsSpec,
     TextSpec,
     TextWheel,
@@ -31,7 +35,7 @@ def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
 
 def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: AnyLine) -> LineSpec:
     joints = tuple(
-        _joint_spec(profiles, place, joint_name, joint)
+        _joint_spec(profiles, place, joint_name, joint, line)
         for place, (joint_name, joint) in enumerate(robot.joint.items())
         if joint.line == name
     )
@@ -50,6 +54,9 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
     )
+    if isinstance(robot.imu, LineImu) and robot.imu.line == name:
+        mounting = Mounting(up=robot.imu.up, forward=robot.imu.forward)
+        spec = replace(spec, imu=mounting)
     if isinstance(line, PwmLine):
         return _with_pins(spec, line, robot.loop.priority)
     if isinstance(line, AsciiLine):
@@ -101,7 +108,23 @@ def _with_port(spec: LineSpec, line: SerialLine, loop_priority: int) -> LineSpec
     )
 
 
-def _joint_spec(profiles: Profiles, index: int, name: str, joint: Joint) -> JointSpec:
+def _encoder(
+    joint: Joint, profile: DriveProfile, line: AnyLine
+) -> EdgesEncoder | CounterEncoder | None:
+    encoder, per_count = joint.encoder, rad_per_count(joint, profile)
+    if encoder is None:
+        return None
+    if encoder.kind == "counter":
+        return CounterEncoder(counter=encoder.counter, count=encoder.count, rad_per_count=per_count)
+    chip = encoder.gpio_chip or (line.gpio_chip if isinstance(line, PwmLine) else None)
+    return EdgesEncoder(
+        gpio_chip=chip or "", a=encoder.a, b=encoder.b, pull=encoder.pull, rad_per_count=per_count
+    )
+
+
+def _joint_spec(
+    profiles: Profiles, index: int, name: str, joint: Joint, line: AnyLine
+) -> JointSpec:
     return JointSpec(
         index=index,
         name=name,
@@ -112,6 +135,7 @@ def _joint_spec(profiles: Profiles, index: int, name: str, joint: Joint) -> Join
         inverted=joint.inverted,
         cycle_hz=joint.cycle_hz,
         pins=joint.pins,
+        encoder=_encoder(joint, profiles[joint.drive], line),
         tries=joint.tries,
         reply_timeout_s=joint.reply_timeout_s,
     )

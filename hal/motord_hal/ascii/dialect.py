@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from motord_hal.ascii.text import Lines, Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
 from motord_hal.errors import ProfileError
 from motord_hal.mcu.dialect import Said
+from motord_hal.mcu.frames import BoardImu
 from motord_hal.ports import JointSpec, LineSpec, TextSpec
 
 COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
+GYRO_Z = "gyro_z_rad_s"
 
 
 def setpoint_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -21,7 +24,11 @@ def setpoint_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
     """What a template of feedback may name."""
-    return (*(name + what for name in joints for what in (COUNT, VELOCITY, CURRENT)), VOLTAGE)
+    return (
+        *(name + what for name in joints for what in (COUNT, VELOCITY, CURRENT)),
+        VOLTAGE,
+        GYRO_Z,
+    )
 
 
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
@@ -43,6 +50,17 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
     except ValueError as error:
         raise ProfileError(f"{spec.name}: {error}") from error
     return spec.text, said, heard
+
+
+def why_not_in_c(said: Text, heard: Text | None) -> str:
+    """What of the templates only Python can say or read, as the thread in C cannot; empty:
+    nothing."""
+    for _, name, form in said.parts:
+        if name is not None and form[-1] not in "dfg":
+            return f'the format "{form}" of {{{name}}} has no letter d, f or g'
+    after = [literal for literal, _, _ in heard.parts[1:]] if heard else []
+    joined = [literal for literal in after if literal[0] in "0123456789.eE"]
+    return f'"{joined[0]}" may go on with the number before it' if joined else ""
 
 
 class TextDialect:
@@ -81,7 +99,7 @@ class TextDialect:
             if numbers is None:
                 self.bad += 1
                 continue
-            yield Said(self._values(numbers), now_ns, now_ns, None)
+            yield Said(self._values(numbers), now_ns, now_ns, None, _imu(numbers))
 
     def _values(self, numbers: Mapping[str, float]) -> dict[str, int]:
         values: dict[str, int] = {}
@@ -99,6 +117,13 @@ class TextDialect:
 
     def wire_bytes(self) -> int:
         return text_bytes(self._spec_of_line)
+
+
+def _imu(numbers: Mapping[str, float]) -> BoardImu | None:
+    if GYRO_Z not in numbers:
+        return None
+    rates = (math.nan, math.nan, numbers[GYRO_Z])
+    return BoardImu(rates, (math.nan,) * 3, saturated=False)
 
 
 def text_bytes(spec: LineSpec) -> int:

@@ -21,8 +21,10 @@ LINES_MAX = 64
 _GET_CHIP_INFO = 0x8044B401
 _GET_LINE_INFO = 0xC100B405
 _GET_LINE = 0xC250B407
+_GET_VALUES = 0xC010B40E
 _CHIP_INFO = struct.Struct("=32s32sI")
 _LINE_INFO = struct.Struct("=32s32s2IQ176x")
+_LINE_VALUES = struct.Struct("=QQ")
 _LINE_REQUEST = struct.Struct("=64I32sQI20xI4xQQ216x2I20xi")
 """Offsets, consumer, flags, attributes, the first of them (id, value, mask), lines, buffer, fd."""
 _FLAG_USED = 1
@@ -65,17 +67,27 @@ class Chip:
         return _name(name), (_name(user) or "the kernel") if flags & _FLAG_USED else ""
 
     def request(
-        self, offsets: Sequence[int], consumer: str, outputs: int | None, flags: int = 0
+        self,
+        offsets: Sequence[int],
+        consumer: str,
+        outputs: int | None,
+        flags: int = 0,
+        events: int = 0,
     ) -> int:
         """The descriptor of a request of these lines: inputs, or outputs that begin with the bits
-        of `outputs` in the order of `offsets`. `flags`: FLAG_*. Raises OSError."""
-        asked = pack_request(offsets, consumer, outputs, flags)
+        of `outputs` in the order of `offsets`. `flags`: FLAG_*. `events`: so many the kernel keeps
+        at least; 0: as it likes. Raises OSError."""
+        asked = pack_request(offsets, consumer, outputs, flags, events)
         fd: int = _LINE_REQUEST.unpack(fcntl.ioctl(self.fd, _GET_LINE, asked))[-1]
         return fd
 
 
 def pack_request(
-    offsets: Sequence[int], consumer: str, outputs: int | None, more_flags: int = 0
+    offsets: Sequence[int],
+    consumer: str,
+    outputs: int | None,
+    more_flags: int = 0,
+    events: int = 0,
 ) -> bytes:
     """struct gpio_v2_line_request."""
     places = [*offsets, *[0] * (LINES_MAX - len(offsets))]
@@ -84,7 +96,14 @@ def pack_request(
     values = (0, 0, 0, 0)
     if outputs is not None:
         values = (1, _ATTRIBUTE_OUTPUT_VALUES, outputs, (1 << len(offsets)) - 1)
-    return _LINE_REQUEST.pack(*places, name, flags, *values, len(offsets), 0, 0)
+    return _LINE_REQUEST.pack(*places, name, flags, *values, len(offsets), events, 0)
+
+
+def read_levels(fd: int, lines: int) -> list[int]:
+    """Of a request's lines, in its order. Raises OSError."""
+    asked = _LINE_VALUES.pack(0, (1 << lines) - 1)
+    bits, _ = _LINE_VALUES.unpack(fcntl.ioctl(fd, _GET_VALUES, asked))
+    return [bits >> place & 1 for place in range(lines)]
 
 
 def _open(path: Path) -> Chip:

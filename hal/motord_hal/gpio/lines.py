@@ -19,6 +19,7 @@ from motord_hal.gpio.chip import (
     LINES_MAX,
     Chip,
     open_chip,
+    read_levels,
     why,
 )
 
@@ -49,14 +50,14 @@ def request_outputs(
     """Bit i of the request is `wanted[i]`. The caller closes the descriptor: the lines then keep
     their levels, or not, as the chip likes. Raises PortError."""
     levels = sum(1 << place for place, line in enumerate(wanted) if line.high)
-    return _request(chip, wanted, consumer, levels, dev)
+    return _request(chip, wanted, consumer, levels, dev)[0]
 
 
 def request_inputs(
     chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
 ) -> int:
     """As `request_outputs`."""
-    return _request(chip, wanted, consumer, None, dev)
+    return _request(chip, wanted, consumer, None, dev)[0]
 
 
 def request_edges(
@@ -71,7 +72,26 @@ def request_edges(
     """As `request_inputs`, for one input that also keeps its edges to be read: the rising ones, or
     the falling ones. Of both the kernel says which it was by the level that it finds afterwards."""
     edge = FLAG_RISING if rising else FLAG_FALLING
-    return _request(chip, [wanted], consumer, None, dev, edge | pull)
+    return _request(chip, [wanted], consumer, None, dev, edge | pull)[0]
+
+
+def request_all_edges(
+    chip: str,
+    wanted: Sequence[Wanted],
+    consumer: str,
+    pull: Pull,
+    events: int,
+    dev: Path = Path("/dev"),
+) -> tuple[int, list[int]]:
+    """As `request_inputs`, with the edges of all lines, both ways, `events` of them at least; and
+    the lines' numbers on the chip, by which events name them."""
+    flags = FLAG_RISING | FLAG_FALLING | pull
+    return _request(chip, wanted, consumer, None, dev, flags, events)
+
+
+def levels_of(fd: int, lines: int) -> list[int]:
+    """0 or 1 for each of a request's first lines. Raises OSError."""
+    return read_levels(fd, lines)
 
 
 def _request(
@@ -81,7 +101,8 @@ def _request(
     outputs: int | None,
     dev: Path,
     flags: int = 0,
-) -> int:
+    events: int = 0,
+) -> tuple[int, list[int]]:
     if len(wanted) > LINES_MAX:
         raise PortError(f"{len(wanted)} GPIO lines, at most {LINES_MAX}")
     opened = open_chip(chip, dev)
@@ -89,7 +110,7 @@ def _request(
         offsets = [_offset(opened, line) for line in wanted]
         _check_twice(offsets, wanted)
         try:
-            return opened.request(offsets, consumer, outputs, flags)
+            return opened.request(offsets, consumer, outputs, flags, events), offsets
         except OSError as error:
             raise PortError(_refusal(opened, wanted, offsets, error)) from error
     finally:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words of 16 bits in the registers of one device on an I2C bus.
+"""Registers of one device on an I2C bus: words of 16 bits, bytes, and rows of bytes.
 
 Each access is one SMBus transfer, which the kernel keeps in one piece: other programs may use the
 same bus, and other drivers other devices on it. Source: kernel, include/uapi/linux/i2c.h and
@@ -21,9 +21,11 @@ from motord_hal.errors import BadReply, HalError, NoReply, PortError
 _I2C_SLAVE = 0x0703
 _I2C_SMBUS = 0x0720
 _WRITE, _READ = 0, 1
-_WORD_DATA = 3
+_BYTE_DATA, _WORD_DATA, _I2C_BLOCK_DATA = 2, 3, 8
 _BLOCK_BYTES = 34
 """Of union i2c_smbus_data."""
+ROW_BYTES_MAX = 32
+"""I2C_SMBUS_BLOCK_MAX."""
 _REQUEST = struct.Struct("@BBIP")
 """struct i2c_smbus_ioctl_data: direction, register, kind, where the data is."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
@@ -38,6 +40,20 @@ class Registers(Protocol):
         ...
 
     def write_word(self, register: int, value: int) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class ByteRegisters(Protocol):
+    """As Registers, of a chip whose registers are bytes."""
+
+    def read_byte(self, register: int) -> int: ...
+
+    def write_byte(self, register: int, value: int) -> None: ...
+
+    def read_row(self, register: int, size: int) -> bytes:
+        """So many registers from this one on, in one transfer; at most ROW_BYTES_MAX."""
+        ...
 
     def close(self) -> None: ...
 
@@ -67,25 +83,40 @@ class I2cDevice:
 
     def read_word(self, register: int) -> int:
         """As Registers. Raises NoReply, PortError, BadReply."""
-        return self._transfer(_READ, register, 0)
+        # SMBus sends the lower byte first, these chips the upper one
+        return int.from_bytes(self._transfer(_READ, register, _WORD_DATA, b"")[:2], "big")
 
     def write_word(self, register: int, value: int) -> None:
         """As Registers. Raises NoReply, PortError, BadReply."""
-        self._transfer(_WRITE, register, value)
+        self._transfer(_WRITE, register, _WORD_DATA, value.to_bytes(2, "big"))
+
+    def read_byte(self, register: int) -> int:
+        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        return self._transfer(_READ, register, _BYTE_DATA, b"")[0]
+
+    def write_byte(self, register: int, value: int) -> None:
+        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        self._transfer(_WRITE, register, _BYTE_DATA, bytes((value,)))
+
+    def read_row(self, register: int, size: int) -> bytes:
+        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        found = self._transfer(_READ, register, _I2C_BLOCK_DATA, bytes((size,)))
+        if found[0] != size:
+            raise BadReply(f"{self._where}, register 0x{register:02x}: {found[0]} bytes of {size}")
+        return found[1 : 1 + size]
 
     def close(self) -> None:
         """Once."""
         os.close(self._fd)
 
-    def _transfer(self, direction: int, register: int, value: int) -> int:
-        """SMBus sends the lower byte first, these chips the upper one."""
-        data = ctypes.create_string_buffer(value.to_bytes(2, "big"), _BLOCK_BYTES)
-        asked = _REQUEST.pack(direction, register, _WORD_DATA, ctypes.addressof(data))
+    def _transfer(self, direction: int, register: int, kind: int, value: bytes) -> bytes:
+        data = ctypes.create_string_buffer(value, _BLOCK_BYTES)
+        asked = _REQUEST.pack(direction, register, kind, ctypes.addressof(data))
         try:
             fcntl.ioctl(self._fd, _I2C_SMBUS, asked)
         except OSError as error:
             raise _error(f"{self._where}, register 0x{register:02x}", error) from error
-        return int.from_bytes(data.raw[:2], "big")
+        return data.raw
 
 
 def _error(where: str, error: OSError) -> HalError:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from motord_hal.mcu.frames import BoardImu
+
 
 @dataclass(frozen=True, slots=True)
 class Said:
@@ -21,6 +23,8 @@ class Said:
     cannot say, when the feedback came."""
     round_trip_s: float | None
     """From sending those set-points to this feedback, without the time that the board held it."""
+    imu: BoardImu | None = None
+    """None: nothing of an inertial sensor is in this feedback."""
 
 
 class Dialect(Protocol):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.errors import ProfileError
@@ -17,6 +18,7 @@ from motord_hal.mcu.frames import (
     Type,
     build,
     heard_in,
+    imu_in,
     parse,
     pick,
     setpoints_payload,
@@ -42,6 +44,7 @@ class FrameDialect:
         self._registers = tuple(profile.registers.values())
         self._read = tuple(r for r in self._registers if "r" in r.access)
         self._motors = max(profile.channels)
+        self._has_imu = spec.imu is not None
         self._feedback_s = period_s(spec, self.wire_bytes())
         self._sequence = 0
         if spec.joints[0].profile.protocol != "mcu-frame":
@@ -68,11 +71,11 @@ class FrameDialect:
                 if frame.type != Type.FEEDBACK:
                     raise FrameError(f"type {frame.type:#x} is not for us")
                 values = {r.name: pick(frame.payload, r) for r in self._read}
-                heard = heard_in(frame.payload)
+                heard, imu = heard_in(frame.payload), imu_in(frame.payload)
             except FrameError:
                 self.bad += 1
                 continue
-            yield self._said(frame, values, heard, now_ns)
+            yield replace(self._said(frame, values, heard, now_ns), imu=imu)
 
     def _said(self, frame: Frame, values: dict[str, int], heard: Heard, now_ns: int) -> Said:
         sent_ns = self._sent_ns.get(heard.sequence)
@@ -83,4 +86,4 @@ class FrameDialect:
         return Said(values, stamp_ns, sent_ns, trip_s)
 
     def wire_bytes(self) -> int:
-        return wire_bytes(self._motors)
+        return wire_bytes(self._motors, imu=self._has_imu)

@@ -11,6 +11,7 @@ stand low byte first, as all usual microcontrollers keep them.
 from __future__ import annotations
 
 import enum
+import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -32,10 +33,19 @@ OWN_BYTES_R = frozenset({1, 4, 5, 6, 7, 8, 9})
 """Bytes of the feedback that the line itself reads: also which set-points were heard, and when."""
 RESTARTED = 8
 """The bit of status that a board sets when it starts, until the same bit of control is set."""
+HAS_IMU = 16
+"""The bit of status that says that what an inertial sensor measured follows the motors."""
 HELD_UNIT_S = 0.0001
+RATE_UNIT_RAD_S = 1e-6
+ACCELERATION_UNIT_M_S2 = 1e-3
+IMU_SATURATED = 1
+"""The bit of the sensor's flags that says that a rate was at the end of its scale."""
 
 _HEAD = struct.Struct("<BBHI")
 _CRC = struct.Struct("<H")
+_IMU = struct.Struct("<3i3hH")
+_NO_RATE, _NO_ACCELERATION = -(1 << 31), -(1 << 15)
+"""Not measured."""
 _TIME_US = 1 << 32
 _POLYNOMIAL = 0x1021
 
@@ -126,10 +136,10 @@ class Splitter:
             self._tail += piece[:room]
 
 
-def wire_bytes(motors: int) -> int:
+def wire_bytes(motors: int, *, imu: bool = False) -> int:
     """Of the longer of both frames, with the zeros and the byte that the stuffing adds."""
     setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
-    feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors
+    feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors + imu * _IMU.size
     return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
 
 
@@ -203,3 +213,46 @@ def feedback_payload(
     held = min(round(heard.held_s / HELD_UNIT_S), 0xFFFF)
     struct.pack_into("<HHH", payload, 4, period_ms, heard.sequence, held)
     return bytes(payload)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardImu:
+    """What an inertial sensor on the board says, about its own axes. NaN: not measured."""
+
+    angular_rad_s: tuple[float, ...]
+    acceleration_m_s2: tuple[float, ...]
+    saturated: bool
+
+
+def imu_in(payload: bytes) -> BoardImu | None:
+    """None: this feedback carries none. Raises FrameError where it says so and ends before."""
+    if not payload[0] & HAS_IMU:
+        return None
+    begin = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * payload[1]
+    if len(payload) < begin + _IMU.size:
+        raise FrameError(f"{len(payload)} bytes of payload end before the inertial sensor")
+    *counts, flags = _IMU.unpack_from(payload, begin)
+    return BoardImu(
+        tuple(_si(count, RATE_UNIT_RAD_S, _NO_RATE) for count in counts[:3]),
+        tuple(_si(count, ACCELERATION_UNIT_M_S2, _NO_ACCELERATION) for count in counts[3:]),
+        saturated=bool(flags & IMU_SATURATED),
+    )
+
+
+def _si(count: int, unit: float, nothing: int) -> float:
+    return math.nan if count == nothing else count * unit
+
+
+def imu_payload(imu: BoardImu) -> bytes:
+    """What a board appends to its feedback: the simulator's side."""
+    rates = (_count(rate, RATE_UNIT_RAD_S, _NO_RATE) for rate in imu.angular_rad_s)
+    accelerations = (
+        _count(value, ACCELERATION_UNIT_M_S2, _NO_ACCELERATION) for value in imu.acceleration_m_s2
+    )
+    return _IMU.pack(*rates, *accelerations, IMU_SATURATED if imu.saturated else 0)
+
+
+def _count(value: float, unit: float, nothing: int) -> int:
+    if not math.isfinite(value):
+        return nothing
+    return min(max(round(value / unit), nothing + 1), -nothing - 1)

@@ -202,7 +202,20 @@ class McuLine:
     def _take_in(self, data: bytes) -> None:
         for said in self._dialect.feed(data, now_ns()):
             self._note(said)
+            self._hand_on_imu(said)
             self._board.hear(said)
+
+    def _hand_on_imu(self, said: Said) -> None:
+        """To the core, where the robot file says that this board's sensor is the robot's."""
+        mounting = self.spec.imu
+        if mounting is not None and said.imu is not None:
+            self._exchange.put_imu(
+                stamp_ns=said.stamp_ns,
+                angular_rad_s=mounting.to_base(said.imu.angular_rad_s),
+                acceleration_m_s2=mounting.to_base(said.imu.acceleration_m_s2),
+                saturated=said.imu.saturated,
+                epoch=self._stats.reopened,
+            )
 
     def _note(self, said: Said) -> None:
         self._stats.exchanges += 1

@@ -32,6 +32,8 @@ STOPPING_S = 0.3
 OBEYED_WITHIN_S = 1.0
 LOOK_EVERY_S = 0.005
 WATCH_EVERY_S = 0.05
+AT_ENCODER = -2
+"""BridgeReport.error_output from here down: the encoder of a joint."""
 FAULT_WORDS = ("the bridge says fault",)
 
 
@@ -84,7 +86,12 @@ class PwmLine:
         if self._pins is not None:
             report = self._thread.report()
             self._stats.exchanges, self._stats.cycles = report.writes, report.cycles
-            self._stats.errors = {"late": report.late_cycles} if report.late_cycles else {}
+            errors = {
+                "late": report.late_cycles,
+                "encoder_illegal": report.encoder_illegal,
+                "encoder_lost": report.encoder_lost,
+            }
+            self._stats.errors = {kind: count for kind, count in errors.items() if count}
             span_s = now_s() - self._started_s
             self._stats.cycle_hz = report.cycles / span_s if span_s > 0 else 0.0
         self._stats.wire_limit_hz = self.spec.cycle_hz
@@ -140,6 +147,7 @@ class PwmLine:
                 brakes_at_rest=bridge_of(joint).rest == "brake",
                 inverted=joint.inverted,
                 fault_mask=pins.fault_masks[place],
+                encoder=pins.encoders[place],
             )
             for place, joint in enumerate(self.spec.joints)
         ]
@@ -171,6 +179,8 @@ class PwmLine:
         names = self._pins.names if self._pins else []
         at = report.error_output
         where = names[at] if 0 <= at < len(names) else "the GPIO lines"
+        if at <= AT_ENCODER:
+            where = f"the encoder of {self._names[AT_ENCODER - at]}"
         return f"{self.spec.name}: {where}: {os.strerror(report.error)}"
 
     def _note(self, report: BridgeReport) -> None:

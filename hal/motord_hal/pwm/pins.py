@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord_hal.drives.profile import BRIDGE_MODES, Bridge
+from motord_hal.encoder.counter import open_counter
+from motord_hal.encoder.edges import open_edges
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.ports import CounterEncoder, JointSpec, LineSpec
 from motord_hal.pwm.sysfs import Channel, find_chip, open_channel
-from motord_hal.rt_pwm import Pin
+from motord_hal.rt_pwm import EncoderConfig, Pin
 
 FAULT = "fault"
 """The pin of a bridge that tells a fault: an input."""
@@ -103,6 +105,8 @@ class OpenPins:
     outputs_fd: int = -1
     inputs_fd: int = -1
     channels: list[Channel] = field(default_factory=list)
+    encoders: list[EncoderConfig | None] = field(default_factory=list)
+    """By joint's place."""
 
     def close(self) -> None:
         """The thread has let them rest."""
@@ -111,6 +115,9 @@ class OpenPins:
         for fd in (self.outputs_fd, self.inputs_fd):
             if fd >= 0:
                 os.close(fd)
+        for encoder in self.encoders:
+            if encoder is not None:
+                os.close(encoder.fd)
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
@@ -122,6 +129,8 @@ async def open_pins(spec: LineSpec) -> OpenPins:
         inputs = [place for place in places if place.pin == FAULT]
         lines = [place for place in places if place.pin != FAULT and place.channel is None]
         _open_inputs(spec, opened, inputs)
+        for joint in spec.joints:
+            opened.encoders.append(_open_encoder(spec, joint))
         _open_outputs(spec, opened, lines)
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
         undo.pop_all()
@@ -147,6 +156,14 @@ def _open_inputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
     for bit, place in enumerate(places):
         opened.fault_masks[place.joint] |= 1 << bit
         opened.low_inputs |= place.inverted << bit
+
+
+def _open_encoder(spec: LineSpec, joint: JointSpec) -> EncoderConfig | None:
+    if joint.encoder is None:
+        return None
+    if isinstance(joint.encoder, CounterEncoder):
+        return open_counter(joint.encoder, joint.name)
+    return open_edges(joint.encoder, joint.name, f"motord {spec.name}")
 
 
 def _open_outputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:

@@ -109,6 +109,11 @@ KINDS = MappingProxyType(
             baudrate=Key(300, 4_000_000, whole=True, needed=True),
         ),
         "wrong-parity": _state("the unit is set to another parity: noise both ways", unit=_UNIT),
+        "slip": _state(
+            "this part of the way of one side's wheels (0 left, 1 right) is none on the ground",
+            side=Key(0, 1, whole=True, needed=True),
+            part=Key(0.0, 1.0, default=0.5),
+        ),
         "tcp-stall": _once(
             "TCP: nothing passes in or out, then all of it", for_s=Key(0.0, 1e6, default=1.0)
         ),

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.mcu.frames import (
+    HAS_IMU,
     RESTARTED,
     Frame,
     FrameError,
@@ -15,10 +16,12 @@ from motord_hal.mcu.frames import (
     Type,
     build,
     feedback_payload,
+    imu_payload,
     parse,
     pick,
 )
 from motord_hal.sim.content import NamedContent
+from motord_hal.sim.gyro import SimulatedGyro
 
 FIRST_FEEDBACK_S = 0.1
 US_PER_S = 1e6
@@ -27,7 +30,9 @@ US_PER_S = 1e6
 class FrameTalk:
     """board_line.Talk of a board with motord_mcu.c."""
 
-    def __init__(self, profile: DriveProfile) -> None:
+    def __init__(self, profile: DriveProfile, gyro: SimulatedGyro | None = None) -> None:
+        """`gyro`: a sensor on the board."""
+        self._gyro = gyro
         self._registers = tuple(profile.registers.values())
         self._motors = max(profile.channels)
         self.power_up()
@@ -64,5 +69,8 @@ class FrameTalk:
         period_ms = round(self.feedback_s * 1000)
         payload = bytearray(feedback_payload(self._registers, raw, self._motors, period_ms, heard))
         payload[0] |= RESTARTED if self._restarted else 0
+        if self._gyro is not None:
+            payload[0] |= HAS_IMU
+            payload += imu_payload(self._gyro.measure())
         self._sequence = self._sequence + 1 & 0xFFFF
         return build(Frame(Type.FEEDBACK, self._sequence, round(now_s * US_PER_S), bytes(payload)))

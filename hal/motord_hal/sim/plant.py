@@ -204,6 +204,10 @@ class Plant:
         self.time_s = 0.0
         self.rest_s = 0.0
         """How long all wheels have stood still."""
+        self.yaw_rad = 0.0
+        """Turned to the left since the start; no reset, no wrap."""
+        self.slipping: dict[str, float] = {}
+        """Side → part of its wheels' way that is none on the ground."""
         self._due_s = 0.0
 
     @property
@@ -240,6 +244,8 @@ class Plant:
             rim_m_s = wheel.velocity_rad_s * contact.wheel_radius_m
             travel_m[contact.side] += rim_m_s * SUBSTEP_S / self._per_side[contact.side]
             self.truth.moved_max_m_s = max(self.truth.moved_max_m_s, abs(rim_m_s))
+        for side, part in self.slipping.items():
+            travel_m[side] *= 1.0 - part
         if self._slip_variance_m2_per_m:
             for side, travel in travel_m.items():
                 deviation = math.sqrt(self._slip_variance_m2_per_m * abs(travel))
@@ -259,6 +265,7 @@ class Plant:
         truth.heading_rad = math.remainder(truth.heading_rad + turn_rad, 2.0 * math.pi)
         truth.distance_m += abs(forward_m)
         truth.turned_rad += abs(turn_rad)
+        self.yaw_rad += turn_rad
 
 
 class Encoder:

@@ -28,6 +28,7 @@ from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
 from motord_hal.sim.frame_talk import FrameTalk
 from motord_hal.sim.gateway import GatewayPort
+from motord_hal.sim.gyro import SimulatedGyro
 from motord_hal.sim.line import SimulatedLine
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
 from motord_hal.sim.port import Port, PtyPort
@@ -42,6 +43,10 @@ if TYPE_CHECKING:
 AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
+STAMPED_KINDS = ("can", "mcu")
+"""Kinds of lines whose frames are believed to be of the time at which they go out."""
+SIDES = ("left", "right")
+"""As the fault "slip" numbers them."""
 REPLUG_RETRY_S = 0.1
 JOURNAL_REPLY_ENTRIES = 1000
 """Most of one answer of the control socket; ask again with `since`."""
@@ -112,7 +117,7 @@ class Rig:
         self.plant = self._make_plant()
         self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
         self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
-        self._on_can = any(line.kind == "can" for line in spec.lines)
+        self._stamped = any(line.kind in STAMPED_KINDS for line in spec.lines)
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
         if spec.tagged:
@@ -181,11 +186,16 @@ class Rig:
             return self._make_can_line(line, drives)
         port = self._make_port(line, link_dir)
         if line.kind == "mcu":
-            talk = FrameTalk(line.joints[0].profile)
+            talk = FrameTalk(line.joints[0].profile, self._make_gyro(line))
             return SimulatedBoard(line, drives, self.script, port, talk)
         if line.kind == "ascii":
-            return SimulatedBoard(line, drives, self.script, port, TextTalk(line))
+            return SimulatedBoard(
+                line, drives, self.script, port, TextTalk(line, self._make_gyro(line))
+            )
         return SimulatedLine(line, drives, self.script, port)
+
+    def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
+        return SimulatedGyro(self.plant, line.imu, self.spec.seed) if line.imu else None
 
     def _make_can_line(
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive]
@@ -243,9 +253,9 @@ class Rig:
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus carry the time at
-        which they went out, so what they say has to be of that time."""
-        while self._on_can and self.substep_due(clock()):
+        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus and those of a
+        board carry the time at which they went out, so what they say has to be of that time."""
+        while self._stamped and self.substep_due(clock()):
             self.substep()
         for line in self.lines.values():
             line.work(clock(), clock)
@@ -255,6 +265,10 @@ class Rig:
 
     def substep(self) -> None:
         """One step of the physics, the drives' clocks and the script."""
+        self.plant.slipping = {
+            SIDES[int(fault.values["side"])]: fault.values["part"]
+            for fault in self.script.states("slip", None, self.plant.time_s)
+        }
         self.plant.substep()
         for drive in self._drives:
             drive.tick(self.plant.time_s)

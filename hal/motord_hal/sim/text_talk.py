@@ -6,17 +6,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from motord_hal.ascii.dialect import COUNT, CURRENT, VELOCITY, VOLTAGE, texts_of
+from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
 from motord_hal.ascii.text import Lines
 from motord_hal.ascii.twist import LINEAR, wheels_of
 from motord_hal.ports import LineSpec
 from motord_hal.sim.content import NamedContent
+from motord_hal.sim.gyro import SimulatedGyro
 
 
 class TextTalk:
     """board_line.Talk of a board that reads text."""
 
-    def __init__(self, spec: LineSpec) -> None:
+    def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
+        """`gyro`: a sensor on the board."""
+        self._gyro = gyro
         self._spec, self._said, self._heard = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
@@ -52,7 +55,8 @@ class TextTalk:
     def feedback(self, content: NamedContent, now_s: float) -> bytes:
         del now_s
         assert self._heard is not None  # without feedback there is no time for it
-        numbers = {VOLTAGE: self._si(content, self._profile.bus_voltage)}
+        rate_rad_s = self._gyro.measure().angular_rad_s[2] if self._gyro else 0.0
+        numbers = {VOLTAGE: self._si(content, self._profile.bus_voltage), GYRO_Z: rate_rad_s}
         for joint in self._joints:
             channel = self._profile.channels[joint.channel]
             numbers[joint.name + COUNT] = self._si(content, channel.position)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from motord.bus.messages import wall_time
+from motord.bus.ros2.direct import encoder
 from motord.bus.ros2.nodes import Teller, node_of
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.static_frames import static_transforms
@@ -36,7 +37,7 @@ class Ros2Publisher:
         """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
         self._description = _description(section, station)
         self._node = node_of(station, section)
-        self._feed = station.feed(name, section.rates_hz())
+        self._feed = station.feed(name, section.rates_hz(), encoder)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
                 _NAMES.get(topic, topic), TOPICS[topic].type_name, _QUALITIES.get(topic)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads a chip at an even rate, in a thread of its own: a device that holds the bus blocks for
+seconds, and neither asyncio nor the real-time loop may wait for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from motord_hal.clock import now_ns
+from motord_hal.errors import NoReply
+from motord_hal.i2c.bus import ByteRegisters
+from motord_hal.i2c.imu import ImuChip
+from motord_hal.ports import Mounting
+from motord_hal.rt import Exchange
+
+LATE_NS = 20_000_000
+"""A transfer takes some 0.5 ms; nobody knows when what came after so long was true."""
+TRIES = 3
+"""Failed reads in a row before the chip is given up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSpec:
+    """A chip, and how it is read."""
+
+    kind: str
+    """Of motord_hal.i2c.imu.CHIPS."""
+    rate_hz: float
+    range_rad_s: float
+    mounting: Mounting
+
+
+class ImuReader:
+    """`run` is the thread. Samples go to the loop's mailbox; nobody else may write to it."""
+
+    def __init__(
+        self, spec: ImuSpec, open_device: Callable[[], ByteRegisters], exchange: Exchange
+    ) -> None:
+        self._spec = spec
+        self._open_device = open_device
+        self._exchange = exchange
+        self._stopped = threading.Event()
+        self._epoch = 0
+        self.samples = 0
+        """Handed on so far."""
+        self.late = 0
+        """Thrown away, because they came too late."""
+
+    def stop(self) -> None:
+        """From any thread: `run` returns after the transfer that is under way."""
+        self._stopped.set()
+
+    def run(self) -> None:
+        """Open the chip, set it up and read it until `stop`. Raises HalError for what ends it
+        before; then it may be run again."""
+        spec, device = self._spec, self._open_device()
+        try:
+            chip = ImuChip(
+                spec.kind, device, rate_hz=spec.rate_hz, range_rad_s=spec.range_rad_s,
+                sleep=self._pause,
+            )  # fmt: skip
+            self._epoch += 1
+            self._read_on(chip)
+        finally:
+            device.close()
+
+    def _pause(self, seconds: float) -> None:
+        self._stopped.wait(seconds)
+
+    def _read_on(self, chip: ImuChip) -> None:
+        period_ns = round(1e9 / self._spec.rate_hz)
+        due_ns, failed = now_ns(), 0
+        while not self._stopped.is_set():
+            try:
+                self._read(chip)
+                failed = 0
+            except NoReply:
+                failed += 1
+                if failed >= TRIES:
+                    raise
+            due_ns = max(due_ns + period_ns, now_ns())
+            self._pause((due_ns - now_ns()) * 1e-9)
+
+    def _read(self, chip: ImuChip) -> None:
+        began_ns = now_ns()
+        motion = chip.read()
+        if now_ns() - began_ns > LATE_NS:
+            self.late += 1
+            return
+        mounting = self._spec.mounting
+        self._exchange.put_imu(
+            stamp_ns=began_ns,
+            angular_rad_s=mounting.to_base(motion.angular_rad_s),
+            acceleration_m_s2=mounting.to_base(motion.acceleration_m_s2),
+            saturated=motion.saturated,
+            epoch=self._epoch,
+        )
+        self.samples += 1

@@ -1,0 +1,183 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Every line of encoder.c: the kernel's own event structure through a pipe, a counter's file, and the thread of bridges with
+ * both. */
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/gpio.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "check.h"
+#include "exchange.h"
+
+enum { LINE_A = 17, LINE_B = 27, BURST = 1300 };
+static const int64_t MS = 1000000, START_NS = 1000000000;
+static const double PER_COUNT = 0.005;
+static _Alignas(64) exchange mailboxes;
+
+static encoder_config edges_on(int fd)
+{
+    return (encoder_config){.kind = ENCODER_EDGES, .fd = fd, .a_offset = LINE_A, .b_offset = LINE_B,
+                            .rad_per_count = PER_COUNT};
+}
+
+typedef struct {
+    int out, in;
+    uint32_t step, sequence;
+} wheel;
+
+static wheel new_wheel(void)
+{
+    int fds[2];
+    CHECK(pipe2(fds, O_NONBLOCK) == 0);
+    CHECK(fcntl(fds[1], F_SETPIPE_SZ, 1 << 18) > 0);
+    return (wheel){.out = fds[1], .in = fds[0]};
+}
+
+static void turn(wheel *w, int edges, int64_t gap_ns)
+{
+    for (int i = 0; i < edges; i++) {
+        /* forward: A rises, B rises, A falls, B falls */
+        struct gpio_v2_line_event event = {
+            .timestamp_ns = (uint64_t)(START_NS + (int64_t)w->sequence * gap_ns),
+            .id = w->step < 2 ? GPIO_V2_LINE_EVENT_RISING_EDGE : GPIO_V2_LINE_EVENT_FALLING_EDGE,
+            .offset = w->step % 2 == 0 ? LINE_A : LINE_B,
+            .seqno = ++w->sequence,
+        };
+        w->step = (w->step + 1) % 4;
+        CHECK(write(w->out, &event, sizeof event) == sizeof event);
+    }
+}
+
+static void events_of_the_kernel_are_counted(void)
+{
+    wheel w = new_wheel();
+    encoder_config config = edges_on(w.in);
+    encoder_state state;
+    encoder_init(&state, &config);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 0);
+    turn(&w, 40, MS);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 40);
+    (void)encoder_velocity_rad_s(&state, &config, START_NS + 40 * MS);
+    turn(&w, 40, MS);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 80 * MS) - 1000.0 * PER_COUNT) < 1e-9);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 89 * MS) - 100.0 * PER_COUNT) < 1e-9);
+    CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 400 * MS) == 0.0);
+    turn(&w, BURST, MS);                             /* more than one look takes */
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + 1024);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + BURST);
+    w.sequence += 2;                                 /* two that the kernel dropped */
+    turn(&w, 1, MS);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.lost == 2 && state.epoch == 1);
+    CHECK(state.illegal == 0);
+    w.step = (w.step + 3) % 4;                       /* the level that is there already */
+    turn(&w, 1, MS);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.illegal == 1);
+    CHECK(close(w.out) == 0);
+    CHECK(encoder_read(&state, &config, START_NS) == -ENODEV);
+    CHECK(close(w.in) == 0);
+    CHECK(encoder_read(&state, &config, START_NS) == -EBADF);
+}
+
+static int file_that_says(const char *text)
+{
+    int fd = memfd_create("count", 0);
+    CHECK(fd >= 0 && write(fd, text, strlen(text)) == (ssize_t)strlen(text));
+    return fd;
+}
+
+static void say(int fd, const char *text)
+{
+    CHECK(ftruncate(fd, 0) == 0 && pwrite(fd, text, strlen(text), 0) == (ssize_t)strlen(text));
+}
+
+static void a_counter_is_read_from_its_file(void)
+{
+    encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 65535, .rad_per_count = PER_COUNT};
+    encoder_state state;
+    config.fd = file_that_says("65530\n");
+    encoder_init(&state, &config);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 0);
+    CHECK(encoder_read(&state, &config, START_NS + MS) == 0 && state.edge_ns == 0);
+    say(config.fd, "4\n");
+    CHECK(encoder_read(&state, &config, START_NS + 2 * MS) == 0 && state.count == 10);
+    say(config.fd, "65530\n");
+    CHECK(encoder_read(&state, &config, START_NS + 3 * MS) == 0 && state.count == 0);
+    say(config.fd, "65536\n");
+    CHECK(encoder_read(&state, &config, START_NS + 4 * MS) == 0 && state.illegal == 1);
+    say(config.fd, "many\n");
+    CHECK(encoder_read(&state, &config, START_NS) == -EIO);
+    say(config.fd, "99999999999999999999999\n");
+    CHECK(encoder_read(&state, &config, START_NS) == -EIO);
+    CHECK(close(config.fd) == 0);
+    CHECK(encoder_read(&state, &config, START_NS) == -EBADF);
+    config.kind = ENCODER_NONE;
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && encoder_config_check(&config) == 0);
+    config.kind = 9;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+}
+
+static bool comes_true(uint32_t joint, uint64_t count, joint_feedback *out)
+{
+    const struct timespec moment = {.tv_nsec = 5 * MS};
+    for (int tries = 0; tries < 4000; tries++) {
+        (void)exchange_take_feedback(&mailboxes, joint, out);
+        if (out->stamp_ns > 0 && out->count == count)
+            return true;
+        (void)nanosleep(&moment, NULL);
+    }
+    return false;
+}
+
+static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
+{
+    wheel w = new_wheel();
+    int duty = file_that_says("0\n"), counter = file_that_says("100\n");
+    bridge_config config = {
+        .exchange = &mailboxes, .outputs_fd = -1, .inputs_fd = -1, .event_fd = -1, .period_ns = 2 * MS,
+        .setpoint_timeout_ns = 100 * MS, .stopping_ns = 300 * MS, .epoch = 3, .joint_count = 3, .output_count = 1,
+        .joint = {{.index = 0, .sign = 1.0, .encoder = edges_on(w.in)},
+                  {.index = 1, .sign = 1.0,
+                   .encoder = {.kind = ENCODER_COUNTER, .fd = counter, .ceiling = UINT64_MAX, .rad_per_count = -1.0}},
+                  {.index = 2, .sign = 1.0}},
+        .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
+    };
+    joint_feedback said;
+    bridge_report report;
+    exchange_init(&mailboxes);
+    config.joint[0].encoder.rad_per_count = NAN;
+    CHECK(pwm_line_start(0, &config) == -EINVAL);
+    config.joint[0].encoder.rad_per_count = PER_COUNT;
+    CHECK(pwm_line_start(0, &config) == 0);
+    turn(&w, 9, MS);
+    CHECK(comes_true(0, 9, &said) && said.epoch == 3u << 16 && isfinite(said.velocity_rad_s));
+    CHECK(comes_true(1, 0, &said));
+    CHECK(comes_true(2, 0, &said) && isnan(said.velocity_rad_s));
+    say(counter, "95\n");
+    CHECK(comes_true(1, (uint64_t)-5, &said));
+    w.sequence += 4;
+    turn(&w, 1, MS);
+    CHECK(comes_true(0, 10, &said) && said.epoch == (3u << 16) + 1);
+    CHECK(close(w.out) == 0);                        /* the chip is gone: the motors rest */
+    const struct timespec moment = {.tv_nsec = 5 * MS};
+    int tries = 0;
+    do {
+        (void)nanosleep(&moment, NULL);
+        CHECK(pwm_line_read_report(0, &report) == 0);
+    } while (report.running && tries++ < 4000);
+    CHECK(!report.running && report.error == ENODEV && report.error_output == -2 && report.encoder_lost == 4);
+    CHECK(pwm_line_stop(0) == 0);
+}
+
+int main(void)
+{
+    events_of_the_kernel_are_counted();
+    a_counter_is_read_from_its_file();
+    the_thread_of_bridges_feeds_back_what_its_encoders_count();
+    return checks_report("test_encoder");
+}

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""[joint.NAME.encoder] in a robot file: what it may say, and what core and line are told."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from motord import assembly
+from motord.config import ConfigError, load_robot
+from motord.config.wiring import line_specs
+from motord_hal.ports import CounterEncoder, EdgesEncoder
+
+ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi4-encoders.toml").read_text("utf-8")
+GPIO = 'kind = "gpio"'
+
+
+@pytest.fixture
+def load(tmp_path):
+    def read(*edits):
+        text = ROBOT
+        for old, new in edits:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "robot.toml"
+        path.write_text(text, encoding="utf-8")
+        return load_robot(path)
+
+    return read
+
+
+def rows(load, *edits):
+    with pytest.raises(ConfigError) as caught:
+        load(*edits)
+    return [f"{row.key}: {row.text}" for row in caught.value.problems]
+
+
+def told(robot):
+    profiles = assembly.profiles_of(robot)
+    (spec,) = line_specs(robot, profiles)
+    return assembly.core_config(robot, profiles)["joint"], [j.encoder for j in spec.joints]
+
+
+def test_core_and_line_get_the_same_angle_of_a_count_with_its_sign(load):
+    (left, right), (a, b) = told(load())
+    turn = 2.0 * math.pi / (1320 * 1.0)
+    assert (left["counter_bits"], right["counter_bits"]) == (64, 64)
+    assert (left["rad_per_count"], a.rad_per_count) == (pytest.approx(turn),) * 2
+    assert (right["rad_per_count"], b.rad_per_count) == (pytest.approx(-turn),) * 2
+    assert isinstance(a, EdgesEncoder)
+    assert (a.gpio_chip, a.a, a.b, a.pull) == ("pinctrl-bcm2711", "GPIO17", "GPIO27", "up")
+
+
+def test_an_encoder_with_swapped_channels_counts_the_other_way(load):
+    (left, _), (a, _) = told(load((GPIO, GPIO + "\nreversed = true")))
+    assert left["rad_per_count"] == a.rad_per_count < 0.0
+
+
+def test_a_counter_of_the_kernel_is_handed_on(load):
+    edges = GPIO + '\na = "GPIO17"\nb = "GPIO27"\npull = "up"'
+    counter = 'kind = "counter"\ncounter = "44000000.timer"\ncount = 1'
+    _, (a, _) = told(load((edges, counter)))
+    assert isinstance(a, CounterEncoder)
+    assert (a.counter, a.count) == ("44000000.timer", 1)
+
+
+def test_with_encoders_nothing_is_said_of_missing_counters(load):
+    assert not [row for row in load().warnings if "counter" in row.text]
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        ([('a = "GPIO17"', 'a = "GPIO27"')], "a and b are the same line (GPIO27)"),
+        ([('a = "GPIO17"', 'a = "GPIO5"')], "GPIO5 is pin in1 already"),
+        (
+            [("full_duty_rad_s = 18.0", "full_duty_rad_s = 18.0\ncounts_per_turn = 5")],
+            "is that of the encoder: say it there",
+        ),
+        (
+            [("counts_per_turn = 1320", "")],
+            "joint.left.encoder.counts_per_turn: is missing",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_said(load, edits, words):
+    assert any(words in row for row in rows(load, *edits)), rows(load, *edits)
+
+
+def test_a_drive_that_counts_itself_gets_no_encoder(tmp_path):
+    demo = (Path(__file__).resolve().parents[2] / "config/robots/esp32.toml").read_text("utf-8")
+    path = tmp_path / "robot.toml"
+    section = '\n[joint.left.encoder]\nkind = "gpio"\na = "1"\nb = "2"\ncounts_per_turn = 4\n'
+    path.write_text(demo + section, encoding="utf-8")
+    with pytest.raises(ConfigError, match='is only for a line of kind "pwm": this one is "mcu"'):
+        load_robot(path)
