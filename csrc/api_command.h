@@ -7,9 +7,10 @@
 /* ------------------------------------------------------------------------------------------------ commands
  * Who may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
  * grants leases and ends them; who of them is in command, and whether he may move anything, is decided here. */
-enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_BYTES = 64, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
+enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
+enum { COMMAND_BYTES = 64, JOINT_COMMAND_BYTES = 112 };
 
-typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2 } command_kind;
+typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
 /* One datagram, little-endian as the machine is. docs/commands.md */
 typedef struct {
@@ -24,6 +25,19 @@ typedef struct {
     double linear_m_s;
     double angular_rad_s;
 } command_datagram;
+
+/* COMMAND_JOINTS: the same head, and what each wheel shall do. */
+typedef struct {
+    uint32_t magic;
+    uint16_t version;
+    uint16_t kind;
+    uint8_t token[TOKEN_BYTES];
+    uint64_t sequence;
+    int64_t stamp_ns;
+    uint32_t lifetime_ms;
+    uint32_t joint_count;       /* the robot's */
+    double velocity_rad_s[JOINTS_MAX];   /* in the order of the robot file; those beyond joint_count do not count */
+} joint_datagram;
 
 typedef struct {
     uint8_t token[TOKEN_BYTES];
@@ -45,7 +59,8 @@ typedef enum {
     REFUSED_AGE = 3,            /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5,     /* and the lease commands zero */
-    REFUSAL_KINDS = 6
+    REFUSED_JOINTS = 6,         /* another number of them, or nothing that the base can do: it commands zero, too */
+    REFUSAL_KINDS = 7
 } command_refusal;
 
 /* What a lease has come to. */
@@ -73,18 +88,24 @@ typedef struct {
 
 typedef struct {
     lease_grants grants;
+    const core_config *base;    /* whose joints are commanded; none: no command of joints is obeyed */
     uint64_t comers;            /* leases that have come alive so far */
     int64_t last_stamp_ns;      /* of the command before */
     command_report report;
 } arbiter;
 
-void arbiter_init(arbiter *a);
+/* `base` may be none, and else stays the caller's for as long as the arbiter is used. */
+void arbiter_init(arbiter *a, const core_config *base);
 /* New leases begin, those that are not named any more end; the others go on. */
 void arbiter_grant(arbiter *a, const lease_grants *grants);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
 /* Once a tick, after what came was submitted: who commands, and what. */
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
+
+/* The twist that wheel speeds are. False: they are none, for wheels of one side want different ways. A speed that is
+ * not finite makes a twist that is not. */
+bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s);
 
 /* Mailboxes of the exchange, as those of api.h. */
 void exchange_put_grants(exchange *x, const lease_grants *grants);       /* asyncio → loop */

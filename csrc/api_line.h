@@ -23,9 +23,11 @@ enum {
     LINE_ASKS_MAX = 8
 };
 
-typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2 } frame_seal;
+typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SEAL_ASKED = 4 } frame_seal;
 /* CRC16  Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first
- * CRC8   CRC-8/MAXIM (reflected 0x31): last byte */
+ * CRC8   CRC-8/MAXIM (reflected 0x31): last byte
+ * XMODEM CRC-16/XMODEM (0x1021, not reflected, start 0): last two bytes, high one first
+ * ASKED  of a reply: the same over the request's first two bytes and the reply (RoboClaw packet serial) */
 
 /* A request and what its answer must look like. */
 typedef struct {
@@ -36,7 +38,8 @@ typedef struct {
     uint32_t request_seal;      /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
     uint32_t has_exceptions;    /* 1: five bytes with the function's top bit set are a refusal (Modbus) */
-    uint32_t reserved;
+    uint32_t exact;             /* 1: the reply does not say what it answers: it is all that comes, and after a failure
+                                   nobody is asked until a late one has passed */
     uint8_t match[FRAME_MATCH_MAX];
     uint8_t request[FRAME_BYTES_MAX];
 } line_frame;
@@ -121,6 +124,8 @@ typedef struct {
     uint32_t way_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
+    uint32_t idle_count;        /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
+    uint32_t reserved;
     uint32_t probe;             /* 1 + number of the cyclic exchange that asks whether a quiet drive is back; 0: extra[0],
                                    or the first cyclic one, with zeros, where there is no other */
     line_exchange cyclic[DRIVE_CYCLIC_MAX];      /* in their order: set-points first */
@@ -128,6 +133,7 @@ typedef struct {
     line_way way[DRIVE_WAYS_MAX];
     line_frame quick_stop[DRIVE_STOP_MAX];
     line_frame disarm[DRIVE_STOP_MAX];
+    line_frame idle[1];
 } line_drive;
 
 typedef struct {

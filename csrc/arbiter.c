@@ -3,20 +3,24 @@
  * for motion while nobody may move is held: his command counts as zero until he has asked for zero himself or has let
  * it lapse. So a source that goes on sending through a stop, or before arming, moves nothing. */
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "rt.h"
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
+_Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md promises this layout");
+_Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
 
 static const int64_t FUTURE_NS = 10000000;   /* the sender's clock is this machine's: more is a mistake */
 static const int64_t NS_PER_MS = 1000000;
 /* What is shorter would lapse between two commands, and the hold of who is held with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
 
-void arbiter_init(arbiter *a)
+void arbiter_init(arbiter *a, const core_config *base)
 {
     memset(a, 0, sizeof *a);
+    a->base = base;
 }
 
 static bool alive(const lease_state *lease, int64_t now_ns)
@@ -89,7 +93,8 @@ static bool is_new(const lease_state *lease, uint64_t sequence)
     return lease->sequence == 0 ? sequence != 0 : (int64_t)(sequence - lease->sequence) > 0;
 }
 
-static int take(arbiter *a, uint32_t place, const command_datagram *command, int64_t now_ns, bool may_move)
+/* `possible`: the base can do it, if it is finite. */
+static int take(arbiter *a, uint32_t place, const command_datagram *command, bool possible, int64_t now_ns, bool may_move)
 {
     const lease_grant *grant = &a->grants.lease[place];
     lease_state *lease = &a->report.lease[place];
@@ -104,6 +109,7 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, int
         return refuse(a, REFUSED_AGE);
     }
     bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
+    bool good = finite && possible;
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
     bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
@@ -111,26 +117,47 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, int
     lease->sequence = command->sequence;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
-    lease->linear_m_s = finite ? command->linear_m_s : 0.0;
-    lease->angular_rad_s = finite ? command->angular_rad_s : 0.0;
+    lease->linear_m_s = good ? command->linear_m_s : 0.0;
+    lease->angular_rad_s = good ? command->angular_rad_s : 0.0;
     lease->held = wants_motion(lease) && (!may_move || barred);
-    if (!finite) {
+    if (!good) {
         lease->held = barred;   /* that was no zero */
-        return refuse(a, REFUSED_NOT_FINITE);
+        return refuse(a, finite ? REFUSED_JOINTS : REFUSED_NOT_FINITE);
     }
     a->report.accepted++;
     return 0;
 }
 
+/* The datagram in the form of a twist. */
+static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
+{
+    if (bytes != COMMAND_BYTES && bytes != JOINT_COMMAND_BYTES) {
+        return false;
+    }
+    memcpy(command, datagram, sizeof *command);
+    if (command->magic != COMMAND_MAGIC || command->version != COMMAND_VERSION) {
+        return false;
+    }
+    if (bytes == JOINT_COMMAND_BYTES) {
+        return command->kind == COMMAND_JOINTS;
+    }
+    return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
+}
+
+/* False: nothing that this base can do. */
+static bool read_joints(const arbiter *a, const void *datagram, command_datagram *command)
+{
+    joint_datagram joints;
+    memcpy(&joints, datagram, sizeof joints);
+    command->linear_m_s = command->angular_rad_s = 0.0;
+    return a->base != NULL && joints.joint_count == a->base->joint_count &&
+           joints_twist(a->base, joints.velocity_rad_s, &command->linear_m_s, &command->angular_rad_s);
+}
+
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move)
 {
     command_datagram command;
-    if (bytes != sizeof command) {
-        return refuse(a, REFUSED_FORM);
-    }
-    memcpy(&command, datagram, sizeof command);
-    if (command.magic != COMMAND_MAGIC || command.version != COMMAND_VERSION ||
-        (command.kind != COMMAND_TWIST && command.kind != COMMAND_RELEASE)) {
+    if (!read_form(datagram, bytes, &command)) {
         return refuse(a, REFUSED_FORM);
     }
     uint32_t place = find(a, command.token);
@@ -142,7 +169,8 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
         a->report.accepted++;
         return 0;
     }
-    return take(a, place, &command, now_ns, may_move);
+    bool possible = command.kind != COMMAND_JOINTS || read_joints(a, datagram, &command);
+    return take(a, place, &command, possible, now_ns, may_move);
 }
 
 static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)

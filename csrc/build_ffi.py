@@ -34,6 +34,7 @@ HEADERS = (
     "api_command.h",
     "api_line.h",
     "api_can.h",
+    "api_board.h",
     "api_encoder.h",
     "api_bridge.h",
     "api_journal.h",

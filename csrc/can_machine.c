@@ -14,6 +14,35 @@ static int64_t earlier(int64_t a, int64_t b)
 }
 
 /* -------------------------------------------------------------------------------------------------- beginning */
+static bool has_power(const can_input *input)
+{
+    for (uint32_t i = 0; i < input->field_count; i++) {
+        if (input->field[i].kind == FIELD_ENABLED) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void init_inputs(can_drive_state *drive, const can_drive *table)
+{
+    for (uint32_t i = 0; i < table->input_count; i++) {
+        drive->fast |= (uint32_t)(table->input[i].fast != 0) << i;
+        drive->powers |= (uint32_t)has_power(&table->input[i]) << i;
+        drive->silence_ns[i] = table->input[i].silence_ns;
+    }
+}
+
+static void add_route(can_machine *m, uint32_t drive, uint32_t match)
+{
+    const can_route one = {.id = m->table.drive[drive].match[match].id, .drive = (uint16_t)drive, .match = (uint16_t)match};
+    uint32_t at = m->route_count++;
+    for (; at > 0 && m->route[at - 1].id > one.id; at--) {
+        m->route[at] = m->route[at - 1];
+    }
+    m->route[at] = one;
+}
+
 static void init_drive(can_machine *m, uint32_t number, uint32_t epoch)
 {
     can_drive_state *drive = &m->drive[number];
@@ -24,6 +53,10 @@ static void init_drive(can_machine *m, uint32_t number, uint32_t epoch)
         for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
             drive->joints |= 1U << table->output[o].setpoint[i].joint;
         }
+    }
+    init_inputs(drive, table);
+    for (uint32_t i = 0; i < table->match_count; i++) {
+        add_route(m, number, i);
     }
     can_hold_nothing(m, number);
     can_forget(m, number);
@@ -56,16 +89,6 @@ static bool matches(const can_match *match, const can_packet *packet)
     return alike;
 }
 
-static bool has_power(const can_input *input)
-{
-    for (uint32_t i = 0; i < input->field_count; i++) {
-        if (input->field[i].kind == FIELD_ENABLED) {
-            return true;
-        }
-    }
-    return false;
-}
-
 static void take_input(can_machine *m, uint32_t number, uint32_t place, const can_packet *packet, int64_t stamp_ns,
                        int64_t now_ns)
 {
@@ -76,44 +99,61 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
         return;
     }
     drive->sample_ns[place] = stamp_ns;
+    drive->known |= 1U << place;
     can_read(m, number, input, packet->data, stamp_ns);
     bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
-    if (cyclic && input->fast != 0) {
+    if (cyclic && (drive->fast >> place & 1) != 0) {
         can_publish(m, number);
-        if (has_power(input)) {
+        if ((drive->powers >> place & 1) != 0) {
             can_check_power(m, number, now_ns);
         }
     }
 }
 
+/* The first of the identifier's. */
+static uint32_t first_route(const can_machine *m, uint32_t id)
+{
+    uint32_t low = 0, high = m->route_count;
+    while (low < high) {
+        uint32_t middle = (low + high) / 2;
+        if (m->route[middle].id < id) {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+static uint32_t take_match(can_machine *m, uint32_t number, const can_match *match, const can_packet *packet,
+                           int64_t stamp_ns, int64_t now_ns)
+{
+    m->received++;
+    m->drive[number].received++;
+    m->drive[number].newest_ns = stamp_ns;
+    if (match->input > 0) {
+        take_input(m, number, match->input - 1, packet, stamp_ns, now_ns);
+    }
+    bool listening = (m->control.listen >> number & 1) != 0;
+    m->news |= listening;
+    return listening ? number : (uint32_t)CAN_FOR_NOBODY;
+}
+
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns)
 {
-    bool known = false;
     if ((packet->id & CAN_ID_ERROR) != 0) {
         m->news = true;
         return CAN_DRIVES_MAX;
     }
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        const can_drive *table = &m->table.drive[i];
-        for (uint32_t n = 0; n < table->match_count; n++) {
-            const can_match *match = &table->match[n];
-            if (match->id != packet->id) {   /* a remote frame's differs, too */
-                continue;
-            }
-            known = true;
-            if (!matches(match, packet)) {
-                continue;
-            }
-            m->received++;
-            m->drive[i].received++;
-            m->drive[i].newest_ns = stamp_ns;
-            if (match->input > 0) {
-                take_input(m, i, match->input - 1, packet, stamp_ns, now_ns);
-            }
-            bool listening = (m->control.listen >> i & 1) != 0;
-            m->news |= listening;
-            return listening ? i : (uint32_t)CAN_FOR_NOBODY;
+    bool known = false;
+    uint32_t i = first_route(m, packet->id);   /* a remote frame's differs, too */
+    for (; i < m->route_count && m->route[i].id == packet->id; i++) {
+        uint32_t drive = m->route[i].drive;
+        const can_match *match = &m->table.drive[drive].match[m->route[i].match];
+        if (matches(match, packet)) {
+            return take_match(m, drive, match, packet, stamp_ns, now_ns);
         }
+        known = true;
     }
     m->bad_frames += known;
     return CAN_FOR_NOBODY;

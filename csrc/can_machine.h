@@ -48,6 +48,10 @@ typedef struct {
     int64_t quiet_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
+    uint32_t fast;              /* bit n: input n of the table is fast, ... */
+    uint32_t powers;            /* ... says whether it has power, */
+    uint32_t known;             /* ... has come since it was set up */
+    int64_t silence_ns[CAN_INPUTS_MAX];     /* the table's, in one place: looked at in each round */
     int64_t heard_ns[CAN_INPUTS_MAX];       /* 0: never */
     int64_t sample_ns[CAN_INPUTS_MAX];      /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
@@ -67,8 +71,17 @@ typedef struct {
     uint32_t fault_word;
 } can_joint_state;
 
+/* The match of the table that an identifier may be. */
+typedef struct {
+    uint32_t id;
+    uint16_t drive;
+    uint16_t match;
+} can_route;
+
 typedef struct {
     can_table table;
+    can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX];   /* by identifier; those of one, in the table's order */
+    uint32_t route_count;
     can_drive_state drive[CAN_DRIVES_MAX];
     can_joint_state joint[JOINTS_MAX];
     setpoints newest;           /* the core's */

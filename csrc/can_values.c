@@ -165,20 +165,10 @@ static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
     return (m->drive[drive].joints >> joint & 1) != 0;
 }
 
-static bool all_known(const can_machine *m, uint32_t drive)
-{
-    const can_drive *table = &m->table.drive[drive];
-    for (uint32_t i = 0; i < table->input_count; i++) {
-        if (table->input[i].fast != 0 && m->drive[drive].sample_ns[i] == 0) {
-            return false;
-        }
-    }
-    return true;
-}
-
 void can_publish(can_machine *m, uint32_t drive)
 {
-    if (!all_known(m, drive)) {
+    const can_drive_state *state = &m->drive[drive];
+    if ((state->fast & ~state->known) != 0) {
         return;
     }
     m->drive[drive].cycles++;
@@ -206,6 +196,7 @@ void can_forget(can_machine *m, uint32_t drive)
         }
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);
+    m->drive[drive].known = 0;
     m->drive[drive].enabled = 2;
 }
 

@@ -30,7 +30,7 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
     uint32_t taken = 0;
     for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
         for (uint32_t n = 0; in->fd[i] >= 0 && n < DATAGRAMS_A_SOCKET; n++) {
-            uint8_t datagram[COMMAND_BYTES + 1];   /* one more shows what is too long */
+            uint8_t datagram[JOINT_COMMAND_BYTES + 1];   /* one more shows what is too long */
             ssize_t bytes = recv(in->fd[i], datagram, sizeof datagram, MSG_DONTWAIT);
             if (bytes < 0) {
                 break;

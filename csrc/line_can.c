@@ -2,24 +2,19 @@
  * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is said and when is the machine's. */
 #include <errno.h>
 #include <linux/can.h>
-#include <poll.h>
-#include <pthread.h>
 #include <string.h>
-#include <sys/eventfd.h>
-#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/uio.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "can_machine.h"
-#include "loop.h"
+#include "line_thread.h"
 #include "ring.h"
 
-enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = 64 };
+enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
 static const int64_t NS_PER_S = 1000000000;
-static const int64_t REPORT_EVERY_NS = 40 * 1000000;
 /* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more than many frames. */
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
 /* A stamp that says that the frame is older, or of the future, is more likely to be wrong: the wall clock was set. */
@@ -35,20 +30,23 @@ typedef struct {
     can_report slot[MAILBOX_SLOTS];
 } report_box_can;
 
+/* What belongs to a message, side by side: after a sleep the caches are cold. */
+typedef struct {
+    _Alignas(CACHE_LINE_BYTES) struct iovec iov;
+    struct canfd_frame frame;
+    _Alignas(struct cmsghdr) uint8_t control[CONTROL_BYTES];
+} can_letter;
+
 /* Where recvmmsg writes to. */
 typedef struct {
-    struct canfd_frame frame[BATCH];
-    struct iovec place[BATCH];
     struct mmsghdr message[BATCH];
-    _Alignas(struct cmsghdr) uint8_t control[BATCH][CONTROL_BYTES];
+    can_letter letter[BATCH];
 } can_inbox;
 
 typedef struct {
+    line_thread life;
     can_machine machine;
     can_config config;
-    loop_grant grant;
-    pthread_t thread;
-    exchange *exchange;
     control_box_can control;
     report_box_can report;
     ring orders, heard;
@@ -56,17 +54,8 @@ typedef struct {
     can_received heard_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
     can_report out;
-    uint32_t number;
     uint32_t outputs[CAN_DRIVES_MAX];   /* of each drive, for who puts orders; 0: no such drive */
-    int wake_fd;
-    bool made;                          /* wake_fd is there, for good: the loop may write to it at any time */
-    bool joinable;
     int send_error;
-    long page_fault_base;
-    int64_t reported_ns;
-    uint64_t cycles_reported;
-    _Atomic bool running;
-    _Atomic bool stop_asked;
 } can_thread;
 
 static can_thread threads[LINES_MAX];
@@ -96,9 +85,10 @@ static bool send_packet(void *sink, const can_packet *packet)
 static void prepare_inbox(can_inbox *inbox)
 {
     for (uint32_t i = 0; i < BATCH; i++) {
-        inbox->place[i] = (struct iovec){.iov_base = &inbox->frame[i], .iov_len = sizeof inbox->frame[i]};
-        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &inbox->place[i], .msg_iovlen = 1,
-                                                    .msg_control = inbox->control[i]};
+        can_letter *letter = &inbox->letter[i];
+        letter->iov = (struct iovec){.iov_base = &letter->frame, .iov_len = sizeof letter->frame};
+        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &letter->iov, .msg_iovlen = 1,
+                                                    .msg_control = letter->control, .msg_controllen = CONTROL_BYTES};
     }
 }
 
@@ -137,9 +127,6 @@ static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
     struct timespec wall;
-    for (uint32_t i = 0; i < BATCH; i++) {
-        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
-    }
     int count = recvmmsg(t->config.fd, inbox->message, BATCH, MSG_DONTWAIT, NULL);
     if (count < 0) {
         return errno == EAGAIN || errno == EINTR ? 0 : -errno;
@@ -151,7 +138,8 @@ static int receive_batch(can_thread *t)
             return -ENODEV;   /* a socket pair's other end has gone */
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, now_ns, wall_ns);
-        take_frame(t, &inbox->frame[i], inbox->message[i].msg_len, stamp_ns, now_ns);
+        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;   /* the kernel has written how much it used */
+        take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
     }
     return count;
 }
@@ -175,33 +163,14 @@ static int socket_error(const can_thread *t)
 }
 
 /* ------------------------------------------------------------------------------------------------- the hand-over */
-static void tell(const can_thread *t)
-{
-    const uint64_t one = 1;
-    if (t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
-        return;   /* full: it is told already */
-    }
-}
-
-static void count_page_faults(can_thread *t)
-{
-    struct rusage usage;
-    if (getrusage(RUSAGE_THREAD, &usage) == 0) {
-        long faults = usage.ru_minflt + usage.ru_majflt;
-        if (t->out.cycles == 0) {
-            t->page_fault_base = faults;
-        }
-        t->out.page_faults = (uint64_t)(faults - t->page_fault_base);
-    }
-}
-
 static void put_report(can_thread *t, bool running, int error)
 {
     can_machine_report(&t->machine, &t->out);
     t->out.running = running;
     t->out.error = error;
-    t->out.policy = t->grant.policy;
-    t->out.scheduler_errno = t->grant.scheduler_errno;
+    t->out.policy = t->life.grant.policy;
+    t->out.scheduler_errno = t->life.grant.scheduler_errno;
+    t->out.page_faults = t->life.page_faults;
     mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
 }
 
@@ -210,21 +179,16 @@ static void hand_on(can_thread *t, int64_t now_ns)
     can_machine *m = &t->machine;
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         if ((m->feedback_mask >> joint & 1) != 0) {
-            (void)exchange_put_feedback(t->exchange, joint, &m->joint[joint].feedback);
+            (void)exchange_put_feedback(t->life.at.exchange, joint, &m->joint[joint].feedback);
         }
     }
     m->feedback_mask = 0;
-    bool often = now_ns - t->reported_ns >= REPORT_EVERY_NS;
-    if (often) {
-        t->reported_ns = now_ns;
-        count_page_faults(t);
-    }
-    if (m->news || often || m->cycles != t->cycles_reported) {
-        t->cycles_reported = m->cycles;
+    bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
+    if (m->news || due) {
         put_report(t, true, 0);
     }
     if (m->news) {
-        tell(t);
+        line_thread_tell(&t->life);
     }
     m->news = false;
 }
@@ -239,32 +203,16 @@ static void take_orders(can_thread *t)
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-static void drain_wake(const can_thread *t)
-{
-    uint64_t count;
-    if (read(t->wake_fd, &count, sizeof count) < 0) {
-        return;
-    }
-}
-
 /* Frames, a wake or the time. 0; -errno: the bus is gone. */
 static int wait_for_news(const can_thread *t, int64_t until_ns)
 {
-    struct pollfd fds[2] = {{.fd = t->wake_fd, .events = POLLIN}, {.fd = t->config.fd, .events = POLLIN}};
-    int64_t left_ns = until_ns - clock_now_ns();
-    left_ns = left_ns > 0 ? left_ns : 0;
-    struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
-    nfds_t count = left_ns <= FRAMES_WAIT_NS && t->machine.control.listen == 0 ? 1 : 2;
-    if (ppoll(fds, count, &left, NULL) < 0) {
-        return errno == EINTR ? 0 : -errno;
-    }
-    if ((fds[0].revents & POLLIN) != 0) {
-        drain_wake(t);
-    }
-    if ((fds[1].revents & (POLLERR | POLLNVAL)) != 0) {
+    struct pollfd fds[2] = {[1] = {.fd = t->config.fd, .events = POLLIN}};
+    bool soon = until_ns - clock_now_ns() <= FRAMES_WAIT_NS && t->machine.control.listen == 0;
+    int woken = line_thread_wait(&t->life, fds, soon ? 1 : 2, until_ns);
+    if (woken >= 0 && (fds[1].revents & (POLLERR | POLLNVAL)) != 0) {
         return socket_error(t);
     }
-    return 0;
+    return woken < 0 ? woken : 0;
 }
 
 static int go_round(can_thread *t, int64_t *wake_ns)
@@ -272,7 +220,7 @@ static int go_round(can_thread *t, int64_t *wake_ns)
     /* the control first: what is heard while Python listens is for it */
     (void)mailbox_take(&t->control.box, t->control.slot, &t->machine.control, sizeof t->machine.control);
     int error = receive(t);
-    (void)exchange_take_setpoints(t->exchange, t->number, &t->machine.newest);
+    (void)exchange_take_setpoints(t->life.at.exchange, t->life.at.line, &t->machine.newest);
     take_orders(t);
     int64_t now_ns = clock_now_ns();
     t->send_error = 0;
@@ -287,47 +235,28 @@ static void *run(void *arg)
     can_thread *t = arg;
     int64_t wake_ns = 0;
     int error = 0;
-    loop_thread_prepare(&(loop_config){.cpu_mask = t->config.cpu_mask}, &t->grant);
-    (void)pthread_setname_np(pthread_self(), "motord-can");
-    while (!t->stop_asked && error == 0) {
+    line_thread_begin(&t->life, "motord-can");
+    while (!t->life.stop_asked && error == 0) {
         error = go_round(t, &wake_ns);
         error = error != 0 ? error : wait_for_news(t, wake_ns);
     }
-    count_page_faults(t);
+    line_thread_count_page_faults(&t->life, t->machine.cycles > 0);
     put_report(t, false, -error);
-    t->running = false;
-    tell(t);
+    line_thread_end(&t->life);
     return NULL;
 }
 
 /* ---------------------------------------------------------------------------------------------------- its life */
-static int make_wake(can_thread *t)
+static int prepare(can_thread *t, const can_config *config, const can_table *table)
 {
-    if (!t->made) {
-        t->wake_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-        if (t->wake_fd < 0) {
-            return -errno;
-        }
-        t->made = true;
-    }
-    return 0;
-}
-
-static int prepare(can_thread *t, uint32_t line, const can_config *config, const can_table *table)
-{
-    int error = make_wake(t);
-    if (error == 0) {
-        error = can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns());
-    }
+    int error = can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns());
     if (error != 0) {
         return error;
     }
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;
     }
-    t->number = line;
     t->config = *config;
-    t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
     memset(&t->control, 0, sizeof t->control);
     memset(&t->report, 0, sizeof t->report);
     memset(&t->orders, 0, sizeof t->orders);
@@ -336,67 +265,42 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
     mailbox_init(&t->control.box);
     mailbox_init(&t->report.box);
     prepare_inbox(&t->inbox);
-    t->reported_ns = 0;
-    t->cycles_reported = 0;
-    t->stop_asked = false;
     return 0;
 }
 
 int can_start(uint32_t line, const can_config *config, const can_table *table)
 {
-    if (line >= LINES_MAX || config->fd < 0 || config->priority < 0 || config->priority > 99) {
+    if (line >= LINES_MAX || config->fd < 0) {
         return -EINVAL;
     }
     can_thread *t = &threads[line];
-    if (t->joinable) {
-        return -EBUSY;
-    }
-    int error = prepare(t, line, config, table);
+    int error = line_thread_prepare(&t->life, &(line_place){.line = line, .event_fd = config->event_fd,
+                                                            .priority = config->priority, .cpu_mask = config->cpu_mask,
+                                                            .exchange = config->exchange});
+    error = error == 0 ? prepare(t, config, table) : error;
     if (error == 0) {
-        t->running = true;
         put_report(t, true, 0);
-        error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
-    }
-    t->joinable = t->running = error == 0;
-    if (error == 0) {
-        (void)exchange_set_line_wake(t->exchange, line, t->wake_fd);
+        error = line_thread_start(&t->life, run, t);
     }
     return error;
 }
 
-static void wake(const can_thread *t)
-{
-    const uint64_t one = 1;
-    if (write(t->wake_fd, &one, sizeof one) < 0) {
-        return;   /* full: it is awake */
-    }
-}
-
 int can_stop(uint32_t line)
 {
-    if (line >= LINES_MAX || !threads[line].joinable) {
-        return -ESRCH;
-    }
-    can_thread *t = &threads[line];
-    (void)exchange_set_line_wake(t->exchange, line, -1);
-    t->stop_asked = true;
-    wake(t);
-    int error = pthread_join(t->thread, NULL);
-    t->joinable = false;
-    return -error;
+    return line < LINES_MAX ? line_thread_stop(&threads[line].life) : -ESRCH;
 }
 
 void can_put_control(uint32_t line, const can_control *control)
 {
-    if (line < LINES_MAX && threads[line].made) {
+    if (line < LINES_MAX && threads[line].life.made) {
         mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
-        wake(&threads[line]);
+        line_thread_wake(&threads[line].life);
     }
 }
 
 int can_put_order(uint32_t line, const can_order *order)
 {
-    if (line >= LINES_MAX || !threads[line].running) {
+    if (line >= LINES_MAX || !threads[line].life.running) {
         return -ESRCH;
     }
     can_thread *t = &threads[line];
@@ -407,7 +311,7 @@ int can_put_order(uint32_t line, const can_order *order)
     if (!ring_put(&t->orders, t->order_place, CAN_ORDERS_MAX, order, sizeof *order)) {
         return -EAGAIN;
     }
-    wake(t);
+    line_thread_wake(&t->life);
     return 0;
 }
 
@@ -419,7 +323,7 @@ int can_take_received(uint32_t line, can_received *out)
 
 int can_read_report(uint32_t line, can_report *out)
 {
-    if (line >= LINES_MAX || !threads[line].made) {
+    if (line >= LINES_MAX || !threads[line].life.made) {
         return -ESRCH;
     }
     (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);

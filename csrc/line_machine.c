@@ -165,6 +165,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
         line_drive_answered(m, worker, reply, now_ns);
     } else if (worker < m->table.drive_count) {
         line_drive_failed(m, worker, kind, verdict->exception, now_ns);
+        m->free_ns = m->transaction.frame.exact != 0 ? later(m->free_ns, now_ns + m->bound_ns) : m->free_ns;
         m->slot_due_ns = later(m->slot_due_ns, now_ns);   /* who had to wait goes before a probe, which may take as long */
         doubt_echo(m);
     }

@@ -11,13 +11,17 @@ static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
 static void check_frame(finding *f, const line_frame *frame)
 {
     uint32_t sum = rtu_seal_bytes(frame->request_seal);
-    need(f, frame->request_seal <= SEAL_CRC8, "request_seal");
-    need(f, frame->reply_seal <= SEAL_CRC8, "reply_seal");
+    need(f, frame->request_seal <= SEAL_XMODEM, "request_seal");
+    need(f, frame->reply_seal <= SEAL_CRC8 || (frame->reply_seal == SEAL_ASKED && frame->exact != 0), "reply_seal");
     need(f, frame->request_bytes > sum && frame->request_bytes <= FRAME_BYTES_MAX, "request_bytes");
     need(f, frame->reply_bytes <= FRAME_BYTES_MAX, "reply_bytes");
     need(f, frame->match_bytes <= FRAME_MATCH_MAX, "match_bytes");
     need(f, frame->echo_bytes <= frame->request_bytes, "echo_bytes");
-    if (frame->reply_bytes > 0) {
+    if (frame->exact != 0) {
+        bool sealed = frame->reply_seal == SEAL_ASKED && frame->request_bytes >= 2 && frame->reply_bytes > 2;
+        bool known = frame->match_bytes > 0 && frame->match_bytes == frame->reply_bytes && frame->echo_bytes == 0;
+        need(f, sealed || (known && frame->reply_seal == SEAL_NONE), "match");
+    } else if (frame->reply_bytes > 0) {
         /* without a beginning that says whose answer it is, and a check sum, everything would be one */
         uint32_t known = frame->echo_bytes > 0 ? frame->echo_bytes : frame->match_bytes;
         need(f, known > 0 && known <= frame->reply_bytes, "match");
@@ -86,6 +90,7 @@ static void check_counts(finding *f, const line_drive *drive)
     need(f, drive->quick_stop_count <= DRIVE_STOP_MAX, "quick_stop_count");
     need(f, drive->disarm_count <= DRIVE_STOP_MAX, "disarm_count");
     need(f, drive->probe <= drive->cyclic_count, "probe");
+    need(f, drive->idle_count <= 1 && drive->idle_count <= drive->cyclic_count, "idle_count");
 }
 
 static void check_drive(finding *f, const line_drive *drive)
@@ -109,6 +114,10 @@ static void check_drive(finding *f, const line_drive *drive)
     }
     for (uint32_t i = 0; !f->bad && i < drive->disarm_count; i++) {
         check_frame(f, &drive->disarm[i]);
+    }
+    if (!f->bad && drive->idle_count > 0) {
+        check_frame(f, &drive->idle[0]);
+        need(f, drive->idle[0].reply_bytes == drive->cyclic[0].frame.reply_bytes, "idle.reply_bytes");
     }
 }
 

@@ -44,10 +44,22 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     return (int64_t)nearbyint(raw);
 }
 
+/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn unheard. */
+static bool is_idle(const line_machine *m, uint32_t drive)
+{
+    const line_drive_state *state = &m->drive[drive];
+    return state->mode == DRIVE_READY && !state->stopping && state->stop == STOP_NOTHING;
+}
+
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
 {
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
     bool motion = false;
+    if (turn == 0 && m->table.drive[drive].idle_count > 0 && is_idle(m, drive)) {
+        memset(m->drive[drive].told[0], 0, sizeof m->drive[drive].told[0]);
+        *out = m->table.drive[drive].idle[0];
+        return false;
+    }
     *out = from->frame;
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         const line_setpoint *setpoint = &from->setpoint[i];

@@ -36,7 +36,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
         work->ingress.fd[i] = loop->command_fd[i];
     }
     guard_init(&work->guard, &loop->guard);
-    arbiter_init(&work->arbiter);
+    arbiter_init(&work->arbiter, &work->core.config);
     work->used_stamp_ns = 0;
     work->stopping = true;
     work->woken = false;

@@ -12,6 +12,7 @@
 #include "api_command.h"
 #include "api_line.h"
 #include "api_can.h"
+#include "api_board.h"
 #include "api_encoder.h"
 #include "api_bridge.h"
 #include "api_journal.h"

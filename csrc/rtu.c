@@ -36,9 +36,21 @@ uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count)
     return (uint8_t)crc;
 }
 
+uint16_t rtu_xmodem(uint16_t start, const uint8_t *bytes, uint32_t count)
+{
+    uint32_t crc = start;
+    for (uint32_t n = 0; n < count; n++) {
+        crc ^= (uint32_t)bytes[n] << BYTE_BITS;
+        for (uint32_t bit = 0; bit < BYTE_BITS; bit++) {
+            crc = (crc & 0x8000) != 0 ? crc << 1 ^ 0x1021 : crc << 1;
+        }
+    }
+    return (uint16_t)crc;
+}
+
 uint32_t rtu_seal_bytes(uint32_t seal)
 {
-    return seal == SEAL_CRC16 ? 2 : seal == SEAL_CRC8 ? 1 : 0;
+    return seal == SEAL_NONE ? 0 : seal == SEAL_CRC8 ? 1 : 2;
 }
 
 void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal)
@@ -49,6 +61,8 @@ void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal)
         frame[count - 1] = (uint8_t)(crc >> BYTE_BITS);
     } else if (seal == SEAL_CRC8) {
         frame[count - 1] = rtu_crc8(frame, count - 1);
+    } else if (seal == SEAL_XMODEM) {
+        rtu_write(frame + count - 2, FORM_U16, rtu_xmodem(0, frame, count - 2));
     }
 }
 
@@ -119,6 +133,10 @@ static bool begins_as_answer(const line_frame *frame, const uint8_t *request, co
 
 static bool is_answer(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
 {
+    if (frame->reply_seal == SEAL_ASKED) {
+        uint32_t count = frame->reply_bytes - 2;
+        return rtu_read(bytes + count, FORM_U16) == rtu_xmodem(rtu_xmodem(0, request, 2), bytes, count);
+    }
     return begins_as_answer(frame, request, bytes) && rtu_is_sealed(bytes, frame->reply_bytes, frame->reply_seal);
 }
 
@@ -147,9 +165,22 @@ static heard hunt(const line_frame *frame, const uint8_t *request, uint32_t from
     return (heard){.kind = HEARD_MORE};
 }
 
+/* One that does not say what it answers is nothing but all that came. */
+static heard whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes, uint32_t count)
+{
+    if (count < frame->reply_bytes) {
+        return (heard){.kind = HEARD_MORE};
+    }
+    bool good = count == frame->reply_bytes && is_answer(frame, request, bytes);
+    return (heard){.kind = good ? HEARD_ANSWER : HEARD_BAD};
+}
+
 heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes,
                       uint32_t count)
 {
+    if (frame->exact != 0) {
+        return whole(frame, request, bytes, count);
+    }
     uint32_t sent = frame->request_bytes;
     uint32_t same = count < sent ? count : sent;
     bool comes_back = memcmp(bytes, request, same) == 0;

@@ -23,6 +23,8 @@ typedef struct {
 uint16_t rtu_crc16(const uint8_t *bytes, uint32_t count);
 /* CRC-8/MAXIM: reflected 0x31, start 0 (Analog Devices, application note 27). */
 uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count);
+/* CRC-16/XMODEM: 0x1021, not reflected, start 0, or the crc of what came before. */
+uint16_t rtu_xmodem(uint16_t start, const uint8_t *bytes, uint32_t count);
 /* Bytes that a seal takes at a frame's end. */
 uint32_t rtu_seal_bytes(uint32_t seal);
 /* Puts the checksum into the last bytes. */

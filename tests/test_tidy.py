@@ -155,7 +155,7 @@ def test_no_machine_of_a_builder_shows():
 def test_headers_of_csrc_point_downwards():
     """loop and page know the core; the core knows the pure files; the pure files know nothing."""
     allowed = {
-        "pthread.h": {"loop", "line_rtu", "line_can", "output_pwm"},
+        "pthread.h": {"loop", "line_thread", "output_pwm"},
         "sched.h": {"loop"},
         "sys/mman.h": {"loop"},
     }
@@ -166,14 +166,15 @@ def test_headers_of_csrc_point_downwards():
             owners = allowed.get(header.group(1)) if header else None
             if owners is not None and not any(path.stem.startswith(owner) for owner in owners):
                 rows.append(f"{where(path, number)}: {header.group(1)}")
-    report(rows, "threads, schedulers, mappings: loop*.c, line_rtu.c, line_can.c, output_pwm.c")
+    report(rows, "threads, schedulers, mappings: loop*.c, line_thread.c, output_pwm.c")
 
 
-def test_the_c_extension_has_six_doors():
+def test_the_c_extension_has_seven_doors():
     doors = {
         ROOT / "daemon/motord/rt.py",
         ROOT / "daemon/motord/rt_replay.py",
         ROOT / "hal/motord_hal/rt.py",
+        ROOT / "hal/motord_hal/rt_board.py",
         ROOT / "hal/motord_hal/rt_can.py",
         ROOT / "hal/motord_hal/rt_line.py",
         ROOT / "hal/motord_hal/rt_pwm.py",
@@ -181,7 +182,7 @@ def test_the_c_extension_has_six_doors():
     report(
         matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
         "_motord_rt is imported by motord/rt.py, rt_replay.py, motord_hal/rt.py and"
-        " rt_{can,line,pwm}.py alone",
+        " rt_{board,can,line,pwm}.py alone",
     )
 
 

@@ -126,6 +126,17 @@ class Client:
         """Ends every lease of this connection."""
         self._socket.close()
 
+    @property
+    def connected(self) -> bool:
+        """The daemon has not closed this connection. Does not wait."""
+        self._socket.settimeout(0.0)
+        try:
+            return self._socket.recv(1, socket.MSG_PEEK) != b""
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+
     def call(self, method: str, /, **params: Any) -> Any:
         """Any method by name. Raises Refused, or ClientError for everything else."""
         end_s = time.monotonic() + self.timeout_s

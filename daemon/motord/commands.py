@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import enum
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 MAGIC = 0x434D544D
@@ -12,7 +13,10 @@ VERSION = 1
 TOKEN_BYTES = 16
 TWIST = 1
 RELEASE = 2
+JOINTS = 3
+JOINTS_MAX = 8
 _LAYOUT = struct.Struct("<IHH16sQqIIdd")
+_JOINTS_LAYOUT = struct.Struct(f"<IHH16sQqII{JOINTS_MAX}d")
 
 
 class Refusal(enum.IntEnum):
@@ -24,6 +28,7 @@ class Refusal(enum.IntEnum):
     AGE = 3
     LIFETIME = 4
     NOT_FINITE = 5
+    JOINTS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,3 +94,17 @@ def datagram(
     return _LAYOUT.pack(
         MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0, linear_m_s, angular_rad_s
     )
+
+
+def joint_datagram(
+    token: bytes,
+    sequence: int,
+    stamp_ns: int,
+    velocity_rad_s: Sequence[float],
+    *,
+    lifetime_ms: int = 0,
+) -> bytes:
+    """One command of all wheels, in the order of the robot file: at most JOINTS_MAX."""
+    padded = (*velocity_rad_s, *([0.0] * (JOINTS_MAX - len(velocity_rad_s))))
+    head = (MAGIC, VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, len(velocity_rad_s))
+    return _JOINTS_LAYOUT.pack(*head, *padded)

@@ -26,6 +26,8 @@ _FIELDS = "motord_fields"
 _PRIORITIES = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _DEBUG = 7
 _LINES_MAX = 1000
+_STACK_BYTES = 256 * 1024
+"""It only writes; the loop's mlockall would pin all 8 MB of an ordinary one."""
 _LAST_WORDS_S = 0.5
 """At the end, for what is still in the queue."""
 
@@ -51,7 +53,9 @@ class _Writer(logging.Handler):
         self._lost = 0
         # a daemon thread: one that is stuck in its write does not keep the process
         self._thread = threading.Thread(target=self._work, name="motord-log", daemon=True)
+        before = threading.stack_size(_STACK_BYTES)
         self._thread.start()
+        threading.stack_size(before)
         atexit.register(self._end)
 
     def encode(self, record: logging.LogRecord) -> bytes:

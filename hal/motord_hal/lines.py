@@ -10,6 +10,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import cast
 
+from motord_hal.ascii.dialect import texts_of, why_not_in_c
 from motord_hal.errors import HalError
 from motord_hal.ports import DriveState, Line, LineSpec, Listener
 from motord_hal.rt import Exchange
@@ -30,6 +31,9 @@ KINDS = MappingProxyType(
         ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
         ("can", "rt"): "motord_hal.rt_engine.can_line:RtCanLine",
+        ("mcu", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
+        ("roboclaw", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("ascii", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
     }
 )
 
@@ -56,11 +60,14 @@ LOOK_EVERY_S = 0.02
 
 
 def engine_of(spec: LineSpec) -> str:
-    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, and of CAN
-    adapters where they are the kernel's."""
+    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, of CAN
+    adapters where they are the kernel's, of text where C can say and read it. Raises ProfileError
+    for a wrong template."""
     if spec.engine != "auto":
         return spec.engine
     if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
+        return "asyncio"
+    if spec.kind == "ascii" and why_not_in_c(*texts_of(spec)[1:]):
         return "asyncio"
     return "rt" if (spec.kind, "rt") in KINDS else "asyncio"
 

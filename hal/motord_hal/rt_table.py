@@ -14,6 +14,8 @@ class Seal(enum.IntEnum):
     NONE = 0
     CRC16 = 1
     CRC8 = 2
+    XMODEM = 3
+    ASKED = 4
 
 
 class Form(enum.IntEnum):
@@ -58,6 +60,7 @@ class LineFrame:
     request_seal: Seal
     reply_seal: Seal
     has_exceptions: int = 0
+    exact: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,6 +122,7 @@ class LineDrive:
     way: tuple[LineWay, ...]
     quick_stop: tuple[LineFrame, ...]
     disarm: tuple[LineFrame, ...]
+    idle: tuple[LineFrame, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

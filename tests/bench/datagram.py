@@ -76,11 +76,11 @@ lease_s = 2.0
 
 
 @contextlib.contextmanager
-def daemon(folder: Path, port: str, hogs: int) -> Iterator[Client]:
-    """The daemon, armed."""
+def daemon(folder: Path, port: str, hogs: int, more: str = "") -> Iterator[Client]:
+    """The daemon, armed; `more`: further sections of its robot file."""
     robot = folder / "robot.toml"
     name = f"bench{uuid.uuid4().hex[:8]}"
-    text = ROBOT.format(name=name, port=port, profile=HERE / "bench-drive.toml")
+    text = ROBOT.format(name=name, port=port, profile=HERE / "bench-drive.toml") + more
     robot.write_text(text, encoding="utf-8")
     path = folder / f"d{hogs}.sock"
     process = subprocess.Popen(

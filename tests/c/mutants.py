@@ -34,6 +34,7 @@ _LINE = ["test_line_stops", "test_line_rates", "fuzz_line 2000"]
 TESTS = {
     "rtu.c": ["test_rtu"],
     "arbiter.c": ["test_command"],
+    "joints.c": ["test_command"],
     **dict.fromkeys(
         ["line_machine.c", "line_drive.c", "line_quiet.c", "line_end.c", "line_values.c"], _LINE
     ),
@@ -88,8 +89,10 @@ def _changes(kind: str, text: str) -> list[str]:
     if kind == "number":
         digits = text.rstrip("uUlL")
         suffix = text[len(digits) :]
-        value = int(digits, 0)
-        return [f"{value + 1}{suffix}", *([f"{value - 1}{suffix}"] if value > 0 else [])]
+        decimal = not digits.lower().startswith("0x")
+        value, width = int(digits, 10 if decimal else 16), len(digits) if decimal else 0
+        near = [value + 1, value - 1] if value > 0 else [value + 1]
+        return [f"{other:0{width}}{suffix}" for other in near]  # the zeros of 0.01 stay
     return [";" if not text.lstrip().startswith("return") else ""]
 
 

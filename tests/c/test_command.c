@@ -40,7 +40,7 @@ static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
 static void two_sources(arbiter *a)
 {
     lease_grants grants = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
-    arbiter_init(a);
+    arbiter_init(a, NULL);
     arbiter_grant(a, &grants);
 }
 
@@ -134,10 +134,89 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
         taken += now;
     }
     CHECK(taken == sent && sent > 1);
-    uint8_t long_one[COMMAND_BYTES + 8] = {0};
+    uint8_t long_one[JOINT_COMMAND_BYTES + 8] = {0};
     CHECK(send(ends[1], long_one, sizeof long_one, 0) > 0 && ingress_take(&in, &a, true) == 1);
     CHECK(a.report.refused[REFUSED_FORM] == 1);
     CHECK(close(ends[0]) == 0 && close(ends[1]) == 0);
+}
+
+static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double right_rad_s, double other_right_rad_s)
+{
+    joint_datagram joints = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS,
+                             .sequence = sequence, .stamp_ns = START_NS, .joint_count = 3,
+                             .velocity_rad_s = {left_rad_s, right_rad_s, other_right_rad_s}};
+    memset(joints.token, 'a', TOKEN_BYTES);
+    return joints;
+}
+
+static int say_joints(arbiter *a, joint_datagram joints)
+{
+    return arbiter_submit(a, &joints, sizeof joints, START_NS, true);
+}
+
+static void wheels_are_a_twist_or_they_are_refused(void)
+{
+    static arbiter a;
+    static const core_config base = {.joint_count = 3, .track_m = 0.5, .joint = {
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    twist_command out;
+    arbiter_init(&a, &base);
+    arbiter_grant(&a, &grants);
+    CHECK(say_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(fabs(out.linear_m_s - 0.15) < 1e-12 && fabs(out.angular_rad_s - 0.2) < 1e-12);
+    CHECK(say_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
+    CHECK(say_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
+    joint_datagram few = joints_of(4, 1.0, 2.0, 1.0);
+    few.joint_count = 2;
+    few.velocity_rad_s[0] = NAN;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_JOINTS);
+    few.kind = COMMAND_TWIST;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    few.version = 2;
+    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    a.base = NULL;
+    CHECK(say_joints(&a, joints_of(5, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
+}
+
+/* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
+static bool twist_of(double first, double second, double third, double fourth, double *linear_m_s, double *angular_rad_s)
+{
+    static const core_config base = {.joint_count = 4, .track_m = 0.5, .joint = {
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1},
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+    const double velocity_rad_s[JOINTS_MAX] = {first, second, third, fourth, 1e9};
+    return joints_twist(&base, velocity_rad_s, linear_m_s, angular_rad_s);
+}
+
+static bool goes(double first, double second, double third, double fourth)
+{
+    double linear_m_s, angular_rad_s;
+    return twist_of(first, second, third, fourth, &linear_m_s, &angular_rad_s);
+}
+
+static void wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side(void)
+{
+    double linear_m_s, angular_rad_s;
+    CHECK(twist_of(2.0, 6.0, 2.0, 3.0, &linear_m_s, &angular_rad_s));
+    CHECK(fabs(linear_m_s - 0.4) < 1e-12 && fabs(angular_rad_s - 0.8) < 1e-12);
+    CHECK(twist_of(0.0, 0.0, 0.0, 0.0, &linear_m_s, &angular_rad_s) && linear_m_s == 0.0 && angular_rad_s == 0.0);
+    /* each of them, by a little more and a little less than a hundredth from the middle of both */
+    CHECK(goes(10.095, 0.0, 9.905, 0.0) && !goes(10.105, 0.0, 9.895, 0.0));
+    CHECK(goes(0.0, 10.095, 0.0, 4.9525) && !goes(0.0, 10.105, 0.0, 4.9475));
+    CHECK(goes(-9.905, 0.0, -10.095, 0.0) && !goes(-9.895, 0.0, -10.105, 0.0));
+    CHECK(goes(0.095, -10.0, -0.095, -5.0) && !goes(0.105, -10.0, -0.105, -5.0));
+    CHECK(goes(-10.0, 0.095, -10.0, -0.0475) && !goes(-10.0, 0.105, -10.0, -0.0525));
+    /* also the first of three, when the others are near enough */
+    static const core_config uneven = {.joint_count = 4, .track_m = 0.5, .joint = {
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = -1.0, .wheel_radius_m = 0.1},
+        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}}};
+    CHECK(!joints_twist(&uneven, (const double[]){10.12, 9.94, 9.94, 0.0}, &linear_m_s, &angular_rad_s));
+    CHECK(joints_twist(&uneven, (const double[]){10.08, 9.96, 9.96, 0.0}, &linear_m_s, &angular_rad_s));
+    /* and, when all but rest, by a millionth of a metre a second */
+    CHECK(goes(9e-6, 0.0, -9e-6, 0.0) && !goes(11e-6, 0.0, -11e-6, 0.0));
 }
 
 int main(void)
@@ -147,5 +226,7 @@ int main(void)
     a_lease_that_is_not_granted_any_more_is_over();
     each_refusal_is_counted_by_its_kind();
     a_wake_up_takes_a_bounded_number_of_datagrams();
+    wheels_are_a_twist_or_they_are_refused();
+    wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side();
     return checks_report("command");
 }

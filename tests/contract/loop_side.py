@@ -77,16 +77,26 @@ class Rig:
 
     async def arm(self) -> None:
         """Once more if a peer was quiet meanwhile, as one is when the machine is too busy."""
-        async with asyncio.timeout(GENEROUS_S):
-            while True:
-                await self.ready()
-                with contextlib.suppress(HalError):
-                    await self.line.arm()
-                if self.states() == {DriveState.ARMED}:
-                    return
-                with contextlib.suppress(HalError):
-                    await self.line.disarm()
-                await asyncio.sleep(0.01)
+        refusals: list[str] = []
+        try:
+            async with asyncio.timeout(GENEROUS_S):
+                while not await self._armed_now(refusals):
+                    await asyncio.sleep(0.01)
+        except TimeoutError:
+            said = [event.text for event in self.events]
+            raise AssertionError(f"never armed: {refusals[-3:]}, said: {said[-5:]}") from None
+
+    async def _armed_now(self, refusals: list[str]) -> bool:
+        await self.ready()
+        try:
+            await self.line.arm()
+        except HalError as error:
+            refusals.append(str(error))
+        if self.states() == {DriveState.ARMED}:
+            return True
+        with contextlib.suppress(HalError):
+            await self.line.disarm()
+        return False
 
 
 @contextlib.asynccontextmanager

@@ -55,12 +55,14 @@ def joints_of(profile, gear_ratio=1.0):
 
 
 RT = " rt"
-"""At the end of a CAN drive's name: on the bus that the rt engine can be on."""
+"""At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
+BOTH_ENGINES = ("can", "mcu-frame", "ascii", "roboclaw")
+"""Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
 
 
 def with_rt(names):
-    """And the CAN drives among them on the rt engine too."""
-    return [*names, *(name + RT for name in names if find_profile(name).can is not None)]
+    """And on the rt engine those among them that run on both."""
+    return [*names, *(name + RT for name in names if find_profile(name).protocol in BOTH_ENGINES)]
 
 
 def folder_of(variant, tmp_path):
@@ -84,7 +86,11 @@ TEXT = TextSpec(
 )
 
 
-def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
+def engine_of(profile, folder):
+    return "rt" if profile.protocol == "ddsm" or folder.name == "rt" else "asyncio"
+
+
+def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
     return LineSpec(
         index=0,
         name="bus",
@@ -95,7 +101,7 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
         stop_bits=profile.stop_bits,
         cycle_hz=cycle_hz,
         gap_s=None,
-        engine="rt" if profile.protocol == "ddsm" or str(port)[:5] == "unix:" else "asyncio",
+        engine=engine,
         priority=0,
         joints=joints_of(profile, gear_ratio),
         text=TEXT if profile.protocol == "ascii" else None,
@@ -105,7 +111,7 @@ def line_of(profile, port="", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
 
 def rig_of(profile, folder, *, gear_ratio=1.0, **options):
     wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
-    line = line_of(profile, gear_ratio=gear_ratio)
+    line = line_of(profile, engine=engine_of(profile, folder), gear_ratio=gear_ratio)
     if profile.can is not None:
         options["can"] = can_address(folder)
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
@@ -131,7 +137,8 @@ def simulated(profile, folder, **options):
 def spec_of(profile, folder):
     """The line that drives what `simulated` simulates."""
     port = can_address(folder) if profile.can is not None else folder / "bus"
-    return line_of(profile, port, cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
+    engine = engine_of(profile, folder)
+    return line_of(profile, port, engine, cycle_hz=500.0, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:

@@ -55,6 +55,11 @@ class Reader:
         self.link.unlink()
 
 
+@pytest.fixture(params=["asyncio", "rt"])
+def engine(request):
+    return request.param
+
+
 @pytest.fixture
 def peer(tmp_path):
     peer = Reader(tmp_path / "board")
@@ -62,7 +67,7 @@ def peer(tmp_path):
     peer.close()
 
 
-def spec_of(port, setpoints, feedback="", drive="ascii-duty", scale=255.0):
+def spec_of(port, engine, setpoints, feedback="", drive="ascii-duty", scale=255.0):
     profile = find_profile(drive)
     joints = (
         JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
@@ -71,13 +76,13 @@ def spec_of(port, setpoints, feedback="", drive="ascii-duty", scale=255.0):
     text = TextSpec(setpoints=setpoints, feedback=feedback, scale=scale, wheels=WHEELS, track_m=0.5)
     return LineSpec(
         index=0, name="board", kind="ascii", port=str(port), baudrate=115200, parity="none",
-        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=joints, text=text,
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine=engine, joints=joints, text=text,
         watchdog_s=0.2,
     )  # fmt: skip
 
 
-async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):
-    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer, engine):
+    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await rig.ready()
         await until(lambda: len(peer.lines) > 10)
@@ -88,8 +93,8 @@ async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(pee
         await until(lambda: peer.lines[-1] == b"0,0")
 
 
-async def test_a_board_may_be_told_the_base_s_own_speeds(peer):
-    spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
+async def test_a_board_may_be_told_the_base_s_own_speeds(peer, engine):
+    spec = spec_of(peer.link, engine, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
     async with running(spec) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 1.0, 1: 3.0}
@@ -99,9 +104,9 @@ async def test_a_board_may_be_told_the_base_s_own_speeds(peer):
         await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_the_last_line_of_all_is_zero(tmp_path):
+async def test_the_last_line_of_all_is_zero(tmp_path, engine):
     peer = Reader(tmp_path / "board")
-    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await until(lambda: peer.lines[-1] == b"128,-255")
@@ -109,9 +114,9 @@ async def test_the_last_line_of_all_is_zero(tmp_path):
     peer.close()
 
 
-async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
+async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer, engine):
     feedback = "E {left_count} {right_count} {left_rad_s} {voltage_v}\n"
-    async with running(spec_of(peer.link, "{left:d},{right:d}\n", feedback)) as rig:
+    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n", feedback)) as rig:
         left = rig.loop.exchange.take_feedback
 
         def said():
@@ -130,9 +135,9 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
         assert EventKind.DRIVE_QUIET in rig.kinds()
 
 
-async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
+async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path, engine):
     peer = Reader(tmp_path / "board")
-    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
+    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
         peer.close()
@@ -140,23 +145,23 @@ async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
         assert EventKind.LINE_LOST in rig.kinds()
 
 
-async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer):
-    assert await halt_line(spec_of(peer.link, "{left:d},{right:d}\n")) == []
+async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer, engine):
+    assert await halt_line(spec_of(peer.link, engine, "{left:d},{right:d}\n")) == []
     assert len(peer.lines) > 10
     assert set(peer.lines) == {b"0,0"}
 
 
-def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
-    spec = spec_of(tmp_path / "x", "{left:d}\n")
+def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path, engine):
+    spec = spec_of(tmp_path / "x", engine, "{left:d}\n")
     with pytest.raises(ProfileError, match="it must say left, right"):
         open_line(spec, Exchange.private(), print)
 
 
-async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path):
+async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path, engine):
     master, slave = os.openpty()
     tty.setraw(slave)
     padding = "." * 200
-    spec = spec_of(os.ttyname(slave), f"{padding}{{left:d}},{{right:d}}\n")
+    spec = spec_of(os.ttyname(slave), engine, f"{padding}{{left:d}},{{right:d}}\n")
     spec = replace(spec, baudrate=4_000_000, cycle_hz=1000.0)
     try:
         async with running(spec) as rig:

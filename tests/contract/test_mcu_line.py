@@ -21,14 +21,28 @@ from motord_hal.rt import Exchange
 COUNTS_PER_RAD = 1320 / math.tau
 
 
+class Board(McuPeer):
+    """And the engine that is to talk to it."""
+
+    def __init__(self, program, link, engine):
+        self.engine = engine
+        super().__init__(program, link)
+
+
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
     return compiled(tmp_path_factory.mktemp("board"))
 
 
+@pytest.fixture(params=["asyncio", "rt"])
+def board_of(program, tmp_path, request):
+    """Plugs the board in."""
+    return lambda: Board(program, tmp_path / "board", request.param)
+
+
 @pytest.fixture
-def peer(program, tmp_path):
-    peer = McuPeer(program, tmp_path / "board")
+def peer(board_of):
+    peer = board_of()
     yield peer
     peer.pull()
 
@@ -42,18 +56,18 @@ def joints_of(drive="mcu-velocity"):
     )  # fmt: skip
 
 
-def spec_of(port, joints=None, **changes):
+def spec_of(peer, joints=None, **changes):
     values = {
-        "index": 0, "name": "board", "kind": "mcu", "port": str(port), "baudrate": 115200,
-        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": "auto",
-        "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
+        "index": 0, "name": "board", "kind": "mcu", "port": str(peer.link),
+        "baudrate": 115200, "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None,
+        "engine": peer.engine, "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
     }  # fmt: skip
     return LineSpec(**{**values, **changes})
 
 
 @pytest.fixture
 async def rig(peer):
-    async with running(spec_of(peer.link)) as rig:
+    async with running(spec_of(peer)) as rig:
         yield rig
 
 
@@ -66,18 +80,18 @@ async def armed_and_turning(rig, peer, rad_s=3.0):
 # ----------------------------------------------------------------------------- set-up and arming
 async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     await rig.ready()
-    assert rig.line.engine == "asyncio"
+    assert rig.line.engine == peer.engine
     assert rig.line.state is LineState.READY
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
     assert await rig.line.read_register("left", "watchdog") == pytest.approx(0.2)
     assert not any(told.enabled for told in peer.told)
 
 
-async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(program, tmp_path, monkeypatch):
+async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(board_of, monkeypatch):
     monkeypatch.setattr(board, "START_GRACE_S", 0.1)
-    peer = McuPeer(program, tmp_path / "board")
+    peer = board_of()
     peer.do("m")
-    async with running(spec_of(peer.link)) as rig:
+    async with running(spec_of(peer)) as rig:
         await until(lambda: rig.states() == {DriveState.QUIET})
         cycles = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles > cycles + 20)
@@ -148,7 +162,7 @@ async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
 
 
 async def test_a_duty_board_is_told_duties(peer):
-    spec = spec_of(peer.link, joints_of("mcu-duty"))
+    spec = spec_of(peer, joints_of("mcu-duty"))
     async with running(spec) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty, rig.loop.velocity_rad_s = True, {0: 0.5}, {0: 7.0}
@@ -184,9 +198,9 @@ async def test_disarming_takes_the_power_and_every_set_point(rig, peer):
     assert peer.now.left_mrad_s == 0
 
 
-async def test_cancelling_the_line_brakes_and_takes_the_power(program, tmp_path):
-    peer = McuPeer(program, tmp_path / "board")
-    async with running(spec_of(peer.link, watchdog_s=2.0)) as rig:
+async def test_cancelling_the_line_brakes_and_takes_the_power(board_of):
+    peer = board_of()
+    async with running(spec_of(peer, watchdog_s=2.0)) as rig:
         await armed_and_turning(rig, peer)
         seen = len(peer.told)
     await until(lambda: not peer.now.enabled)
@@ -228,15 +242,15 @@ async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoc
     assert not peer.now.enabled
 
 
-async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(program, tmp_path):
-    peer = McuPeer(program, tmp_path / "board")
-    async with running(spec_of(peer.link)) as rig:
+async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(board_of):
+    peer = board_of()
+    async with running(spec_of(peer)) as rig:
         await rig.arm()
         peer.pull()
         await until(lambda: rig.line.state is LineState.CLOSED)
         with pytest.raises(PortError):
             await rig.line.arm()
-        peer = McuPeer(program, tmp_path / "board")
+        peer = board_of()
         await until(lambda: rig.states() == {DriveState.READY})
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
         assert rig.line.stats().reopened == 1
@@ -256,7 +270,7 @@ async def left_turning(peer, spec):
 
 
 async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_off(peer):
-    spec = spec_of(peer.link)
+    spec = spec_of(peer)
     await left_turning(peer, spec)
     seen = len(peer.told)
     assert await halt_line(spec) == []
@@ -267,7 +281,7 @@ async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_o
 
 async def test_a_board_that_says_nothing_when_it_is_stopped_is_named(peer):
     peer.do("m")
-    problems = await halt_line(spec_of(peer.link))
+    problems = await halt_line(spec_of(peer))
     assert problems == ["the board of left, right has said nothing"]
 
 
@@ -312,11 +326,21 @@ async def test_registers_are_read_from_feedback_and_those_of_the_line_are_not_wr
         await rig.line.write_register("left", "watchdog", 1.0)
 
 
-def test_two_boards_on_one_line_are_refused(tmp_path):
+def test_two_boards_on_one_line_are_refused(peer):
     left, right = joints_of()
     other = JointSpec(index=1, name="right", profile=right.profile, unit=2)
     with pytest.raises(ProfileError, match="one board"):
-        open_line(spec_of(tmp_path / "x", (left, other)), Exchange.private(), print)
+        open_line(spec_of(peer, (left, other)), Exchange.private(), print)
+
+
+def test_a_profile_of_another_protocol_is_refused(peer):
+    with pytest.raises(ProfileError, match="speaks modbus-rtu"):
+        open_line(spec_of(peer, joints_of("zlac8015d")), Exchange.private(), print)
+
+
+def test_the_engine_is_the_thread_in_c_where_nothing_else_is_asked_for(peer):
+    line = open_line(spec_of(peer, engine="auto"), Exchange.private(), print)
+    assert line.engine == "rt"
 
 
 async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):

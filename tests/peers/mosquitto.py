@@ -93,8 +93,8 @@ def stamp(age_s=0.0):
     return {"stamp": {"sec": int(sec), "nanosec": int(rest * 1e9)}, "frame_id": ""}
 
 
-def certified(folder):
-    """An authority, and a certificate for localhost by it."""
+def certified(folder, name="DNS:localhost"):
+    """An authority, and a certificate by it for that name."""
 
     def openssl(*words):
         subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
@@ -103,7 +103,7 @@ def certified(folder):
     openssl("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test CA",
             "-days", "2")  # fmt: skip
     openssl("req", *key, "-keyout", "host.key", "-out", "host.csr", "-subj", "/CN=localhost")
-    (folder / "names").write_text("subjectAltName=DNS:localhost\n", encoding="ascii")
+    (folder / "names").write_text(f"subjectAltName={name}\n", encoding="ascii")
     openssl("x509", "-req", "-in", "host.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-days", "2",
             "-CAcreateserial", "-out", "host.pem", "-extfile", "names")  # fmt: skip
 

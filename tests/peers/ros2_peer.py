@@ -5,16 +5,20 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
     ros2_peer.py DOMAIN twist NAME V W           20 Twist a second
+    ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
     ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
+    ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
+                                                 a line on standard input: cancel it
     ros2_peer.py DOMAIN endpoints                a line of JSON for each endpoint that is seen
 """
 
 import dataclasses
 import json
 import sys
+import threading
 import time
-from dataclasses import dataclass
+import uuid
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -22,24 +26,30 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
 )
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import (
-    array,
-    bounded_str,
-    byte,
-    float64,
-    int32,
-    int64,
-    sequence,
-    uint8,
-    uint32,
-    uint64,
-)
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+from ros2_peer_types import (
+    ACTIONS,
+    SERVICES,
+    TOPICS,
+    CancelReply,
+    CancelRequest,
+    GoalInfo,
+    Header,
+    JointState,
+    Parameter,
+    ParameterValue,
+    String,
+    Time,
+    Transition,
+    Twist,
+    TwistStamped,
+    Uuid,
+    Vector3,
+)
 
 LOCALHOST = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
@@ -48,231 +58,6 @@ LOCALHOST = (
     '<Peer address="localhost"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 DEADLINE_S = 30.0
-GEOMETRY = "geometry_msgs::msg::dds_::"
-
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
-    data: str
-
-
-@dataclass
-class Vector3(IdlStruct, typename=GEOMETRY + "Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Point(IdlStruct, typename=GEOMETRY + "Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename=GEOMETRY + "Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose(IdlStruct, typename=GEOMETRY + "Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename=GEOMETRY + "PoseWithCovariance_"):
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Twist(IdlStruct, typename=GEOMETRY + "Twist_"):
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-class TwistStamped(IdlStruct, typename=GEOMETRY + "TwistStamped_"):
-    header: Header
-    twist: Twist
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename=GEOMETRY + "TwistWithCovariance_"):
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data: array[uint8, 16]
-
-
-@dataclass
-class NodeEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: bounded_str[256]
-    node_name: bounded_str[256]
-    reader_gid_seq: sequence[Gid]
-    writer_gid_seq: sequence[Gid]
-
-
-@dataclass
-class Entities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
-    gid: Gid
-    node_entities_info_seq: sequence[NodeEntities]
-
-
-@dataclass
-class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
-    guid: uint64
-    seq: int64
-    structure_needs_at_least_one_member: uint8 = 0
-
-
-@dataclass
-class TriggerReply(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_"):
-    guid: uint64
-    seq: int64
-    success: bool
-    message: str
-
-
-@dataclass
-class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
-    type: uint8 = 0
-    bool_value: bool = False
-    integer_value: int64 = 0
-    double_value: float64 = 0.0
-    string_value: str = ""
-    byte_array_value: sequence[byte] = ()
-    bool_array_value: sequence[bool] = ()
-    integer_array_value: sequence[int64] = ()
-    double_array_value: sequence[float64] = ()
-    string_array_value: sequence[str] = ()
-
-
-@dataclass
-class Parameter(IdlStruct, typename="rcl_interfaces::msg::dds_::Parameter_"):
-    name: str
-    value: ParameterValue
-
-
-@dataclass
-class SetResult(IdlStruct, typename="rcl_interfaces::msg::dds_::SetParametersResult_"):
-    successful: bool
-    reason: str
-
-
-@dataclass
-class SetRequest(IdlStruct, typename="rcl_interfaces::srv::dds_::SetParameters_Request_"):
-    guid: uint64
-    seq: int64
-    parameters: sequence[Parameter]
-
-
-@dataclass
-class SetReply(IdlStruct, typename="rcl_interfaces::srv::dds_::SetParameters_Response_"):
-    guid: uint64
-    seq: int64
-    results: sequence[SetResult]
-
-
-@dataclass
-class GetRequest(IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameters_Request_"):
-    guid: uint64
-    seq: int64
-    names: sequence[str]
-
-
-@dataclass
-class GetReply(IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameters_Response_"):
-    guid: uint64
-    seq: int64
-    values: sequence[ParameterValue]
-
-
-@dataclass
-class State(IdlStruct, typename="lifecycle_msgs::msg::dds_::State_"):
-    id: uint8
-    label: str
-
-
-@dataclass
-class Transition(IdlStruct, typename="lifecycle_msgs::msg::dds_::Transition_"):
-    id: uint8
-    label: str
-
-
-@dataclass
-class StateRequest(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Request_"):
-    guid: uint64
-    seq: int64
-    structure_needs_at_least_one_member: uint8 = 0
-
-
-@dataclass
-class StateReply(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Response_"):
-    guid: uint64
-    seq: int64
-    current_state: State
-
-
-@dataclass
-class ChangeRequest(IdlStruct, typename="lifecycle_msgs::srv::dds_::ChangeState_Request_"):
-    guid: uint64
-    seq: int64
-    transition: Transition
-
-
-@dataclass
-class ChangeReply(IdlStruct, typename="lifecycle_msgs::srv::dds_::ChangeState_Response_"):
-    guid: uint64
-    seq: int64
-    success: bool
-
-
-TOPICS = {kind.__name__: kind for kind in (Odometry, JointState, String, Entities)}
-SERVICES = {
-    "Trigger": (TriggerRequest, TriggerReply),
-    "SetParameters": (SetRequest, SetReply),
-    "GetParameters": (GetRequest, GetReply),
-    "GetState": (StateRequest, StateReply),
-    "ChangeState": (ChangeRequest, ChangeReply),
-}
 RELIABLE = (
     Policy.Reliability.Reliable(duration(milliseconds=100)),
     Policy.History.KeepLast(10),
@@ -318,6 +103,18 @@ def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):
     _publish(participant, name, TwistStamped, make)
 
 
+def joints(participant, name, *words):
+    speeds = dict(word.split("=") for word in words if "=" in word)
+    (age_s,) = [word for word in words if "=" not in word] or ["0"]
+
+    def make():
+        stamp = Time(*divmod(time.time_ns() - round(float(age_s) * 1e9), 1_000_000_000))
+        velocity = [float(speed) for speed in speeds.values()]
+        return JointState(Header(stamp, ""), list(speeds), [], velocity, [])
+
+    _publish(participant, name, JointState, make)
+
+
 def _say_text(participant, name, text):
     _publish(participant, name, String, lambda: String(text))
 
@@ -335,25 +132,70 @@ def _built(kind, values):
     return kind(**made)
 
 
+class Caller:
+    """A service's client."""
+
+    def __init__(self, participant, name, request, reply):
+        mark = b"clientid=" + ".".join(f"{byte:x}" for byte in uuid.uuid4().bytes).encode() + b";"
+        client = Policy.Userdata(mark)
+        self._request = request
+        self._reader = DataReader(
+            participant, Topic(participant, f"rr{name}Reply", reply), Qos(*RELIABLE, client)
+        )
+        self._writer = DataWriter(
+            participant, Topic(participant, f"rq{name}Request", request), Qos(*RELIABLE, client)
+        )
+        end_s = time.monotonic() + DEADLINE_S
+        while not (
+            self._writer.get_matched_subscriptions() and self._reader.get_matched_publications()
+        ):
+            assert time.monotonic() < end_s, f"nobody serves {name}"
+            time.sleep(0.01)
+        self._guid = self._writer.instance_handle & 0xFFFFFFFFFFFFFFFF
+
+    def ask(self, **values):
+        self._writer.write(_built(self._request, {"guid": self._guid, "seq": 1, **values}))
+        for sample in self._reader.take_iter(timeout=duration(seconds=DEADLINE_S)):
+            if sample.guid == self._guid:
+                return sample
+        raise AssertionError("no answer")
+
+
 def call(participant, name, kind, values="{}"):
-    request, reply = SERVICES[kind]
-    client = Policy.Userdata(b"clientid=1.2.3.4.5.6.7.8.9.a.b.c.d.e.f.%x;" % (time.time_ns() % 256))
-    reader = DataReader(
-        participant, Topic(participant, f"rr{name}Reply", reply), Qos(*RELIABLE, client)
+    caller = Caller(participant, name, *SERVICES[kind])
+    say(dataclasses.asdict(caller.ask(**json.loads(values))))
+
+
+def act(participant, name, kind, values="{}"):
+    action, below = ACTIONS[kind], f"{name}/_action"
+    feedback = DataReader(
+        participant, Topic(participant, f"rt{below}/feedback", action.feedback), Qos(*RELIABLE)
     )
-    writer = DataWriter(
-        participant, Topic(participant, f"rq{name}Request", request), Qos(*RELIABLE, client)
-    )
-    end_s = time.monotonic() + DEADLINE_S
-    while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
-        assert time.monotonic() < end_s, f"nobody serves {name}"
-        time.sleep(0.01)
-    guid = writer.instance_handle & 0xFFFFFFFFFFFFFFFF
-    writer.write(_built(request, {"guid": guid, "seq": 1, **json.loads(values)}))
-    for sample in reader.take_iter(timeout=duration(seconds=DEADLINE_S)):
-        if sample.guid == guid:
-            say(dataclasses.asdict(sample))
-            return
+    cancel = Caller(participant, f"{below}/cancel_goal", CancelRequest, CancelReply)
+    result = Caller(participant, f"{below}/get_result", action.ask, action.told)
+    send = Caller(participant, f"{below}/send_goal", action.send, action.sent)
+    goal_id = Uuid(list(uuid.uuid4().bytes))
+    accepted = send.ask(goal_id=goal_id, goal=action.goal(**json.loads(values))).accepted
+    say({"accepted": accepted})
+    if not accepted:
+        return
+
+    def tell():
+        for sample in feedback.take_iter(timeout=duration(seconds=DEADLINE_S)):
+            if list(sample.goal_id.uuid) == list(goal_id.uuid):
+                say({"feedback": dataclasses.asdict(sample.feedback)})
+
+    def listen():
+        if sys.stdin.readline():
+            answer = cancel.ask(goal_info=GoalInfo(goal_id, Time(0, 0)))
+            say({"canceling": len(answer.goals_canceling), "code": answer.return_code})
+
+    for work in (tell, listen):
+        threading.Thread(target=work, daemon=True).start()
+    told = result.ask(goal_id=goal_id)
+    say({"status": told.status, "result": dataclasses.asdict(told.result)})
+    while True:  # until it is killed: what is said on standard input is still heard
+        time.sleep(1.0)
 
 
 def endpoints(participant):
@@ -370,6 +212,7 @@ def endpoints(participant):
                         {
                             "topic": found.topic_name,
                             "type": found.type_name,
+                            "guid": list(found.key.bytes),
                             "user_data": data[0].data.decode() if data else "",
                         }
                     )
@@ -377,8 +220,8 @@ def endpoints(participant):
 
 
 COMMANDS = {
-    "topic": topic, "drive": drive, "twist": twist, "say": _say_text, "call": call,
-    "endpoints": endpoints,
+    "topic": topic, "drive": drive, "joints": joints, "twist": twist, "say": _say_text,
+    "call": call, "act": act, "endpoints": endpoints,
 }  # fmt: skip
 
 

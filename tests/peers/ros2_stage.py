@@ -20,7 +20,7 @@ LEASE_S = 1.0
 
 
 @contextlib.contextmanager
-def ros2_stage(folder):
+def ros2_stage(folder, *more):
     """A daemon that publishes to ROS 2 and obeys it."""
     settings = (
         "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
@@ -28,7 +28,7 @@ def ros2_stage(folder):
         "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
         f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
         f"safety.command_timeout_s={LEASE_S}", *PATIENT,
-        "joint.left.tries=10", "joint.right.tries=10",
+        "joint.left.tries=10", "joint.right.tries=10", *more,
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")
@@ -44,7 +44,9 @@ class Peer:
     """What it says, line by line."""
 
     def __init__(self, command, decode):
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         self._decode = decode
         self.heard = []
         self._reading = threading.Thread(target=self._read)
@@ -57,10 +59,15 @@ class Peer:
     def find(self, fits, what):
         return wait_until(lambda: next(filter(fits, list(self.heard)), None), what)
 
+    def say(self, line):
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
+
     def close(self):
         self.process.kill()
         self.process.wait()
         self._reading.join()
+        self.process.stdin.close()
         self.process.stdout.close()
 
 

@@ -4,15 +4,22 @@ by another's decoder."""
 
 import asyncio
 import json
+import shutil
 import struct
+import subprocess
+from pathlib import Path
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
 from tests.peers.mosquitto import free_port
-from tests.sim.daemon_stage import DEADLINE_S, running
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 
+from motord.bus.topics import TOPICS
+
 MESSAGE_DATA = 1
+MODULES = ROOT / "build/node/node_modules"
+OWN_CLIENT = MODULES / "@foxglove/ws-protocol"
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +90,26 @@ async def test_nothing_can_be_commanded(stage, port):
         finally:
             await client.close()
     assert not {"clientPublish", "services", "parameters"} & set(info["capabilities"])
+
+
+@pytest.mark.skipif(
+    not (shutil.which("node") and OWN_CLIENT.exists() and (MODULES / "ws").exists()),
+    reason="apt install nodejs npm; npm install --prefix build/node @foxglove/ws-protocol ws",
+)
+def test_foxgloves_own_client_reads_what_there_is(stage, port):
+    program = Path(__file__).with_name("foxglove_client.mjs")
+
+    def ran():
+        run = subprocess.run(
+            ["node", str(program), f"ws://127.0.0.1:{port}", str(MODULES)],
+            capture_output=True, timeout=2 * DEADLINE_S,
+        )  # fmt: skip
+        return json.loads(run.stdout) if run.returncode == 0 else None
+
+    said = wait_until(ran, "what the client saw")
+    assert said["server"]["name"] == stage.robot.status()["robot"]
+    assert said["channels"] == {f"/{name}": topic.type_name for name, topic in TOPICS.items()}
+    message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(
+        bytes.fromhex(said["odom"]), "nav_msgs/msg/Odometry"
+    )
+    assert message.child_frame_id == "base_link"

@@ -52,6 +52,36 @@ def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
     assert commanding["accepted"] > 0
 
 
+def wheel_speeds(stage):
+    joints = stage.sim.truth().joints
+    return {name: joint.velocity_rad_s for name, joint in joints.items()}
+
+
+def test_wheels_turn_as_another_node_asks_and_rest_when_it_goes(armed):
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", "right=1.0", "left=2.0"):
+        wait_until(
+            lambda: wheel_speeds(armed) == pytest.approx({"left": 2.0, "right": 1.0}, abs=0.2),
+            "the wheels' speeds",
+        )
+    wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+
+
+@pytest.mark.parametrize("words", [("left=2.0", "tail=1.0"), ("left=nan",), ("left=2.0", "3600")])
+def test_wheels_that_are_not_known_no_number_or_old_move_nothing(armed, words):
+    before, x_m = sent(armed) + refused(armed), armed.sim.truth().x_m
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", *words):
+        wait_until(lambda: sent(armed) + refused(armed) > before + 10, "commands")
+    assert armed.sim.truth().x_m == x_m
+
+
+def test_a_wheel_moves_nothing_that_is_not_armed(stage):
+    before = sent(stage)
+    with peer("joints", f"rt{NAMESPACE}/joint_commands", "left=2.0"):
+        wait_until(lambda: sent(stage) > before + 10, "commands")
+        assert stage.state() == "idle"
+    nobody_commands(stage)
+
+
 def test_the_robot_stops_when_the_other_node_goes(armed):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         armed.wait_for("moving")
@@ -97,6 +127,14 @@ def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
     assert all(f'<joint name="{name}" type="continuous"' in told["data"] for name in names)
 
 
+def test_who_comes_late_is_told_the_frames_that_never_move(stage):
+    with peer("topic", f"rt{NAMESPACE}/tf_static", "TFMessage", "late") as ear:
+        told = ear.find(lambda _: True, "the frames")
+    (frame,) = told["transforms"]
+    assert frame["header"]["frame_id"] == "base_link"
+    assert frame["child_frame_id"] == "base_footprint"
+
+
 def test_the_graph_shows_one_node_with_all_that_it_has(stage):
     with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
         seen = ear.find(lambda _: True, "the graph")
@@ -130,6 +168,41 @@ def test_a_limit_is_a_parameter_and_is_changed(stage):
     assert answer == {"successful": True, "reason": ""}
     assert stage.robot.call("params.get", names=[name]) == {name: 0.8}
     called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
+
+
+def test_who_listens_is_told_what_was_changed_and_nothing_of_what_was_refused(stage):
+    with peer("topic", "rt/parameter_events", "ParameterEvent") as ear:
+
+        def told():
+            called(
+                "set_parameters",
+                "SetParameters",
+                parameters=[parameter("limits.linear_m_s", 1e9), parameter("limits.linear_m_s", 1)],
+            )
+            return ear.heard
+
+        wait_until(told, "an event")
+        assert ear.heard[0]["node"] == f"{NAMESPACE}/motord"
+        (changed,) = ear.heard[0]["changed_parameters"]
+        assert (changed["name"], changed["value"]["double_value"]) == ("limits.linear_m_s", 1.0)
+
+
+def test_who_listens_is_told_of_transitions(stage):
+    with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
+
+        def told(label):
+            return next((said for said in ear.heard if said["transition"]["label"] == label), None)
+
+        def armed_again():
+            called("disarm")
+            called("arm")
+            return told("activate")
+
+        activated = wait_until(armed_again, "an event")
+        assert activated["start_state"] == {"id": 2, "label": "inactive"}
+        assert activated["goal_state"] == {"id": 3, "label": "active"}
+        assert called("estop")["success"]
+        wait_until(lambda: told("transition_error"), "the error")
 
 
 def test_a_parameter_is_refused_with_the_reason(stage):

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 from tests.peers.mosquitto import certified, free_port
-from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 TOKEN = "a-token-of-sixteen-and-more"
 CLIENT = Path(__file__).with_name("ros_client.py")
+ROSLIBJS = ROOT / "build/node/node_modules/roslib/dist/RosLib.js"
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +66,20 @@ def is_status(answer):
     return answer["op"] == "status"
 
 
-def test_a_program_on_roslibpy_reads_arms_drives_and_stops_the_robot(stage, ports):
-    run = subprocess.run(
-        [sys.executable, str(CLIENT), f"ws://127.0.0.1:{ports[0]}/?token={TOKEN}"],
-        capture_output=True, timeout=120,
-    )  # fmt: skip
+PROGRAMS = {
+    "roslibpy": (sys.executable, str(CLIENT)),
+    "roslibjs": ("node", str(CLIENT.with_suffix(".mjs"))),
+}
+
+
+@pytest.mark.parametrize("library", sorted(PROGRAMS))
+def test_a_program_on_it_reads_arms_drives_and_stops_the_robot(stage, ports, library):
+    command = [*PROGRAMS[library], f"ws://127.0.0.1:{ports[0]}/?token={TOKEN}"]
+    if library == "roslibjs":
+        if not (shutil.which("node") and ROSLIBJS.exists()):
+            pytest.skip("apt install nodejs npm; npm install --prefix build/node roslib@2")
+        command.append(str(ROSLIBJS))
+    run = subprocess.run(command, capture_output=True, timeout=120)
     assert run.returncode == 0, run.stderr.decode()
     said = json.loads(run.stdout)
     assert "/odom" in said["topics"]

@@ -30,9 +30,11 @@ class Lease:
 
 
 class Arbiter:
-    def __init__(self):
+    def __init__(self, base=ffi.NULL):
+        """`base`: a core_config whose joints are commanded."""
         self.c = ffi.new("arbiter *")
-        lib.arbiter_init(self.c)
+        self.base = base
+        lib.arbiter_init(self.c, base)
         self.granted = {}
         self.gone = {}
         self.sequence = 0

@@ -48,15 +48,15 @@ def stage(tmp_path):
 
 
 @contextlib.contextmanager
-def moving(stage, robot):
+def moving(stage, robot, speed_m_s=SPEED_M_S):
     """A source in a process of its own drives straight on, and the true wheels turn."""
     stage.wait_for("idle")
     stage.robot.arm()
     source = subprocess.Popen(
-        [sys.executable, "-c", SOURCE, str(stage.socket), str(SPEED_M_S)],
+        [sys.executable, "-c", SOURCE, str(stage.socket), str(speed_m_s)],
         stderr=subprocess.DEVNULL,
     )
-    fast_rad_s = 0.9 * SPEED_M_S / robot.base.wheel_radius_m
+    fast_rad_s = 0.9 * speed_m_s / robot.base.wheel_radius_m
     try:
         wait_until(lambda: slowest_wheel_rad_s(stage) > fast_rad_s, "the wheels turn")
         yield source

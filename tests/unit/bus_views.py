@@ -39,3 +39,45 @@ LOOP = {
     "lateness_us": dict.fromkeys(("p50", "p99", "p99_9", "max"), math.nan),
     "step_ns": dict.fromkeys(("p50", "p99", "p99_9", "max"), 1.0),
 }  # fmt: skip
+NUMBERS = (0.0, -0.0, 1e-320, 1e308, -1e308, math.inf, -math.inf, math.nan)
+WORDS = ("", "a", "linear_jerk", "Räder", "estop")
+
+
+def any_number(rng):
+    return rng.choice(NUMBERS) if rng.random() < 0.1 else rng.gauss(0.0, 10.0)
+
+
+def any_words(rng):
+    return tuple(rng.choice(WORDS) for _ in range(rng.choice((0, 0, 1, 2))))
+
+
+def any_joint(rng):
+    numbers = {name: any_number(rng) for name in (
+        "position_rad", "velocity_rad_s", "setpoint_rad_s", "duty", "current_a", "voltage_v",
+        "temperature_c")}  # fmt: skip
+    age_s = rng.choice((rng.random(), rng.random(), 1e30, math.inf))
+    return joint(**numbers, feedback_age_s=age_s, drive_faults=rng.getrandbits(32),
+                 stale=rng.random() < 0.5)  # fmt: skip
+
+
+def any_view(rng, count):
+    numbers = {name: any_number(rng) for name in (
+        "x_m", "y_m", "heading_rad", "linear_m_s", "angular_rad_s", "command_age_s",
+        "setpoint_linear_m_s", "setpoint_angular_rad_s")}  # fmt: skip
+    lease = {"number": 1, "owner": rng.choice(("", "fleet")), "priority": rng.choice((0, 70))}
+    return view(
+        rng.choice((0, 7, rng.randrange(10**9))),
+        status={"leases": [lease], "loop": LOOP},
+        machine_state=rng.randrange(12), owner=rng.choice((0, 1, 2)),
+        armed=rng.random() < 0.5, at_rest=rng.random() < 0.5,
+        faults=any_words(rng), reasons=any_words(rng),
+        joints=tuple(any_joint(rng) for _ in range(count)),
+        pose_covariance=tuple(any_number(rng) for _ in range(6)),
+        twist_covariance=tuple(any_number(rng) for _ in range(3)),
+        **numbers,
+    )  # fmt: skip
+
+
+def any_body(rng, count):
+    frames = {key: rng.choice(WORDS) for key in ("odom_frame", "base_frame")}
+    return Body(robot="r2", joints=tuple(rng.choices(WORDS, k=count)), **frames)

@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
+from motord.config.wheels import profile_of
+from motord.config.wiring import line_specs
+from motord_hal.lines import engine_of
 
 TEXT = (Path(__file__).resolve().parents[2] / "config/robots/arduino-text.toml").read_text("utf-8")
 TEMPLATE = r'template = "{left:d},{right:d}\n"'
@@ -20,7 +23,16 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
         ("{left_count},", "", "joint.left.counts_per_turn: must be 0: the feedback has no"),
         ("counts_per_turn = 1320\n", "", "joint.left.counts_per_turn: is missing: the board tells"),
         ("scale = 255.0", "scale = 0", "line.board.scale: 0 is out of range"),
-        ('kind = "ascii"', 'kind = "ascii"\nengine = "rt"', "line.board.engine: kind"),
+        (
+            TEMPLATE,
+            'engine = "rt"\n' + r'template = "{left:5},{right:5}\n"',
+            'line.board.template: the format "5" of {left} has no letter d, f or g',
+        ),
+        (
+            ",{right_count}",
+            'e{right_count}"\nengine = "rt" #',
+            'line.board.template: "e" may go on with the number before it: engine "asyncio" only',
+        ),
     ],
 )
 def test_what_does_not_fit_is_said(tmp_path, right, wrong, row):
@@ -43,3 +55,19 @@ def test_a_twist_needs_both_sides_on_the_line(tmp_path):
     path.write_text(text + more, encoding="utf-8")
     with pytest.raises(ConfigError, match="v and w need a left and a right"):
         load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("template", "engine"), [(TEMPLATE, "rt"), (r'template = "{left:5},{right:5}\n"', "asyncio")]
+)
+def test_a_template_that_c_cannot_say_is_left_to_asyncio_and_that_is_said(
+    tmp_path, template, engine
+):
+    path = tmp_path / "robot.toml"
+    path.write_text(TEXT.replace(TEMPLATE, template), encoding="utf-8")
+    robot = load_robot(path)
+    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    (spec,) = line_specs(robot, profiles)
+    assert engine_of(spec) == engine
+    said = any('engine "asyncio" only' in warning.text for warning in robot.warnings)
+    assert said == (engine == "asyncio")

@@ -110,3 +110,10 @@ def test_a_package_that_is_not_installed_is_a_warning_with_its_cure(tmp_path, mo
     monkeypatch.setattr("motord.config.bus_rules.find_spec", lambda name: None)
     (row,) = [row for row in load_robot(path).warnings if "pip install" in row.text]
     assert (row.key, f"motord[{kind}]" in row.text) == ("publish.net.kind", True)
+
+
+def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(tmp_path):
+    text = '[input.ros]\nkind = "ros2-rclpy"\n'
+    (row,) = errors(tmp_path, text)
+    assert row.startswith("input.ros.trust_network: all of the domain could move the robot")
+    assert not load_robot(robot_file(tmp_path, text + "trust_network = true\n")).has_bus

@@ -55,6 +55,47 @@ def test_anything_that_is_json_is_taken_or_refused(unstamped, message):
         unstamped.drive(message)
 
 
+@given(message=JSON)
+def test_anything_that_is_json_is_a_command_of_joints_or_refused(unstamped, message):
+    with pytest.raises(NotTaken):
+        unstamped.drive_joints(message)
+
+
+@given(
+    names=st.lists(st.sampled_from(["left", "right", "tail", ""]) | JSON, max_size=3) | JSON,
+    speeds=st.lists(NUMBERS, max_size=3) | JSON,
+)
+def test_joints_have_a_velocity_each_or_are_refused(unstamped, names, speeds):
+    try:
+        velocity_rad_s, age_s = unstamped._wheels({"name": names, "velocity": speeds})
+    except NotTaken:
+        return
+    assert age_s == 0.0
+    asked = dict(zip(names, speeds, strict=True))
+    assert set(asked) <= {"left", "right"}
+    theirs = [float(asked.get(name, 0.0)) for name in ("left", "right")]
+    assert [str(speed) for speed in velocity_rad_s] == [str(speed) for speed in theirs]
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"name": ["left", "tail"], "velocity": [1.0, 1.0]}, "left, right"),
+        ({"name": ["left", "right"], "velocity": [1.0]}, "one velocity"),
+        ({"name": ["left", "left"], "velocity": [1.0, 1.0]}, "one velocity"),
+        ({"name": ["left"]}, "no JointState"),
+    ],
+)
+def test_joints_that_are_not_all_there_are_refused_with_the_reason(unstamped, message, why):
+    with pytest.raises(NotTaken, match=why):
+        unstamped.drive_joints(message)
+
+
+def test_joints_without_a_stamp_are_refused_where_one_is_asked_for(stamped):
+    with pytest.raises(NotTaken, match="no stamp"):
+        stamped.drive_joints({"name": ["left"], "velocity": [1.0]})
+
+
 @given(x=NUMBERS, z=NUMBERS, sec=NUMBERS, nanosec=NUMBERS)
 def test_any_numbers_are_a_command_of_a_finite_age_or_refused(stamped, x, z, sec, nanosec):
     message = {

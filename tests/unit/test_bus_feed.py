@@ -50,6 +50,26 @@ async def test_of_each_topic_the_newest_wins_and_the_lost_are_counted():
     assert (feed.dropped, feed.taken) == (4, 2)
 
 
+async def test_what_does_not_fit_the_form_of_a_bus_is_lost_and_the_next_is_told():
+    def form(topic, body):
+        def made(view, offset_ns):
+            if view.snapshot.x_m < 0:
+                raise ValueError("negative")
+            return f"{topic.name} {view.snapshot.x_m:g}"
+
+        return made
+
+    feed = Feed(BODY, {"odom": 1000.0}, form)
+    feed.offer(view(1, x_m=-1.0))
+    task = asyncio.create_task(taken(feed, 1))
+    async with asyncio.timeout(DEADLINE_S):
+        while not feed.dropped:
+            await asyncio.sleep(0)
+    feed.offer(view(2, x_m=2.0))
+    (sample,) = await task
+    assert (sample.message, feed.taken, feed.dropped) == ("odom 2", 1, 1)
+
+
 @given(
     rate_hz=st.floats(0.01, 1000),
     gaps_ms=st.lists(st.integers(1, 300), min_size=1, max_size=60),

@@ -39,13 +39,16 @@ def test_a_board_s_line_reaches_the_hardware_layer(load):
     (spec,) = line_specs(robot, profiles)
     assert (spec.kind, spec.port, spec.cycle_hz) == ("mcu", "/dev/ttyUSB0", 100.0)
     assert spec.watchdog_s == 0.25
-    assert engine_of(spec) == "asyncio"
+    assert engine_of(spec) == "rt"
     assert not robot.warnings
 
 
-def test_there_is_no_real_time_engine_for_boards(load):
-    (row,) = rows(load, engine=('kind = "mcu"', 'kind = "mcu"\nengine = "rt"'))
-    assert row == 'line.board.engine: kind "mcu" runs on "asyncio" only'
+@pytest.mark.parametrize("engine", ["rt", "asyncio"])
+def test_a_board_s_line_runs_on_the_engine_that_is_asked_for(load, engine):
+    robot = load(engine=('kind = "mcu"', f'kind = "mcu"\nengine = "{engine}"'))
+    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    (spec,) = line_specs(robot, profiles)
+    assert engine_of(spec) == engine
 
 
 def test_a_drive_of_another_protocol_is_refused(load):

@@ -45,7 +45,11 @@ def test_the_description_has_a_joint_for_each_wheel_where_the_robot_file_says():
 
     made = robot("joint.left.wheel_radius_m=0.1")
     root = fromstring(urdf(made))
-    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    joints = {
+        joint.get("name"): joint
+        for joint in root.findall("joint")
+        if joint.get("type") == "continuous"
+    }
     assert set(joints) == set(made.joint)
     place = [float(word) for word in joints["left"].find("origin").get("xyz").split()]
     assert place == [0.0, 0.225, 0.1]
@@ -66,6 +70,8 @@ def test_commands_from_a_network_have_to_be_meant():
 def test_a_domain_is_reached_in_one_way():
     with pytest.raises(ConfigError, match="reached in one way"):
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.discovery=subnet")
+    with pytest.raises(ConfigError, match="reached in one way"):
+        robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.distribution=humble")
     with pytest.raises(ConfigError, match="of no use"):
         robot("publish.ros2.kind=ros2", "publish.ros2.interface=eth0")
 
@@ -89,6 +95,10 @@ class Daemon:
         }
 
 
+said = []
+"""Events of parameters."""
+
+
 def asked(service, daemon, **request):
     pytest.importorskip("cyclonedds", reason="needs cyclonedds")
     from motord.bus.ros2.parameters import Parameters
@@ -96,7 +106,11 @@ def asked(service, daemon, **request):
     served = {}
     parameters = Parameters(robot(), daemon.call)
     parameters.serve(
-        SimpleNamespace(serve=lambda name, kind, answer, depth: served.update({name: answer}))
+        SimpleNamespace(
+            serve=lambda name, kind, answer, depth: served.update({name: answer}),
+            full=lambda name: f"/r2/motord/{name[2:]}",
+            publisher=lambda name, kind, quality: SimpleNamespace(publish=said.append),
+        )
     )
     return asyncio.run(served[f"~/{service}"](SimpleNamespace(**request)))
 
@@ -122,6 +136,7 @@ def test_no_limit_is_infinity():
     (result,) = asked("set_parameters", daemon, parameters=[change]).results
     assert result.successful
     assert daemon.asked[-1] == ("params.set", {"limits.linear_m_s3": None})
+    assert said[-1].changed_parameters == [change]
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints what
-they print. Arguments go to pytest. Without root, Debian 12 on amd64 or QEMU's packages: one line
-that says why, and status 0.
+they print; then tests/vm/pi on an emulated Raspberry Pi 3. Arguments go to the guest's pytest, and
+with any the Pi is left out. Without root, Debian 12 on amd64 or QEMU's packages: one line that says
+why, and status 0.
 
 Emulated, not virtualised: time in the guest means nothing, what the kernel does is real.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 BUILD = ROOT / "build" / "vm"
+BUILD_PI = ROOT / "build" / "pi"
 BOOT_AND_TESTS_WITHIN_S = float(os.environ.get("MOTORD_VM_WITHIN_S", "540"))
 ADAPTER_SERIAL = "A10K3XYZ"
 STATUS = "guest: status "
@@ -38,9 +40,10 @@ def why_not() -> str:
         return "needs Debian 12, whose packages the guest is made of"
     if os.uname().machine != "x86_64":
         return "needs an x86-64 machine"
-    wanted = ("qemu-system-x86_64", "mmdebstrap")
+    wanted = ("qemu-system-x86_64", "qemu-system-aarch64", "aarch64-linux-gnu-gcc", "mmdebstrap")
     if not all(map(shutil.which, wanted)) and os.environ.get("MOTORD_VM_INSTALL") != "1":
-        return f"needs {', '.join(wanted)} (apt install qemu-system-x86 mmdebstrap)"
+        packages = "qemu-system-x86 qemu-system-arm gcc-aarch64-linux-gnu mmdebstrap"
+        return f"needs {', '.join(wanted)} (apt install {packages})"
     return ""
 
 
@@ -89,9 +92,21 @@ def qemu(disk: Path, folder: Path) -> list[str]:
     ]  # fmt: skip
 
 
-def boot(command: list[str]) -> int:
+def raspberry_pi() -> list[str]:
+    """One QEMU thread: with one for each CPU, those not started yet spin."""
+    append = "console=ttyS1 quiet loglevel=1 rdinit=/init panic=-1"
+    return [
+        "qemu-system-aarch64", "-M", "raspi3b", "-accel", "tcg,thread=single",
+        "-nodefaults", "-display", "none", "-no-reboot",
+        "-kernel", str(BUILD_PI / "vmlinuz"), "-dtb", str(BUILD_PI / "pi.dtb"),
+        "-initrd", str(BUILD_PI / "initrd.gz"), "-append", append,
+        "-serial", "null", "-chardev", "stdio,id=out,signal=off", "-serial", "chardev:out",
+    ]  # fmt: skip
+
+
+def boot(command: list[str], *, ends_itself: bool) -> int:
     """The status that the guest told; 1 where it told none."""
-    status = 1
+    status = None
     limit = ["timeout", "-k", "5", str(BOOT_AND_TESTS_WITHIN_S)]
     with subprocess.Popen(
         [*limit, *command], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
@@ -101,9 +116,11 @@ def boot(command: list[str]) -> int:
             line = raw.decode(errors="replace").rstrip("\r\n")
             if line.startswith(STATUS):
                 status = int(line.removeprefix(STATUS))
+                if not ends_itself:
+                    machine.terminate()
             else:
                 print(line, flush=True)
-    if machine.returncode != 0:
+    if status is None or (ends_itself and machine.returncode != 0):
         print(f"make vm: the guest did not end by itself: {BUILD / 'console.log'}", file=sys.stderr)
         return 1
     return status
@@ -119,7 +136,11 @@ def main(arguments: list[str]) -> int:
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="motord-vm-") as folder:
         disk = make_disk(Path(made.stdout.strip()), arguments, Path(folder))
-        return boot(qemu(disk, Path(folder)))
+        status = boot(qemu(disk, Path(folder)), ends_itself=True)
+    if arguments:
+        return status
+    subprocess.run([HERE / "pi" / "image.sh", BUILD_PI, ROOT], check=True, timeout=600)
+    return status or boot(raspberry_pi(), ends_itself=False)
 
 
 if __name__ == "__main__":

@@ -4,39 +4,46 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+import logging
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from motord.bus.messages import Body
 from motord.bus.topics import TOPICS, Topic, View, wall_offset_ns
 
+Make = Callable[[View, int], Any]
+"""From a view and the wall clock's offset to what a bus takes; None: it cannot be said. Raises
+ValueError for what does not fit."""
+Form = Callable[[Topic, Body], Make]
+
+_log = logging.getLogger(__name__)
+
+
+def as_message(topic: Topic, body: Body) -> Make:
+    """The form of buses that encode by themselves."""
+    return lambda view, wall_offset_ns: topic.build(view, body, wall_offset_ns)
+
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A message and its topic."""
+    """A message, in the form of its feed, and its topic."""
 
     topic: Topic
     message: Any
-
-    @property
-    def stamp_ns(self) -> int:
-        """The sample's own moment, as wall time."""
-        transforms = getattr(self.message, "transforms", None)
-        stamp = (transforms[0] if transforms else self.message).header.stamp
-        return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 class Feed:
     """A box for one view of each topic. Who fills it never waits; who is slow loses samples."""
 
-    def __init__(self, body: Body, rates_hz: Mapping[str, float]) -> None:
+    def __init__(self, body: Body, rates_hz: Mapping[str, float], form: Form = as_message) -> None:
         """Raises KeyError for a topic that there is not."""
-        self._body = body
+        self._make = {name: form(TOPICS[name], body) for name in rates_hz}
         self._period_ns = {name: round(1e9 / rate_hz) for name, rate_hz in rates_hz.items()}
-        self._due_ns = {TOPICS[name].name: 0 for name in rates_hz}
+        self._due_ns = dict.fromkeys(rates_hz, 0)
         self._newest: dict[str, View] = {}
         self._filled = asyncio.Event()
+        self._failing = False
         self.taken = 0
         self.dropped = 0
         """Replaced by newer ones before they were taken."""
@@ -60,14 +67,26 @@ class Feed:
             self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[Sample]:
-        """Each message when it is taken; what cannot be said is left out."""
+        """Each message when it is taken; what cannot be said is left out, what does not fit its
+        form is lost."""
         while True:
             await self._filled.wait()
             self._filled.clear()
             newest, self._newest = self._newest, {}
             offset_ns = wall_offset_ns()
             for name, view in newest.items():
-                message = TOPICS[name].build(view, self._body, offset_ns)
+                try:
+                    message = self._make[name](view, offset_ns)
+                except ValueError as error:
+                    self._lose(error)
+                    continue
                 if message is not None:
                     self.taken += 1
                     yield Sample(TOPICS[name], message)
+
+    def _lose(self, error: ValueError) -> None:
+        """Said once."""
+        self.dropped += 1
+        if not self._failing:
+            self._failing = True
+            _log.warning("not published: %s", error)

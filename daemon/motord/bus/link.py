@@ -13,12 +13,12 @@ import json
 import logging
 import socket
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from motord.client import NOT_ALLOWED, REFUSED, ClientError, Refused
-from motord.commands import RELEASE, TWIST, datagram
+from motord.commands import RELEASE, TWIST, datagram, joint_datagram
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
@@ -78,6 +78,8 @@ class Source:
         self._path = path
         self.owner = owner
         self._token: bytes | None = None
+        self.number = 0
+        """Of the lease, as the state page has it; 0: there is none."""
         self._sequence = 0
         self._failing = False
         self._sender: socket.socket | None = None
@@ -110,6 +112,7 @@ class Source:
         with socket.socket(socket.AF_UNIX, kind) as sender:
             sender.connect(grant["socket"])
             self._token, self._sequence = bytes.fromhex(grant["token"]), 0
+            self.number = grant["number"]
             self._sender = sender
             if self._failing:
                 self._failing = False
@@ -118,27 +121,40 @@ class Source:
                 await _ended(reader)
             finally:
                 self._token = self._sender = None
+                self.number = 0
 
     def drive(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> bool:
         """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
         Returns whether it was sent."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
-        return self._send(TWIST, linear_m_s, angular_rad_s, stamp_ns)
+        return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns)
+
+    def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
+        """One command of all wheels, in the order of the robot file, as `drive`."""
+        return self._send(
+            lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
+        )
 
     def release(self) -> bool:
         """Give the command back before it lapses; the next one takes it again."""
-        return self._send(RELEASE, 0.0, 0.0, time.monotonic_ns())
+        return self._send_twist(RELEASE, 0.0, 0.0, time.monotonic_ns())
 
-    def _send(self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int) -> bool:
+    def _send_twist(
+        self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int
+    ) -> bool:
+        return self._send(
+            lambda token, sequence: datagram(
+                token, sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
+            )
+        )
+
+    def _send(self, made: Callable[[bytes, int], bytes]) -> bool:
         if self._token is None or self._sender is None:
             self.lost += 1
             return False
         self._sequence += 1
-        command = datagram(
-            self._token, self._sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
-        )
         try:
-            self._sender.send(command)
+            self._sender.send(made(self._token, self._sequence))
         except OSError:  # full: the next one will do; gone: the connection's end says it
             self.lost += 1
             return False

@@ -13,7 +13,11 @@ from typing import TYPE_CHECKING, Any
 import aiomqtt
 
 from motord.bus import json_form
+from motord.bus.feed import Form, Make, as_message
+from motord.bus.json_direct import encoder as json_encoder
+from motord.bus.messages import Body
 from motord.bus.secret import read_secret
+from motord.bus.topics import Topic, View
 from motord.config import MqttBroker
 
 if TYPE_CHECKING:
@@ -45,7 +49,17 @@ class MqttConnection:
             self._password = read_secret(station.beside_robot_file(section.password_file))
         self._tls = _tls_context(section, station) if section.tls else None
         self.encode = encoder(section.encoding)
+        self.form: Form = json_encoder if section.encoding == "json" else self._as_cbor
         self.decode = decoder(section.encoding)
+
+    def _as_cbor(self, topic: Topic, body: Body) -> Make:
+        build = as_message(topic, body)
+
+        def encoded(view: View, wall_offset_ns: int) -> bytes | None:
+            message = build(view, wall_offset_ns)
+            return None if message is None else self.encode(message)
+
+        return encoded
 
     async def keep(
         self, use: Callable[[aiomqtt.Client], Awaitable[None]], will: aiomqtt.Will | None = None

@@ -18,8 +18,8 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from motord.bus import json_form
 from motord.bus.inputs.desk import Desk, NotTaken
+from motord.bus.json_direct import encoder as json_encoder
 from motord.bus.rosbridge_client import RosbridgeClient
 from motord.config import RosbridgeInput, RosbridgeServer
 
@@ -45,7 +45,9 @@ class RosbridgeAdapter:
         if isinstance(section, RosbridgeInput):
             self._desk, table = Desk(name, section, station), "input"
         self._where = f"{table}.{name}"
-        self._feed = station.feed(self._where if self._desk else name, section.rates_hz())
+        self._feed = station.feed(
+            self._where if self._desk else name, section.rates_hz(), json_encoder
+        )
         self._clients: set[RosbridgeClient] = set()
         self._tls = _tls_context(section, station)
 
@@ -110,7 +112,7 @@ class RosbridgeAdapter:
         async for sample in self._feed:
             wanting = [client for client in self._clients if client.wants(sample.topic.name)]
             if wanting:
-                text = _published(sample.topic.name, json_form.encode(sample.message))
+                text = _published(sample.topic.name, sample.message)
                 self._feed.dropped += sum(
                     client.offer(sample.topic.name, text) for client in wanting
                 )

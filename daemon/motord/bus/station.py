@@ -12,12 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
-from motord.bus.feed import Feed
+from motord.bus.feed import Feed, Form, as_message
 from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError
-from motord.config import BusInput, OtherInput, OtherPublish, Robot, StdoutPublish, UdpPublish
+from motord.config import (
+    BusInput,
+    OtherInput,
+    OtherPublish,
+    RclpyInput,
+    Robot,
+    StdoutPublish,
+    UdpPublish,
+)
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 
@@ -44,9 +52,9 @@ class Station:
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
-    def feed(self, name: str, rates_hz: Mapping[str, float]) -> Feed:
+    def feed(self, name: str, rates_hz: Mapping[str, float], form: Form = as_message) -> Feed:
         """Topics by their rates, for the adapter of that name."""
-        self.feeds[name] = Feed(self.body, rates_hz)
+        self.feeds[name] = Feed(self.body, rates_hz, form)
         return self.feeds[name]
 
     def source(self, name: str) -> Source:
@@ -98,7 +106,7 @@ class Station:
         made += [
             self._adapter(f"input.{name}", section, INPUTS, INPUT_POINTS)
             for name, section in self.robot.input.items()
-            if isinstance(section, BusInput)
+            if isinstance(section, BusInput) and not isinstance(section, RclpyInput)
         ]
         return [adapter for adapter in made if adapter is not None]
 

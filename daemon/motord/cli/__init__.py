@@ -18,6 +18,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "arm": ("motord.cli.talk:arm", "Let the running robot move."),
     "disarm": ("motord.cli.talk:disarm", "Come to rest and take the power off the drives."),
     "drive": ("motord.cli.talk:drive", "Drive at V m/s and W rad/s."),
+    "move": ("motord.cli.move:move", "Drive by so many metres."),
+    "turn": ("motord.cli.move:turn", "Turn by so many radians."),
     "stop": ("motord.cli.talk:stop", "Come to rest, stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; stays until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "After a crash: tell every drive to stop."),

@@ -179,7 +179,7 @@ def drive(
     """
     start_s = due_s = time.monotonic()
     sent = 0
-    with _interruptible() as interrupts:
+    with interruptible() as interrupts:
         while not interrupts and (seconds is None or time.monotonic() - start_s < seconds):
             answer = client.drive(linear_m_s, angular_rad_s, owner=owner)
             if sent % 5 == 0:
@@ -195,7 +195,7 @@ def drive(
 
 
 @contextlib.contextmanager
-def _interruptible() -> Iterator[list[int]]:
+def interruptible() -> Iterator[list[int]]:
     """Grows with the first Ctrl-C, instead of an exception that may come to nothing where it cannot
     be raised (in a finalizer); the second one ends the program."""
     interrupts: list[int] = []

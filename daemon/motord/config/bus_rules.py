@@ -13,6 +13,7 @@ from motord.config.bus_sections import (
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
+    RclpyInput,
     Ros2Input,
     Ros2Node,
     RosbridgeInput,
@@ -135,6 +136,13 @@ def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
             yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
 
 
+def _bridged_commands_are_meant(robot: Robot) -> Iterator[Finding]:
+    for name, section in robot.input.items():
+        if isinstance(section, RclpyInput) and not section.trust_network:
+            text = "all of the domain could move the robot; if that is meant: trust_network = true"
+            yield Finding((("input", name, "trust_network"), ("input", name, "kind")), text)
+
+
 def _ros2_domains(robot: Robot) -> Iterator[Finding]:
     domains: dict[int, tuple[Path, Ros2Node]] = {}
     for path, section in _ros2_nodes(robot):
@@ -142,7 +150,7 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
             text = 'is of no use without discovery = "subnet"'
             yield Finding(((*path, "interface"), (*path, "discovery")), text)
         before, first = domains.setdefault(section.domain_id, (path, section))
-        for key in ("discovery", "interface"):
+        for key in ("discovery", "interface", "distribution"):
             if getattr(section, key) != getattr(first, key):
                 text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
                 yield Finding(((*path, key), (*before, key)), text)
@@ -202,6 +210,7 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _certificates,
     _joystick_lives_long_enough,
     _ros2_commands_are_meant,
+    _bridged_commands_are_meant,
     _ros2_domains,
     _packages_are_there,
     _zenoh_commands_are_meant,

@@ -233,6 +233,8 @@ class Ros2Node(RosNode):
     discovery: Literal["localhost", "subnet"] = "localhost"
     """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
     networks that it is connected to."""
+    distribution: Literal["humble", "jazzy"] = "jazzy"
+    """Of those who are to list the node: Humble has another graph. Iron and later are as Jazzy."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
     """The one network interface to use, by name (discovery subnet); where it is not given, what the
     DDS library chooses."""
@@ -282,8 +284,9 @@ class ZenohPublish(RosTopics, ZenohNode):
 
 
 class Ros2Input(StampedInput, Ros2Node):
-    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist), and the
-    services arm, disarm, stop, estop, reset, reset_odometry, parameters and life cycle."""
+    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist),
+    joint_commands, the actions drive_distance, rotate and calibrate, and the services arm, disarm,
+    stop, estop, reset, reset_odometry, parameters and life cycle."""
 
     kind: Literal["ros2"]
     trust_network: bool = False
@@ -298,6 +301,16 @@ class ZenohInput(StampedInput, ZenohNode):
     trust_router: bool = False
     """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
     the network unless it is told not to. It has to be said that this is meant."""
+
+
+class RclpyInput(BusInput):
+    """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
+    motord-bus has no part in it."""
+
+    kind: Literal["ros2-rclpy"]
+    trust_network: bool = False
+    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
+    to be said that this is meant."""
 
 
 class OtherPublish(BusPublish):

@@ -14,12 +14,17 @@ from motord.config.line_sections import (
     DdsmLine,
     GatewayLine,
     McuLine,
-    PortLine,
     SerialLine,
 )
 from motord.config.model import Robot
 from motord.config.toml_lines import Path
-from motord_hal.ascii.dialect import COUNT, check_setpoints, feedback_fields, setpoint_fields
+from motord_hal.ascii.dialect import (
+    COUNT,
+    check_setpoints,
+    feedback_fields,
+    setpoint_fields,
+    why_not_in_c,
+)
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.lines import RT_CAN_INTERFACES
@@ -45,8 +50,6 @@ def _engine(robot: Robot) -> Iterator[Finding]:
         if isinstance(line, GatewayLine) and line.engine == "rt":
             text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
             yield Finding(at, text)
-        elif isinstance(line, PortLine) and line.engine == "rt":
-            yield Finding(at, f'kind "{line.kind}" runs on "asyncio" only')
         elif isinstance(line, CanLine) and line.engine == "rt":
             if line.interface not in RT_CAN_INTERFACES:
                 paths = (("line", name, "engine"), ("line", name, "interface"))
@@ -71,11 +74,13 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             continue
         joints = tuple(joint for joint, section in robot.joint.items() if section.line == name)
         template = (("line", name, "template"), ("line", name, "kind"))
+        text: Text | None
         try:
             text = Text(line.template, setpoint_fields(joints))
             check_setpoints(text, joints)
             yield from _twist(robot, joints, text, template)
         except ValueError as error:
+            text = None
             yield Finding(template, str(error))
         try:
             heard = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
@@ -83,6 +88,15 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
             continue
         yield from _counts(robot, joints, heard.fields if heard else ())
+        if text is not None:
+            yield from _text_engine(name, line, text, heard)
+
+
+def _text_engine(name: str, line: AsciiLine, said: Text, heard: Text | None) -> Iterator[Finding]:
+    why = why_not_in_c(said, heard)
+    if why and line.engine != "asyncio":
+        at = (("line", name, "template"), ("line", name, "feedback"), ("line", name, "engine"))
+        yield Finding(at, f'{why}: engine "asyncio" only', warning=line.engine == "auto")
 
 
 def _twist(

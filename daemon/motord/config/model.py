@@ -26,6 +26,7 @@ from motord.config.bus_sections import (
     OtherInput,
     OtherPublish,
     PrometheusPublish,
+    RclpyInput,
     Ros2Input,
     Ros2Publish,
     RosbridgeInput,
@@ -305,6 +306,7 @@ Input = (
     | JoystickInput
     | Ros2Input
     | ZenohInput
+    | RclpyInput
     | OtherInput
 )
 AnyPublish = (
@@ -365,7 +367,10 @@ class Robot(Section):
     @property
     def has_bus(self) -> bool:
         """Somebody is told, or may command, by the second process."""
-        inputs = any(isinstance(section, BusInput) for section in self.input.values())
+        inputs = any(
+            isinstance(section, BusInput) and not isinstance(section, RclpyInput)
+            for section in self.input.values()
+        )
         own = (StdoutPublish, UdpPublish)
         return inputs or any(not isinstance(section, own) for section in self.publish.values())
 

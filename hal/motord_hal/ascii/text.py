@@ -64,13 +64,21 @@ class Text:
                 out.append(format(round(value) if spec.endswith("d") else value, spec))
         return "".join(out).encode("ascii")
 
+    @property
+    def parts(self) -> tuple[tuple[str, str | None, str], ...]:
+        """Literal, then a field's name and format; no name after the last literal."""
+        return tuple(self._parts)
+
     def read(self, line: bytes) -> dict[str, float] | None:
         """The numbers of a line; None: it is another one."""
         text = line.decode("ascii", errors="replace").strip()
         found = self._pattern.fullmatch(text)
         if found is None:
             return None
-        return dict(zip(self.fields, map(float, found.groups()), strict=True))
+        numbers = [float(group) for group in found.groups()]
+        if not all(map(math.isfinite, numbers)):  # 1e999
+            return None
+        return dict(zip(self.fields, numbers, strict=True))
 
 
 def _check_field(name: str, spec: str, conversion: str | None, known: Collection[str]) -> None:

@@ -44,6 +44,9 @@ class DdsmFrames:
         rest = {command_of(register): None for register in slow}
         return tuple(self._planned(command, slow) for command in rest if command not in cyclic)
 
+    def idle(self) -> tuple[LineFrame, ...]:
+        return ()
+
     def zero_steps(self) -> tuple[Step, ...]:
         return tuple(Step(register=register.name, value=0) for register in self._setpoints())
 

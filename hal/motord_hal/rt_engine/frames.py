@@ -36,6 +36,11 @@ class DriveFrames(Protocol):
         """Exchanges of which one is made now and then."""
         ...
 
+    def idle(self) -> tuple[LineFrame, ...]:
+        """What goes out in place of the first cyclic exchange while the drive is neither armed nor
+        coming to rest; empty: that one, with zeros."""
+        ...
+
     def zero_steps(self) -> tuple[Step, ...]:
         """Writes that leave zero in the set-point registers."""
         ...

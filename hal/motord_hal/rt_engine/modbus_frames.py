@@ -70,6 +70,9 @@ class ModbusFrames:
             for span in self.plan.extra
         )
 
+    def idle(self) -> tuple[LineFrame, ...]:
+        return ()
+
     def zero_steps(self) -> tuple[Step, ...]:
         return self.plan.zero_steps()
 

@@ -12,6 +12,7 @@ from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine.ddsm_frames import DdsmFrames
 from motord_hal.rt_engine.frames import DriveFrames
 from motord_hal.rt_engine.modbus_frames import ModbusFrames
+from motord_hal.rt_engine.roboclaw_frames import RoboclawFrames
 
 
 def frames_of(spec: LineSpec) -> list[DriveFrames]:
@@ -31,4 +32,6 @@ def _frames(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
 
     if spec.kind == "ddsm":
         return DdsmFrames(joints, line_gap_s(spec), wire_time_s)
+    if spec.kind == "roboclaw":
+        return RoboclawFrames(joints, line_gap_s(spec), wire_time_s)
     return ModbusFrames(DrivePlan(joints, line_gap_s(spec), wire_time_s))

@@ -40,7 +40,7 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
     """The table of a line. C checks it once more and names the first bad field."""
     bits = character_bits(spec.parity, spec.stop_bits)
     return LineTable(
-        echo=_ECHO[spec.echo],
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo to look for
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
         setpoint_timeout_ns=round(SETPOINT_TIMEOUT_S * _NS_PER_S),
@@ -84,6 +84,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
         way=tuple(_ways(frames)),
         quick_stop=step_frames(frames, profile.quick_stop),
         disarm=step_frames(frames, profile.disarm),
+        idle=frames.idle(),
     )
 
 
@@ -130,28 +131,28 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
         magnitude = channel.direction is not None
         gear = joint.gear_ratio if channel.velocity_setpoint else 1.0
         sign = -1.0 if joint.inverted and not magnitude else 1.0
-        low, high = _raw_limits(register)
+        low, high = raw_limits(register)
         yield LineSetpoint(
             joint=joint.index,
-            kind=_kind(channel),
+            kind=setpoint_kind(channel),
             byte=places[name],
             form=_FORMS[register.type.value],
             magnitude=int(magnitude),
-            raw_per_si=sign * gear / _si_per_raw(register),
+            raw_per_si=sign * gear / si_per_raw(register),
             raw_min=low,
             raw_max=high,
         )
 
 
-def _kind(channel: Channel) -> SetpointKind:
+def setpoint_kind(channel: Channel) -> SetpointKind:
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
 
 
-def _si_per_raw(register: Register) -> float:
+def si_per_raw(register: Register) -> float:
     return register.scale * SI_UNITS[register.unit][1]
 
 
-def _raw_limits(register: Register) -> tuple[float, float]:
+def raw_limits(register: Register) -> tuple[float, float]:
     """As Register.from_si holds a value within its own limits and those of its type."""
     low, high = register.raw_range
     given = (register.minimum, register.maximum)
@@ -180,7 +181,7 @@ def _ways(frames: DriveFrames) -> Iterable[LineWay]:
         )
         yield LineWay(
             joint=joint.index,
-            kind=_kind(channel),
+            kind=setpoint_kind(channel),
             inverted=int(joint.inverted),
             rest=rest,
             forward=forward,
@@ -210,14 +211,14 @@ def _joint_field(
     frames: DriveFrames, joint: JointSpec, kind: FieldKind, register: Register, byte: int
 ) -> LineField:
     form, mask = _FORMS[register.type.value], register.mask or 0
-    si_per_raw, way = _si_per_raw(register), 0
+    factor, way = si_per_raw(register), 0
     if kind is FieldKind.COUNT:
         form, mask = _counter(register, frames.profile.counter_bits)
     elif kind is FieldKind.VELOCITY:
-        si_per_raw *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
+        factor *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
         ways = _way_joints(frames)
         way = 0 if register.type.signed or joint not in ways else 1 + ways.index(joint)
-    bits, codes = _harmless(frames.profile) if kind is FieldKind.FAULT else (0, None)
+    bits, codes = harmless(frames.profile) if kind is FieldKind.FAULT else (0, None)
     return LineField(
         joint=joint.index,
         kind=kind,
@@ -225,7 +226,7 @@ def _joint_field(
         form=form,
         mask=mask,
         way=way,
-        si_per_raw=si_per_raw,
+        si_per_raw=factor,
         harmless_bits=bits,
         is_code=int(codes is not None),
         harmless=codes or (),
@@ -242,7 +243,7 @@ def _counter(register: Register, bits: int) -> tuple[Form, int]:
     return form, 0 if counted == whole else counted
 
 
-def _harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
+def harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
     """Warnings: as bits, or as codes on drives that number their faults."""
     warnings = [fault for fault in profile.faults if fault.severity == "warning"]
     if any(fault.code is not None for fault in profile.faults):

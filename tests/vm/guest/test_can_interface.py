@@ -1,51 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines of both engines on two controllers of the kernel that are cabled to each other: an
-interface that goes down, one that is taken away, one whose queue is full, and how long a set-point
-takes. What is said on the bus is asked by the contract suite, on vcan."""
+"""CAN lines of both engines on interfaces of the kernel: two controllers that are cabled to each
+other, an interface that goes down, one that is taken away, one whose queue is full, and how long a
+set-point takes. What is said on the bus is asked by the contract suite, on vcan.
+
+QEMU's SJA1000 mixes up what follows a remote frame, which ODrives are asked by: those are at the
+other end of a vxcan, which is a cable without controllers.
+"""
 
 import math
 import statistics
 import subprocess
 import time
+from types import SimpleNamespace
 
 import pytest
+import scripted_odrive
+from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
 from scripted_odrive import IDLE, Peer, living
 from shell import output
 from test_can_line import spec_of
 
-from motord_hal.ports import DriveState, EventKind, LineState
+from motord_hal.drives.load import find_profile
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineState
 
 TURN = 2 * math.pi
-OWN, FAR = "can0", "can1"
+NODE = 5
+OWN, FAR = "vxcan0", "vxcan1"
+CONTROLLERS = ("can0", "can1")
 ENGINES = {"rt": "socketcan", "asyncio": "socketcan-asyncio"}
 CHANGES = 50
-pytestmark = pytest.mark.skipif(
-    subprocess.run(("ip", "link", "show", OWN), capture_output=True, check=False).returncode != 0,
-    reason="no CAN controllers",
-)
+CYCLE_HZ = 20.0
+"""An emulated machine is slow."""
 
 
-def up(interface, *more):
-    output("ip", "link", "set", interface, "up", "type", "can", "bitrate", "500000", *more)
-
-
-def down(interface):
-    output("ip", "link", "set", interface, "down")
+def ip(*words):
+    output("ip", "link", *words)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def cable():
+    ip("add", OWN, "type", "vxcan", "peer", "name", FAR)
     for interface in (OWN, FAR):
-        down(interface)
-        up(interface, "restart-ms", "100")
+        ip("set", interface, "up")
     yield
-    for interface in (OWN, FAR):
-        down(interface)
+    ip("del", OWN)
+
+
+@pytest.fixture
+def controllers():
+    for interface in CONTROLLERS:
+        ip("set", interface, "down")
+        ip("set", interface, "up", "type", "can", "bitrate", "500000", "restart-ms", "100")
+    yield CONTROLLERS
+    for interface in CONTROLLERS:
+        ip("set", interface, "down")
 
 
 @pytest.fixture(params=ENGINES)
-async def peer(request):
+async def peer(request, monkeypatch):
+    monkeypatch.setattr(scripted_odrive, "ESTIMATES_S", 1.0 / CYCLE_HZ)
     peer = Peer(ENGINES[request.param], (0, 3), f"socketcan:{OWN}", f"socketcan:{FAR}")
     async with living(peer):
         yield peer
@@ -53,7 +67,7 @@ async def peer(request):
 
 @pytest.fixture
 async def rig(peer):
-    async with running(spec_of(peer, 0, 3)) as rig:
+    async with running(spec_of(peer, 0, 3, cycle_hz=CYCLE_HZ)) as rig:
         yield rig
 
 
@@ -73,13 +87,13 @@ async def back_disarmed(rig, peer):
 
 async def test_an_interface_that_is_set_down_is_said_and_the_drives_come_back_disarmed(rig, peer):
     await drive(rig, peer)
-    down(OWN)
+    ip("set", OWN, "down")
     try:
         await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the line is lost")
         assert rig.line.state is not LineState.READY
         assert DriveState.ARMED not in rig.states()
     finally:
-        up(OWN)
+        ip("set", OWN, "up")
     await back_disarmed(rig, peer)
     assert rig.kinds().count(EventKind.LINE_OPEN) == 2
 
@@ -107,14 +121,14 @@ async def test_a_set_point_reaches_the_other_end_of_the_cable(rig, peer):
         await until(lambda want=turns_s: peer.axes[0].velocities()[-1] == pytest.approx(want))
         took_ms.append((time.monotonic() - began_s) * 1e3)
     print(
-        f"\n{rig.line.engine}: set-point to the other end, cycle 10 ms: "
+        f"\n{rig.line.engine}: set-point to the other end, cycle 50 ms: "
         f"{statistics.median(took_ms):.1f} ms p50, {max(took_ms):.1f} ms at most of {CHANGES}"
     )
 
 
 def make(interface):
-    output("ip", "link", "add", interface, "type", "vcan")
-    output("ip", "link", "set", interface, "up")
+    ip("add", interface, "type", "vcan")
+    ip("set", interface, "up")
 
 
 @pytest.fixture
@@ -133,9 +147,31 @@ async def test_an_interface_that_is_taken_away_and_comes_back_brings_its_drives_
     async with living(peer), running(spec_of(peer, 0, 3)) as rig:
         await drive(rig, peer)
         peer.cut()
-        output("ip", "link", "del", adapter)
+        ip("del", adapter)
         await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the line is lost")
         assert DriveState.ARMED not in rig.states()
         make(adapter)
         peer.reach(peer.address)
         await back_disarmed(rig, peer)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, engine):
+    own, far = controllers
+    node = Cia402Node(f"socketcan:{far}", NODE)
+    joint = JointSpec(index=0, name="wheel0", profile=find_profile("cia402"), unit=NODE)
+    peer = SimpleNamespace(address=f"socketcan:{own}", engine=engine, axes={})
+    try:
+        async with running(spec_of(peer, joints=(joint,), cycle_hz=CYCLE_HZ)) as rig:
+            await rig.arm()
+            assert node.status == OPERATION
+            rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+            node.position = -1234
+            await until(lambda: node.velocity == 60, "a turn a second")
+            await until(
+                lambda: rig.loop.exchange.take_feedback(0).count == (1 << 32) - 1234, "counts"
+            )
+            await rig.line.disarm()
+            assert node.status != OPERATION
+    finally:
+        node.close()

@@ -1,94 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """motord@ROBOT.service under a real systemd, on a real UART: started, hung, killed, stopped."""
 
-import contextlib
 import json
 import os
 import signal
-import socket
-import struct
 import time
 from pathlib import Path
 
 import pytest
 from cable import UART, adapter, behind, plug, robot_file
-from shell import DEADLINE_S, journal, output, properties, wait_until
-from stage import Stage, granted
-
-from motord.client import Client, ClientError
+from shell import journal, output, properties, wait_until
+from stage import granted
+from unit import ETC, prepared, started
 
 NAME = "cart"
 UNIT = f"motord@{NAME}.service"
-ETC = Path("/etc/motord")
-DROP_IN = Path(f"/run/systemd/system/{UNIT}.d/patient.conf")
-TOLD = "rs485: left, right: stopped and without power"
-SOCKET = Path(f"/run/motord/{NAME}.sock")
-
-
-class Unit(Stage):
-    """The daemon as systemd runs it."""
-
-    def said(self):
-        return "\n".join(entry["MESSAGE"] for entry in journal(UNIT))
-
-    def again(self, old_pid):
-        """Waits for the next process of the unit, and is connected to it."""
-        self.robot.close()
-        self.robot = wait_until(lambda: connected(old_pid), "it is started again", self.said)
-        return self
-
-
-def connected(old_pid=0):
-    """None as long as nobody but the old process listens: unix(7), SO_PEERCRED. Costs less than
-    asking systemd."""
-    with contextlib.suppress(ClientError, OSError), socket.socket(socket.AF_UNIX) as probe:
-        probe.connect(str(SOCKET))
-        found = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
-        if struct.unpack("3i", found)[0] != old_pid:
-            return Client(SOCKET, timeout_s=DEADLINE_S)
-    return None
 
 
 @pytest.fixture(scope="module")
 def drives(simulator):
-    """The robot's file, and its drives; the unit's watchdog as patient as an emulated machine
-    asks for."""
+    """The robot's file, and its drives."""
     plug()
-    DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-    DROP_IN.write_text("[Service]\nWatchdogSec=30\nTimeoutStartSec=90\nTimeoutStopSec=60\n")
-    output("systemctl", "daemon-reload")
     robot = robot_file(ETC, UART, name=NAME)
-    with behind(simulator, adapter()) as sim:
+    with behind(simulator, adapter()) as sim, prepared(NAME):
         yield sim
-        output("systemctl", "stop", UNIT)
-    for path in (DROP_IN, robot, ETC / "zlac8015d.toml"):
+    for path in (robot, ETC / "zlac8015d.toml"):
         path.unlink()
-    output("systemctl", "daemon-reload")
 
 
 @pytest.fixture
 def unit(drives):
     """Running, idle, nothing wrong with its drives."""
     drives.clear_faults_script()
-    output("systemctl", "start", UNIT)
-    with wait_until(connected, "it listens") as client:
-        unit = Unit(drives, client)
-        unit.wait_for("idle", "fault")
+    with started(NAME, drives) as unit:
         if unit.state() == "fault":
             granted(unit.robot.reset)
         yield unit
-        unit.robot.close()
-    output("systemctl", "stop", UNIT)
-
-
-def main_pid():
-    return int(properties(UNIT, "MainPID")["MainPID"])
 
 
 def test_it_runs_on_time_as_a_user_without_rights(unit):
-    status = Path(f"/proc/{main_pid()}/status").read_text().splitlines()
+    status = Path(f"/proc/{unit.main_pid()}/status").read_text().splitlines()
     found = dict(line.split(":\t", 1) for line in status if ":\t" in line)
-    assert Path(f"/proc/{main_pid()}").owner() == "motord"
+    assert Path(f"/proc/{unit.main_pid()}").owner() == "motord"
     assert int(found["CapEff"], 16) == int(found["CapBnd"], 16) == 0
     assert (found["NoNewPrivs"], found["Seccomp"]) == ("1", "2")
     loop = unit.robot.status()["loop"]
@@ -123,26 +76,13 @@ def test_members_of_its_group_command_it_and_nobody_else(unit):
 
 def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
     unit.drive_on()
-    pid = main_pid()
+    pid = unit.main_pid()
     os.kill(pid, signal.SIGSTOP)
     wait_until(lambda: unit.sim.truth().at_rest, "the drive's own watchdog stops the wheels")
     unit.again(pid).wait_for("idle")
     assert unit.rests_without_power()
     assert properties(UNIT, "NRestarts")["NRestarts"] != "0"
     unit.drive_on()
-
-
-def test_drives_of_a_killed_daemon_are_told_to_stop_and_it_comes_back_disarmed(unit):
-    unit.drive_on()
-    told_before = unit.said().count(TOLD)
-    pid, killed_s = main_pid(), time.monotonic()
-    os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: unit.sim.truth().at_rest, "the wheels rest")
-    rest_s = time.monotonic() - killed_s
-    unit.again(pid).wait_for("idle")
-    assert unit.said().count(TOLD) == told_before + 1
-    assert unit.rests_without_power()
-    print(f"kill -9 at full speed on this machine: at rest after {rest_s:.1f} s")
 
 
 def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):

@@ -26,6 +26,7 @@ FUTURE_S = 0.5
 OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
 SAY_AGAIN_S = 10.0
+_NO_LEASE = "there is no lease: the daemon does not take commands now"
 _SHORT = 40
 
 _log = logging.getLogger(__name__)
@@ -46,6 +47,7 @@ class Desk:
         if isinstance(section, TokenInput):
             self._token = Token(station.beside_robot_file(section.token_file))
         self._stamped = section.stamped
+        self._joints = {name: place for place, name in enumerate(station.robot.joint)}
         self._calls = 0
         self._said_s = -SAY_AGAIN_S
         self.source: Source = station.source(name)
@@ -60,7 +62,34 @@ class Desk:
         linear_m_s, angular_rad_s, age_s = self._twist(message)
         stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
-            raise self._no("there is no lease: the daemon does not take commands now")
+            raise self._no(_NO_LEASE)
+
+    def drive_joints(self, message: object) -> None:
+        """Pass the velocities of a JointState on; wheels that it does not name are to rest. Raises
+        NotTaken."""
+        velocity_rad_s, age_s = self._wheels(message)
+        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+        if not self.source.drive_joints(velocity_rad_s, stamp_ns):
+            raise self._no(_NO_LEASE)
+
+    def _wheels(self, message: object) -> tuple[list[float], float]:
+        """rad/s in the order of the robot file, and the command's age in s."""
+        try:
+            if not isinstance(message, Mapping):
+                raise TypeError("a command is an object")
+            names, speeds = list(message["name"]), list(map(_number, message["velocity"]))
+            said_s = _stamp_s(message)
+            known = [self._joints.get(name, -1) for name in names]
+        except (KeyError, TypeError, OverflowError) as error:
+            raise self._no(f"it is no JointState: {error}") from None
+        if -1 in known:
+            raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
+        if len(speeds) != len(known) or len(set(known)) != len(known):
+            raise self._no("each joint has one velocity")
+        velocity_rad_s = [0.0] * len(self._joints)
+        for place, speed in zip(known, speeds, strict=True):
+            velocity_rad_s[place] = speed
+        return velocity_rad_s, self._age_s(said_s)
 
     def _twist(self, message: object) -> tuple[float, float, float]:
         """m/s, rad/s, and the command's age in s."""
@@ -68,24 +97,25 @@ class Desk:
             if not isinstance(message, Mapping):
                 raise TypeError("a command is an object")
             twist = message.get("twist", message)
-            stamp = message["header"]["stamp"] if "header" in message else None
             linear_m_s = _number(twist["linear"]["x"])
             angular_rad_s = _number(twist["angular"]["z"])
-            said_s = None
-            if stamp is not None:
-                said_s = _number(stamp["sec"]) + _number(stamp["nanosec"]) * 1e-9
+            said_s = _stamp_s(message)
         except (KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
+        return linear_m_s, angular_rad_s, self._age_s(said_s)
+
+    def _age_s(self, said_s: float | None) -> float:
+        """Of what was given at that wall time. None: it did not say."""
         if said_s is None:
             if self._stamped:
                 raise self._no("it has no stamp (header.stamp, or stamped = false)")
-            return linear_m_s, angular_rad_s, 0.0
+            return 0.0
         if said_s == 0.0:
             raise self._no("its stamp is zero: when was it given? (or stamped = false)")
         age_s = time.time() - said_s
         if not age_s >= -FUTURE_S:
             raise self._no("its stamp is in the future: do the clocks agree?")
-        return linear_m_s, angular_rad_s, min(max(age_s, 0.0), OLD_S)
+        return min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object) -> Any:
         """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
@@ -109,6 +139,14 @@ class Desk:
             self._said_s = now_s
             _log.warning("input.%s: refused (%d so far): %s", self._name, self.source.refused, why)
         return NotTaken(why)
+
+
+def _stamp_s(message: Mapping[str, Any]) -> float | None:
+    """Wall time of its header; None: it has none. Raises KeyError, TypeError and OverflowError."""
+    stamp = message["header"]["stamp"] if "header" in message else None
+    if stamp is None:
+        return None
+    return _number(stamp["sec"]) + _number(stamp["nanosec"]) * 1e-9
 
 
 def _number(value: object) -> float:

@@ -14,7 +14,7 @@ import foxglove
 from foxglove import Channel, Context, Schema
 from foxglove.websocket import WebSocketServer
 
-from motord.bus.ros2 import cdr
+from motord.bus.ros2.direct import encoder, stamp_ns
 from motord.bus.ros2.types import definition
 from motord.bus.topics import TOPICS
 from motord.config import FoxglovePublish
@@ -35,7 +35,7 @@ class FoxgloveServer:
         self._name = name
         self._section = section
         self._robot = station.body.robot
-        self._feed = station.feed(name, section.rates_hz())
+        self._feed = station.feed(name, section.rates_hz(), encoder)
         self._context = Context()
         self._channels: dict[str, Channel] = {
             topic: self._channel(topic) for topic in section.topics
@@ -55,8 +55,8 @@ class FoxgloveServer:
         server = await self._started()
         try:
             async for sample in self._feed:
-                data = bytes(cdr.encode(sample.topic.type_name, sample.message))
-                self._channels[sample.topic.name].log(data, log_time=sample.stamp_ns)
+                topic = sample.topic.name
+                self._channels[topic].log(sample.message, log_time=stamp_ns(topic, sample.message))
         finally:
             server.stop()
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from motord.bus.feed import Sample
 from motord.bus.journal import TOPIC, TYPE_NAME, Journal, NoJournal
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
-from motord.bus.ros2 import cdr
+from motord.bus.ros2.direct import encoder, stamp_ns
 from motord.config import McapPublish
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class McapRecorder:
         self._name = name
         self._section = section
         self._station = station
-        self._feed = station.feed(name, section.rates_hz())
+        self._feed = station.feed(name, section.rates_hz(), encoder)
         self._folder = Folder(
             station.beside_robot_file(section.folder),
             station.body.robot,
@@ -196,5 +196,5 @@ class McapRecorder:
 
 
 def _entry(sample: Sample) -> Entry:
-    data = bytes(cdr.encode(sample.topic.type_name, sample.message))
-    return Entry(sample.topic.name, sample.topic.type_name, sample.stamp_ns, data)
+    topic, raw = sample.topic, sample.message
+    return Entry(topic.name, topic.type_name, stamp_ns(topic.name, raw), raw)

@@ -25,7 +25,7 @@ class MqttPublisher:
         """Raises as MqttConnection."""
         self._connection = MqttConnection(f"publish.{name}", section, station)
         self._qos = section.qos
-        self._feed = station.feed(name, section.rates_hz())
+        self._feed = station.feed(name, section.rates_hz(), self._connection.form)
         self._description = _description(section, station)
 
     async def run(self) -> None:
@@ -43,9 +43,7 @@ class MqttPublisher:
         await client.publish(self._topic("status"), ONLINE, 1, retain=True)
         try:
             async for sample in self._feed:
-                await client.publish(
-                    self._topic(sample.topic.name), encode(sample.message), self._qos
-                )
+                await client.publish(self._topic(sample.topic.name), sample.message, self._qos)
         finally:
             with contextlib.suppress(aiomqtt.MqttError):
                 await client.publish(self._topic("status"), OFFLINE, 0, retain=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
@@ -48,7 +48,10 @@ def _struct(codes: str, phase: int) -> struct.Struct:
 
 def encode(name: str, message: Any) -> bytearray:
     """A message, an object whose attributes are the type's fields, with its header and padded to a
-    multiple of 4. Raises ValueError for a value that does not fit its field."""
+    multiple of 4. Bytes are one that is encoded already. Raises ValueError for a value that does
+    not fit its field."""
+    if isinstance(message, bytes):
+        return bytearray(message)
     out = bytearray(HEADER)
     try:
         for write in _writers(name):
@@ -160,30 +163,66 @@ def decode(name: str, raw: bytes) -> SimpleNamespace:
         raise ValueError(f"{name}: {error}") from error
 
 
+Step = str | Field
+"""The codes of fixed fields behind each other, or one field of any length."""
+
+
+@cache
+def _steps(name: str) -> tuple[Step, ...]:
+    """What is read one after the other."""
+    steps: list[Step] = []
+    for _, field in _flat(name):
+        if field.count is not None or field.kind == "string":
+            steps.append(field)
+        elif steps and isinstance(steps[-1], str):
+            steps[-1] += _CODES[field.kind]
+        else:
+            steps.append(_CODES[field.kind])
+    return tuple(steps)
+
+
+@cache
+def _shape(name: str) -> Callable[[Iterator[Any]], SimpleNamespace]:
+    """From what was read to the message, and to those in it."""
+    parts = [
+        (field.name, None if field.primitive or field.count is not None else _shape(field.kind))
+        for field in TYPES[name]
+    ]
+
+    def made(values: Iterator[Any]) -> SimpleNamespace:
+        found = {key: shape(values) if shape else next(values) for key, shape in parts}
+        return SimpleNamespace(**found)
+
+    return made
+
+
 class _Reader:
     def __init__(self, raw: bytes) -> None:
         self._raw = raw
         self._at = len(HEADER)
 
     def message(self, name: str) -> SimpleNamespace:
-        return SimpleNamespace(**{field.name: self._field(field) for field in TYPES[name]})
+        values: list[Any] = []
+        for step in _steps(name):
+            if isinstance(step, str):
+                layout = _struct(step, (self._at - len(HEADER)) & 7)
+                values += layout.unpack_from(self._raw, self._at)
+                self._at += layout.size
+            else:
+                values.append(self._field(step))
+        return _shape(name)(iter(values))
 
     def _field(self, field: Field) -> Any:
+        """A string, or several values."""
         if field.count is None:
-            return self._value(field.kind)
+            return self._string()
         count = self._values("I", 1)[0] if field.sequence else field.count
         if field.primitive and field.kind != "string":
             return self._values(_CODES[field.kind], count)
         if count > len(self._raw) - self._at:  # each takes a byte at least
             raise IndexError("longer than its bytes")
-        return tuple(self._value(field.kind) for _ in range(count))
-
-    def _value(self, kind: str) -> Any:
-        if kind == "string":
-            return self._string()
-        if kind in _CODES:
-            return self._values(_CODES[kind], 1)[0]
-        return self.message(kind)
+        read = self._string if field.kind == "string" else partial(self.message, field.kind)
+        return tuple(read() for _ in range(count))
 
     def _values(self, code: str, count: int) -> tuple[Any, ...]:
         size = struct.calcsize(f"<{code}")

@@ -3,6 +3,8 @@
 
 cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped = false)
 ~/arm, ~/disarm, ~/reset, ...     std_srvs/Trigger
+joint_commands                    sensor_msgs/JointState: velocities by the joints' names
+drive_distance, rotate, calibrate motord_msgs actions
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
                                   those whose middleware our services do not reach
 """
@@ -17,7 +19,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import METHODS, URGENT, Desk, NotTaken
+from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
+from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
@@ -40,27 +44,47 @@ class Ros2Commands:
         self._name = name
         self._desk = Desk(name, section, station)
         self._node = node_of(station, section)
+        self._stamped = section.stamped
         self._asked = {method: asyncio.Event() for method in URGENT}
         kind = "TwistStamped" if section.stamped else "Twist"
         self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
+        self._node.subscribe(
+            "joint_commands", "sensor_msgs/msg/JointState", self._drive_joints, NEWEST
+        )
         for method in TRIGGERS:
             self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
         for method in URGENT:
             self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
         Parameters(station.robot, station.call).serve(self._node)
-        Lifecycle(station, self._desk).serve(self._node)
+        self._lifecycle = Lifecycle(station, self._desk)
+        self._lifecycle.serve(self._node)
+        self._mover = Mover(station, self._desk.source, section.lease_s)
+        self._moves = Moves(station, self._mover)
+        self._moves.serve(self._node)
 
     async def run(self) -> None:
         """As Adapter.run."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._desk.source.run())
             tasks.create_task(self._node.run())
+            tasks.create_task(self._lifecycle.run())
+            for run in self._moves.runs():
+                tasks.create_task(run())
             for method in URGENT:
                 tasks.create_task(self._act(method))
 
     def _drive(self, message: SimpleNamespace) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
             self._desk.drive(_as_mapping(message))
+            self._mover.driven()
+
+    def _drive_joints(self, message: SimpleNamespace) -> None:
+        with contextlib.suppress(NotTaken):
+            command = _as_mapping(message)
+            if not self._stamped:
+                del command["header"]
+            self._desk.drive_joints(command)
+            self._mover.driven()
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
         async def answer(_: SimpleNamespace) -> SimpleNamespace:

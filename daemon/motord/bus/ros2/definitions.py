@@ -2,7 +2,8 @@
 """The ROS 2 types that motord speaks, in the notation of .msg files without comments, constants and
 defaults (which neither the encoding nor the type hash knows). `===` begins a type; a name without a
 package is of the same one. Interfaces: common_interfaces, geometry2, rcl_interfaces, rmw_dds_common
-as of Jazzy; motord_msgs is our own."""
+as of Jazzy (the graph also as of Humble); motord_msgs is our own. Of an action only its three
+parts are here."""
 
 from __future__ import annotations
 
@@ -271,6 +272,68 @@ State[] available_states
 TransitionDescription[] available_transitions
 """
 
+ACTIONS = """
+=== unique_identifier_msgs/msg/UUID
+uint8[16] uuid
+=== action_msgs/msg/GoalInfo
+unique_identifier_msgs/UUID goal_id
+builtin_interfaces/Time stamp
+=== action_msgs/msg/GoalStatus
+GoalInfo goal_info
+int8 status
+=== action_msgs/msg/GoalStatusArray
+GoalStatus[] status_list
+=== action_msgs/srv/CancelGoal_Request
+GoalInfo goal_info
+=== action_msgs/srv/CancelGoal_Response
+int8 return_code
+GoalInfo[] goals_canceling
+=== motord_msgs/action/DriveDistance_Goal
+float64 distance_m
+float64 speed_m_s
+float64 tolerance_m
+float64 timeout_s
+=== motord_msgs/action/DriveDistance_Result
+float64 distance_m
+float64 turned_rad
+float64 duration_s
+string message
+=== motord_msgs/action/DriveDistance_Feedback
+float64 distance_m
+float64 remaining_m
+float64 speed_m_s
+=== motord_msgs/action/Rotate_Goal
+float64 angle_rad
+float64 speed_rad_s
+float64 tolerance_rad
+float64 timeout_s
+=== motord_msgs/action/Rotate_Result
+float64 angle_rad
+float64 moved_m
+float64 duration_s
+string message
+=== motord_msgs/action/Rotate_Feedback
+float64 angle_rad
+float64 remaining_rad
+float64 speed_rad_s
+=== motord_msgs/action/Calibrate_Goal
+string quantity
+float64 true_distance_m
+float64 true_angle_rad
+float64 timeout_s
+=== motord_msgs/action/Calibrate_Result
+float64 factor
+float64 wheel_radius_m
+float64 track_m
+float64 distance_m
+float64 angle_rad
+string message
+=== motord_msgs/action/Calibrate_Feedback
+float64 distance_m
+float64 angle_rad
+bool at_rest
+"""
+
 GRAPH = """
 === rmw_dds_common/msg/Gid
 char[16] data
@@ -280,6 +343,16 @@ string<=256 node_name
 Gid[] reader_gid_seq
 Gid[] writer_gid_seq
 === rmw_dds_common/msg/ParticipantEntitiesInfo
+Gid gid
+NodeEntitiesInfo[] node_entities_info_seq
+=== rmw_dds_common_humble/msg/Gid
+uint8[24] data
+=== rmw_dds_common_humble/msg/NodeEntitiesInfo
+string<=256 node_namespace
+string<=256 node_name
+Gid[] reader_gid_seq
+Gid[] writer_gid_seq
+=== rmw_dds_common_humble/msg/ParticipantEntitiesInfo
 Gid gid
 NodeEntitiesInfo[] node_entities_info_seq
 """

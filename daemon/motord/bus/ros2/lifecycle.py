@@ -5,7 +5,9 @@ managers walk transitions by themselves, and a latch is for a person to reset.""
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -39,6 +41,9 @@ _TRANSITIONS = (
     (3, "activate", INACTIVE, ACTIVE, "arm"),
     (4, "deactivate", ACTIVE, INACTIVE, "disarm"),
 )
+_SUCCEEDED, _FAILED = (97, "transition_success"), (99, "transition_error")
+"""Of transitions that nobody can ask for: TRANSITION_CALLBACK_* and rcl_lifecycle's labels."""
+LOOK_EVERY_S = 0.1
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +63,17 @@ class Lifecycle:
         kind = f"{package}/GetAvailableTransitions"
         node.serve("~/get_available_transitions", kind, self._available)
         node.serve("~/get_transition_graph", kind, self._graph)
+        self._events = node.publisher("~/transition_event", "lifecycle_msgs/msg/TransitionEvent")
+
+    async def run(self) -> None:
+        """Say when the state has changed, until cancelled."""
+        before = self._now()
+        while True:
+            await asyncio.sleep(LOOK_EVERY_S)
+            now = self._now()
+            if now != before and UNKNOWN not in (now, before):
+                self._events.publish(_event(before, now))
+            before = now
 
     def _now(self) -> tuple[int, str]:
         view = self._station.view
@@ -88,6 +104,20 @@ class Lifecycle:
                 return SimpleNamespace(success=True)
         self._voice.say(f"lifecycle: no transition {wanted.label or wanted.id!r} from {now[1]}")
         return SimpleNamespace(success=False)
+
+
+def _event(before: tuple[int, str], now: tuple[int, str]) -> SimpleNamespace:
+    """lifecycle_msgs/TransitionEvent, of this moment."""
+    transition = _FAILED if now == ERROR else _SUCCEEDED
+    for number, label, start, goal, _ in _TRANSITIONS:
+        if (start, goal) == (before, now):
+            transition = (number, label)
+    return SimpleNamespace(
+        timestamp=time.time_ns(),
+        transition=_pair(*transition),
+        start_state=_pair(*before),
+        goal_state=_pair(*now),
+    )
 
 
 def _pair(number: int, label: str) -> SimpleNamespace:

@@ -6,11 +6,14 @@ from __future__ import annotations
 
 GRAPH_TOPIC = "ros_discovery_info"
 """Without a prefix: rmw_dds_common."""
+_OF_HUMBLE = "_humble"
+"""Ends our name of a package whose types were others in Humble; on DDS they have the same name."""
 
 
 def dds_type(name: str) -> str:
     """nav_msgs/msg/Odometry: nav_msgs::msg::dds_::Odometry_"""
     package, group, short = name.split("/")
+    package = package.removesuffix(_OF_HUMBLE)
     return f"{package}::{group}::dds_::{short}_"
 
 

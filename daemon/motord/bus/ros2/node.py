@@ -8,7 +8,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
@@ -18,7 +18,13 @@ from motord.bus.ros2.service import Service
 from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
 
-_GRAPH_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+Distribution = Literal["humble", "jazzy"]
+_GRAPH_TYPES = {
+    "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
+    "jazzy": "rmw_dds_common/msg/ParticipantEntitiesInfo",
+}
+_GID_BYTES = {"humble": 24, "jazzy": 16}
+"""RMW_GID_STORAGE_SIZE of rmw/types.h; what DDS does not fill is zero."""
 _GRAPH_QUALITY = Quality(depth=1, latched=True)
 
 _log = logging.getLogger(__name__)
@@ -58,8 +64,9 @@ class Node:
         domain_id: int,
         discovery: Discovery,
         interface: str | None = None,
+        distribution: Distribution = "jazzy",
     ) -> None:
-        """Raises DdsError."""
+        """`distribution`: of who reads the graph. Raises DdsError."""
         self.name = name
         self.namespace = namespace
         self._participant = Participant(domain_id, discovery, interface)
@@ -67,8 +74,10 @@ class Node:
         self._writers: list[Writer] = []
         self._services: list[Service] = []
         self._running = False
+        self._graph_type = _GRAPH_TYPES[distribution]
+        self._gid_bytes = _GID_BYTES[distribution]
         self._graph = self._participant.writer(
-            names.GRAPH_TOPIC, _GRAPH_TYPE, _GRAPH_QUALITY, f"typehash={type_hash(_GRAPH_TYPE)};"
+            names.GRAPH_TOPIC, self._graph_type, _GRAPH_QUALITY, _typed(self._graph_type)
         )
 
     def full(self, name: str) -> str:
@@ -110,9 +119,11 @@ class Node:
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int = 10,
+        together: int = 1,
     ) -> None:
-        """A service, of pkg/srv/Name. `answer` does not raise. Raises DdsError."""
-        service = Service(self._participant, self.full(name), kind, answer, depth)
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise. Raises
+        DdsError."""
+        service = Service(self._participant, self.full(name), kind, answer, depth, together)
         self._services.append(service)
         self._readers.append(service.reader)
         self._writers.append(service.writer)
@@ -132,15 +143,14 @@ class Node:
         node = SimpleNamespace(
             node_namespace=self.namespace,
             node_name=self.name,
-            reader_gid_seq=[_gid(reader.gid) for reader in self._readers],
-            writer_gid_seq=[_gid(writer.gid) for writer in self._writers],
+            reader_gid_seq=[self._gid(reader.gid) for reader in self._readers],
+            writer_gid_seq=[self._gid(writer.gid) for writer in self._writers],
         )
-        info = SimpleNamespace(gid=_gid(self._participant.gid), node_entities_info_seq=[node])
-        self._graph.write(encode(_GRAPH_TYPE, info))
+        info = SimpleNamespace(gid=self._gid(self._participant.gid), node_entities_info_seq=[node])
+        self._graph.write(encode(self._graph_type, info))
 
-
-def _gid(raw: bytes) -> SimpleNamespace:
-    return SimpleNamespace(data=raw)
+    def _gid(self, raw: bytes) -> SimpleNamespace:
+        return SimpleNamespace(data=raw.ljust(self._gid_bytes, b"\0"))
 
 
 def _typed(kind: str) -> str:

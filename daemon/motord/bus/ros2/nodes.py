@@ -27,6 +27,10 @@ class Teller(Protocol):
 class Node(Protocol):
     """Topics and services are made before `run`. Each may raise DdsError."""
 
+    def full(self, name: str) -> str:
+        """A name with its namespace."""
+        ...
+
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
         """Of a type of `types.TYPES`."""
         ...
@@ -47,8 +51,9 @@ class Node(Protocol):
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int = 10,
+        together: int = 1,
     ) -> None:
-        """A service, of pkg/srv/Name. `answer` does not raise."""
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
         ...
 
     async def run(self) -> None:
@@ -77,7 +82,7 @@ def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
     if isinstance(section, Ros2Node):
         from motord.bus.ros2 import node
 
-        return node.Node(*names, section.discovery, section.interface)
+        return node.Node(*names, section.discovery, section.interface, section.distribution)
     from motord.bus.ros2 import zenoh_node
 
     def path(name: str | None) -> str | None:

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 from motord.bus.ros2.nodes import Node
+from motord.bus.ros2.quality import Quality
 from motord.client import ClientError
 from motord.config import Robot
 
@@ -54,6 +56,10 @@ class Parameters:
             "SetParametersAtomically": self._set_together,
         }.items():
             node.serve(f"~/{_snake(name)}", f"rcl_interfaces/srv/{name}", answer, DEPTH)
+        self._node = node.full("~/").rstrip("/")
+        self._events = node.publisher(
+            "/parameter_events", "rcl_interfaces/msg/ParameterEvent", Quality(depth=DEPTH)
+        )
 
     async def _known(self) -> dict[str, dict[str, Any]]:
         """By name; without the daemon's, when it does not answer."""
@@ -106,6 +112,7 @@ class Parameters:
             await self._call("params.set", **wanted)
         except ClientError as error:
             return SimpleNamespace(successful=False, reason=str(error))
+        self._events.publish(_event(self._node, parameters))
         return SimpleNamespace(successful=True, reason="")
 
     def _problem(self, parameter: SimpleNamespace) -> str | None:
@@ -120,6 +127,18 @@ class Parameters:
         if math.isnan(value.double_value) or value.double_value == -math.inf:
             return f"{name}: {value.double_value} is not a number to go by"
         return None
+
+
+def _event(node: str, changed: Sequence[SimpleNamespace]) -> SimpleNamespace:
+    """rcl_interfaces/ParameterEvent, of this moment."""
+    sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+    return SimpleNamespace(
+        stamp=SimpleNamespace(sec=sec, nanosec=nanosec),
+        node=node,
+        new_parameters=(),
+        changed_parameters=changed,
+        deleted_parameters=(),
+    )
 
 
 def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics as a ROS 2 node has them, and the robot's description for who shows it."""
+"""Topics as a ROS 2 node has them, and the robot's description for who shows it, with the frames in
+it that never move."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
+import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from motord.bus.messages import wall_time
+from motord.bus.ros2.direct import encoder
 from motord.bus.ros2.nodes import Teller, node_of
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.static_frames import static_transforms
 from motord.bus.ros2.urdf import urdf
 from motord.bus.topics import TOPICS
 from motord.config import Ros2Publish, RosTopics, ZenohPublish
@@ -21,6 +27,9 @@ _NAMES = {"diagnostics": "/diagnostics"}
 """Of all robots together: REP-107."""
 _QUALITIES = {"tf": Quality(depth=100)}
 """As tf2_ros has it."""
+_LATCHED = Quality(depth=1, latched=True)
+
+_log = logging.getLogger(__name__)
 
 
 class Ros2Publisher:
@@ -28,7 +37,7 @@ class Ros2Publisher:
         """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
         self._description = _description(section, station)
         self._node = node_of(station, section)
-        self._feed = station.feed(name, section.rates_hz())
+        self._feed = station.feed(name, section.rates_hz(), encoder)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
                 _NAMES.get(topic, topic), TOPICS[topic].type_name, _QUALITIES.get(topic)
@@ -36,8 +45,11 @@ class Ros2Publisher:
             for topic in section.topics
         }
         self._describing = self._node.publisher(
-            "robot_description", "std_msgs/msg/String", Quality(depth=1, latched=True)
+            "robot_description", "std_msgs/msg/String", _LATCHED
         )
+        self._static: Teller | None = None
+        if "tf" in section.topics:
+            self._static = self._node.publisher("tf_static", TOPICS["tf"].type_name, _LATCHED)
 
     async def run(self) -> None:
         """As Adapter.run."""
@@ -47,8 +59,19 @@ class Ros2Publisher:
 
     async def _publish(self) -> None:
         self._describing.publish(SimpleNamespace(data=self._description))
+        self._tell_frames()
         async for sample in self._feed:
             self._publishers[sample.topic.name].publish(sample.message)
+
+    def _tell_frames(self) -> None:
+        if self._static is None:
+            return
+        try:
+            frames = static_transforms(self._description, wall_time(time.time_ns(), 0))
+        except ValueError as error:
+            _log.warning("no tf_static: %s", error)
+        else:
+            self._static.publish(frames)
 
 
 def _description(section: RosTopics, station: Station) -> str:

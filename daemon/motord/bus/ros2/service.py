@@ -41,8 +41,10 @@ class Service:
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int,
+        together: int = 1,
     ) -> None:
-        """Raises DdsError."""
+        """`together`: so many answers are under way at once. Raises DdsError."""
+        self._together = together
         self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
         self._answer = answer
         self._name = name
@@ -78,7 +80,12 @@ class Service:
             self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is lost")
 
     async def run(self) -> None:
-        """Answer one after the other, until cancelled."""
+        """Answer until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            for _ in range(self._together):
+                tasks.create_task(self._serve())
+
+    async def _serve(self) -> None:
         while True:
             who, request, client = await self._waiting.get()
             reply = encode(self._reply, await self._answer(request))

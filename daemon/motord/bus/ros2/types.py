@@ -13,7 +13,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from motord.bus.ros2.definitions import COMMON, GRAPH, OWN, SERVICES
+from motord.bus.ros2.definitions import ACTIONS, COMMON, GRAPH, OWN, SERVICES
 
 # type_description_interfaces/msg/FieldType
 _IDS = {
@@ -113,7 +113,29 @@ def _services(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]
             )
 
 
-_MESSAGES = dict(_parsed(COMMON + OWN + SERVICES + GRAPH))
+def _actions(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    """What passes between an action's client and its server: two services and the feedback topic
+    (rosidl_parser, ACTION_* in its definition.py)."""
+    goal_id = Field(name="goal_id", kind="unique_identifier_msgs/msg/UUID")
+    for name in messages:
+        action, ending, rest = name.partition("_Goal")
+        if "/action/" not in name or not ending or rest:
+            continue
+        goal = Field(name="goal", kind=name)
+        accepted = Field(name="accepted", kind="bool")
+        stamp = Field(name="stamp", kind="builtin_interfaces/msg/Time")
+        status = Field(name="status", kind="int8")
+        result = Field(name="result", kind=f"{action}_Result")
+        feedback = Field(name="feedback", kind=f"{action}_Feedback")
+        yield f"{action}_SendGoal_Request", (goal_id, goal)
+        yield f"{action}_SendGoal_Response", (accepted, stamp)
+        yield f"{action}_GetResult_Request", (goal_id,)
+        yield f"{action}_GetResult_Response", (status, result)
+        yield f"{action}_FeedbackMessage", (goal_id, feedback)
+
+
+_DEFINED = dict(_parsed(COMMON + OWN + SERVICES + ACTIONS + GRAPH))
+_MESSAGES = _DEFINED | dict(_actions(_DEFINED))
 TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 """Fields by the type's name."""
 
@@ -128,6 +150,12 @@ def definition(name: str) -> str:
     return own[1] + "".join(
         f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{text}" for other, text in others
     )
+
+
+def action_definition(name: str) -> str:
+    """The text of NAME.action: goal, result and feedback."""
+    parts = (TYPES[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback"))
+    return "---\n".join("".join(f"{_line(field)}\n" for field in part) for part in parts)
 
 
 def _line(field: Field) -> str:

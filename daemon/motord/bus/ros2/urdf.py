@@ -21,6 +21,7 @@ def urdf(robot: Robot) -> str:
     root = Element("robot", name=robot.robot.name)
     radius_m, track_m = robot.base.wheel_radius_m, robot.base.track_m
     base = SubElement(root, "link", name="base_link")
+    _footprint(root)
     _box(base, track_m, track_m - 2.0 * WHEEL_WIDTH * radius_m, radius_m)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         wheels = {name: joint for name, joint in robot.joint.items() if joint.side == side}
@@ -29,6 +30,16 @@ def urdf(robot: Robot) -> str:
             x_m = first_m - SPACING * radius_m * number
             _wheel(root, name, joint, radius_m, (x_m, sign * track_m / 2.0))
     return tostring(root, encoding="unicode")
+
+
+def _footprint(root: Element) -> None:
+    """Where the base stands on the floor, by the name that navigation asks for (REP-120). It is
+    below base_link, for the odometry is above that already."""
+    SubElement(root, "link", name="base_footprint")
+    joint = SubElement(root, "joint", name="footprint", type="fixed")
+    SubElement(joint, "parent", link="base_link")
+    SubElement(joint, "child", link="base_footprint")
+    SubElement(joint, "origin", xyz=_numbers(0.0, 0.0, 0.0), rpy="0 0 0")
 
 
 def _box(link: Element, length_m: float, width_m: float, wheel_radius_m: float) -> None:

@@ -174,7 +174,10 @@ class Service:
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int,
+        together: int = 1,
     ) -> None:
+        """`together`: so many answers are under way at once."""
+        self._together = together
         self._name, self._kind = name, kind
         self._quality = Quality(depth=depth)
         self._answer = answer
@@ -198,7 +201,12 @@ class Service:
             _refuse(query, f"{WAITING_MAX} requests wait")
 
     async def run(self) -> None:
-        """Answer one after the other, until cancelled."""
+        """Answer until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            for _ in range(self._together):
+                tasks.create_task(self._serve_all())
+
+    async def _serve_all(self) -> None:
         while True:
             query = await self._waiting.get()
             try:

@@ -114,9 +114,10 @@ class ZenohNode:
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
         depth: int = 10,
+        together: int = 1,
     ) -> None:
-        """A service, of pkg/srv/Name. `answer` does not raise."""
-        service = Service(self.full(name), kind, answer, depth)
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
+        service = Service(self.full(name), kind, answer, depth, together)
         self._services.append(service)
         self._endpoints.append(service)
 

@@ -1,0 +1,205 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api_board.h: the part of the border that boards on a stream need. Read after api_line.h, whose modes, wishes and kinds of
+ * fields it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ */
+
+/* ------------------------------------------------------------------------------------------- boards on a stream
+ * One board alone on a serial port, one thread. It is sent its payload in every cycle, set-points among it, and says its
+ * own unasked. Both are bytes with numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or
+ * as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
+enum {
+    BOARD_PAYLOAD_MAX = 190,    /* a frame of 200 bytes without its head and check sum */
+    BOARD_SETPOINTS_MAX = 8,
+    BOARD_FIELDS_MAX = 72,
+    BOARD_WRITES_MAX = 8,
+    BOARD_TEXT_MAX = 256,       /* bytes of a line of text */
+    BOARD_PARTS_MAX = 26,
+    BOARD_ORDERS_MAX = 16
+};
+
+typedef enum { BOARD_FRAMES = 0, BOARD_TEXT = 1 } board_dialect;
+
+/* A number in a payload. */
+typedef struct {
+    uint32_t byte;
+    uint32_t bytes;             /* 1..6 */
+    uint32_t is_signed;
+    uint32_t reserved;
+} board_place;
+
+/* What a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
+ * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+typedef struct {
+    board_place place;
+    uint32_t joint;             /* place in setpoints.joint */
+    uint32_t kind;              /* setpoint_kind */
+    double raw_per_si;          /* sign, gear, scale: not 0 */
+    double raw_min;             /* <= 0 */
+    double raw_max;             /* >= 0 */
+} board_setpoint;
+
+/* What stays in the payload from now on. */
+typedef struct {
+    board_place place;
+    int64_t raw;
+} board_write;
+
+/* A place in what the board says. */
+typedef struct {
+    board_place place;
+    uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */
+    uint32_t kind;              /* field_kind */
+    uint32_t equals_mask;       /* ENABLED, KEPT: (raw & equals_mask) == equals */
+    uint32_t equals;
+    uint32_t counter_bits;      /* COUNT: 1..64 */
+    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
+    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
+    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
+    uint32_t harmless[FIELD_HARMLESS_MAX];
+    double si_per_raw;
+} board_field;
+
+typedef enum { NUMBER_NONE = 0, NUMBER_INTEGER = 1, NUMBER_FIXED = 2, NUMBER_GENERAL = 3 } board_number_form;
+
+/* A piece of a template: so many bytes of it as they are, then a number. */
+typedef struct {
+    uint32_t literal_bytes;
+    uint32_t form;              /* board_number_form: printf's d, f, g; NONE: no number, only as the last */
+    uint32_t sign;              /* 0; '+' or ' ': before numbers that are not negative */
+    uint32_t zeros;             /* 1: filled up with zeros */
+    uint32_t width;
+    uint32_t precision;
+    board_place place;          /* read: where raw = nearest(number raw_per_number) goes, held within it */
+    double raw_per_number;
+    double number_per_raw[BOARD_SETPOINTS_MAX];     /* written: the sum over the set-points of raw × this */
+} board_part;
+
+typedef struct {
+    uint32_t part_count;        /* 0: no such text */
+    uint32_t reserved;
+    board_part part[BOARD_PARTS_MAX];
+    uint8_t literal[BOARD_TEXT_MAX];    /* of all parts, one after the other; white space fits any other */
+} board_text;
+
+typedef struct {
+    uint32_t dialect;           /* board_dialect */
+    uint32_t answers;           /* 0: it says nothing, and is taken to be there while the port takes its bytes */
+    uint32_t tries;             /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t payload_bytes;
+    uint32_t said_bytes;        /* of its own payload, at least; TEXT: all of it */
+    uint32_t setpoint_count;
+    uint32_t field_count;
+    uint32_t quick_stop_count;
+    uint32_t disarm_count;
+    uint32_t reserved;
+    int64_t period_ns;          /* of the cycle: > 0 */
+    int64_t silence_ns;         /* so long without a word, and it is quiet: > 0 */
+    int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
+    int64_t watchdog_ns;        /* told nothing for so long while armed: it has stopped; 0: never */
+    uint8_t payload[BOARD_PAYLOAD_MAX];     /* before anything is written to it */
+    board_setpoint setpoint[BOARD_SETPOINTS_MAX];
+    board_field field[BOARD_FIELDS_MAX];
+    board_write quick_stop[BOARD_WRITES_MAX];
+    board_write disarm[BOARD_WRITES_MAX];
+    board_text written;
+    board_text read;
+} board_table;
+
+/* As line_control, of the one drive. */
+typedef struct {
+    drive_wish wish;
+    uint32_t shut_down;
+    uint32_t reserved;
+} board_control;
+
+/* A write of a job. It goes out with a cycle of its own, so that the board sees each. */
+typedef struct {
+    board_write write;
+    uint32_t guarded;           /* 1: not obeyed where `stops` is another: the board was stopped meanwhile */
+    uint32_t stops;
+} board_order;
+
+typedef struct {
+    uint32_t running;           /* 0: the thread has ended, see error */
+    int32_t error;              /* errno of the port; 0: none */
+    uint32_t shut_down;         /* 1: done */
+    int32_t policy;             /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
+    int32_t scheduler_errno;
+    uint32_t mode;              /* drive_mode */
+    uint32_t demoted;           /* DEMOTED_* */
+    uint32_t wish_seen;
+    uint32_t enabled;           /* 1, 0, 2: it has not said */
+    uint32_t stopping;          /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion;       /* its newest set-points are not zero */
+    uint32_t stops;             /* how often it was told to stop, by C or by a wish */
+    uint32_t epoch;             /* of its feedback */
+    uint32_t orders_sent;       /* they have gone out */
+    uint32_t orders_dropped;    /* guarded, and it was stopped; or it is quiet */
+    uint32_t said_bytes;        /* of said[]; 0: it has not spoken since it was quiet, or ever */
+    uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
+    uint64_t cycles;
+    uint64_t sent;
+    uint64_t no_room;           /* frames that the port did not take: the next one is newer */
+    uint64_t bad_frames;        /* pieces of the stream that said nothing */
+    uint64_t received;
+    uint64_t published;         /* feedback that the core was given since the start */
+    uint64_t quiet;             /* how often it became QUIET */
+    uint64_t page_faults;       /* of the thread since its first cycle */
+    int64_t cycle_ns;           /* smoothed time between two cycles */
+    int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
+    int64_t heard_ns;           /* its newest word came */
+    int64_t knows_ns;           /* when it said it, it had heard what was sent then; TEXT cannot say: heard_ns */
+    int64_t written_ns;         /* what stays in its payload was changed last */
+    uint32_t fault_word[JOINTS_MAX];        /* whole, by the core's joint number */
+    uint8_t said[BOARD_PAYLOAD_MAX];        /* the newest */
+} board_report;
+
+/* The descriptors stay the caller's. */
+typedef struct {
+    int32_t fd;                 /* the port, open, set up, not blocking */
+    int32_t event_fd;           /* eventfd, written on changes of the mode, orders that were sent, the end; -1 */
+    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    uint32_t epoch;             /* of the feedback before this start; 0: there was none */
+    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
+    exchange *exchange;         /* NULL: the loop's */
+} board_config;
+
+/* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
+const char *board_table_check(const board_table *table, char *name);
+
+/* One thread a board, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+int board_start(uint32_t line, const board_config *config, const board_table *table);
+int board_stop(uint32_t line);                                  /* joins; 0 or -ESRCH */
+void board_put_control(uint32_t line, const board_control *control);
+int board_put_order(uint32_t line, const board_order *order);   /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+int board_read_report(uint32_t line, board_report *report);     /* 0 or -ESRCH: never started */
+int board_histogram_read(uint32_t line, histogram *out);        /* from set-points to the feedback that had heard them */
+
+/* The pure parts, for tests against the same in Python. */
+enum { BOARD_FRAME_MAX = 200, BOARD_WIRE_MAX = 258, BOARD_CLOCK_SAMPLES = 32 };
+
+typedef struct {
+    uint32_t samples;           /* taken so far, or BOARD_CLOCK_SAMPLES */
+    uint32_t next;
+    uint32_t last_us;
+    uint32_t reserved;
+    int64_t board_ns;
+    int64_t given_ns;           /* the newest stamp, and the board's time for it */
+    int64_t given_board_ns;
+    int64_t offset_ns[BOARD_CLOCK_SAMPLES];
+} board_clock;
+
+/* When a frame with the board's time was made, CLOCK_MONOTONIC: hal/motord_hal/mcu/stamps.py. Zeroed: a new board. */
+int64_t board_clock_stamp(board_clock *clock, uint32_t time_us, int64_t came_ns);
+
+/* A frame between zeros as it goes out: bytes of out[BOARD_WIRE_MAX]; 0: the payload is too long. */
+uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us, const uint8_t *payload, uint32_t payload_bytes,
+                           uint8_t *out);
+/* What stood between two zeros, into out[BOARD_FRAME_MAX]: head and payload; 0: no frame. */
+uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out);
+
+/* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too long. */
+uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint8_t *out);
+/* A line without its end into the places of said[]; 0: it is another text. */
+uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *said);

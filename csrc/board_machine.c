@@ -1,0 +1,279 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * board_machine.c: what comes from a board, what is sent and when, and how it ends. */
+#include "board_machine.h"
+
+#include <errno.h>
+#include <string.h>
+
+static const int64_t LOOK_RESTING_NS = 20 * BOARD_MS, LOOK_MOVING_NS = 5 * BOARD_MS, LOOK_FULL_NS = BOARD_MS;
+static const int64_t SHUT_REST_NS = 350 * BOARD_MS, SHUT_NS = 480 * BOARD_MS;
+static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
+/* Heard earlier than sent: the number is that of set-points of an earlier program. */
+static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
+static const board_place HEARD_SEQUENCE = {.byte = 6, .bytes = 2}, HEARD_AGO = {.byte = 8, .bytes = 2};
+
+static int64_t earlier(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns)
+{
+    char name[FIELD_NAME_BYTES];
+    if (board_table_check(table, name) != NULL) {
+        return -EINVAL;
+    }
+    memset(m, 0, sizeof *m);
+    m->table = *table;
+    m->epoch = epoch;
+    m->sequence = sequence;
+    m->due_ns = now_ns;
+    memcpy(m->held, table->payload, sizeof m->held);
+    board_hold(m, table->disarm, table->disarm_count, now_ns);
+    for (uint32_t i = 0; i < table->setpoint_count; i++) {
+        m->joints |= 1U << table->setpoint[i].joint;
+    }
+    board_forget(m);
+    return 0;
+}
+
+/* -------------------------------------------------------------------------------------------------- receiving */
+/* Which of our frames the board had heard by then, and how long it kept that to itself. */
+static void note_what_it_knows(board_machine *m, int64_t now_ns)
+{
+    uint16_t sequence = (uint16_t)board_get(m->said, &HEARD_SEQUENCE);
+    uint16_t behind = (uint16_t)(m->sequence - sequence);
+    int64_t sent_ns = behind < BOARD_SEQUENCES_KEPT ? m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] : 0;
+    int64_t trip_ns = now_ns - sent_ns - board_get(m->said, &HEARD_AGO) * HELD_UNIT_NS;
+    bool known = sent_ns > 0 && trip_ns >= -HELD_TOLERANCE_NS;
+    m->knows_ns = known ? sent_ns : 0;
+    if (known && m->round_trips != NULL) {
+        histogram_add(m->round_trips, trip_ns);
+    }
+}
+
+static bool take_frame(board_machine *m, int64_t now_ns)
+{
+    uint8_t raw[BOARD_FRAME_MAX];
+    uint32_t count = m->tail.too_long ? 0 : board_frame_parse(m->tail.bytes, m->tail.count, raw);
+    if (count < BOARD_HEAD_BYTES + m->table.said_bytes || raw[1] != BOARD_TYPE_FEEDBACK) {
+        return false;
+    }
+    m->said_bytes = count - BOARD_HEAD_BYTES;
+    memcpy(m->said, raw + BOARD_HEAD_BYTES, m->said_bytes);
+    m->stamp_ns = board_clock_stamp(&m->clock, (uint32_t)board_get(raw, &(board_place){.byte = 4, .bytes = 4}), now_ns);
+    note_what_it_knows(m, now_ns);
+    return true;
+}
+
+static bool take_line(board_machine *m, int64_t now_ns)
+{
+    uint8_t said[BOARD_PAYLOAD_MAX] = {0};
+    if (board_text_read(&m->table.read, m->tail.bytes, m->tail.count, said) == 0) {
+        return false;
+    }
+    m->said_bytes = m->table.said_bytes;
+    memcpy(m->said, said, sizeof said);
+    m->stamp_ns = m->knows_ns = now_ns;
+    return true;
+}
+
+static void take_piece(board_machine *m, int64_t now_ns)
+{
+    bool text = m->table.dialect == BOARD_TEXT;
+    bool empty = m->tail.count == 0 && !m->tail.too_long;
+    if (empty || (text && (!m->tail.whole || m->table.answers == 0))) {
+        return;
+    }
+    if (text ? take_line(m, now_ns) : take_frame(m, now_ns)) {
+        m->received++;
+        board_heard(m, now_ns);
+    } else {
+        m->bad_frames++;
+    }
+}
+
+static bool ends(const board_machine *m, uint8_t byte)
+{
+    bool line_end = byte == '\n' || byte == '\r' || byte == ';';
+    return m->table.dialect == BOARD_TEXT ? line_end : byte == 0;
+}
+
+/* What never ends is thrown away: of text also what comes until the next end, for it is half a line. */
+void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
+{
+    board_tail *tail = &m->tail;
+    uint32_t room = m->table.dialect == BOARD_TEXT ? BOARD_TEXT_MAX : BOARD_FRAME_MAX + 2;
+    for (uint32_t i = 0; i < count; i++) {
+        if (ends(m, bytes[i])) {
+            take_piece(m, now_ns);
+            tail->count = 0;
+            tail->too_long = false;
+            tail->whole = true;
+        } else if (tail->count < room) {
+            tail->bytes[tail->count++] = bytes[i];
+        } else {
+            tail->too_long = true;
+            tail->whole = false;
+        }
+    }
+}
+
+/* ----------------------------------------------------------------------------------------------------- sending */
+bool board_machine_order(board_machine *m, const board_order *order)
+{
+    if (m->has_order) {
+        return false;
+    }
+    m->order = *order;
+    m->has_order = true;
+    return true;
+}
+
+/* Into the payload, once; it is done when a frame with it has gone out. */
+static void obey_order(board_machine *m, int64_t now_ns)
+{
+    const board_order *order = &m->order;
+    bool stopped = m->mode == DRIVE_QUIET || (order->guarded != 0 && order->stops != m->stops);
+    if (!m->has_order || m->order_written) {
+        return;
+    }
+    if (stopped || m->shut != 0) {
+        m->has_order = false;
+        m->orders_dropped++;
+        m->news = true;
+        return;
+    }
+    board_hold(m, &order->write, 1, now_ns);
+    m->order_written = true;
+}
+
+static void tell(board_machine *m, int64_t now_ns)
+{
+    uint8_t payload[BOARD_PAYLOAD_MAX], out[BOARD_WIRE_MAX];
+    bool motion = board_payload(m, payload);
+    uint16_t sequence = (uint16_t)(m->sequence + 1);
+    bool text = m->table.dialect == BOARD_TEXT;
+    uint32_t count = text ? board_text_write(&m->table, payload, out)
+                          : board_frame_build(BOARD_TYPE_SETPOINTS, sequence, (uint32_t)(now_ns / NS_PER_US), payload,
+                                              m->table.payload_bytes, out);
+    if (count == 0 || !m->send(m->sink, out, count)) {
+        m->no_room++;
+        return;
+    }
+    m->sequence = sequence;
+    m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
+    m->told_motion = motion;
+    m->sent++;
+    board_told(m, now_ns);
+}
+
+static void cycle(board_machine *m, int64_t now_ns)
+{
+    m->cycles++;
+    if (m->cycle_start_ns > 0) {
+        int64_t took_ns = now_ns - m->cycle_start_ns;
+        m->cycle_ns += m->cycle_ns == 0 ? took_ns : (took_ns - m->cycle_ns) / 8;
+    }
+    m->cycle_start_ns = now_ns;
+    m->due_ns += m->table.period_ns;
+    if (m->due_ns <= now_ns) {
+        m->due_ns = now_ns + m->table.period_ns;   /* a late cycle is not caught up */
+    }
+    obey_order(m, now_ns);
+    tell(m, now_ns);
+}
+
+/* ---------------------------------------------------------------------------------------------------- the end */
+static void shut_down_begin(board_machine *m, int64_t now_ns)
+{
+    m->shut = 1;
+    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
+    m->shut_by_ns = now_ns + SHUT_NS;
+    if (m->mode == DRIVE_ARMED) {
+        m->mode = DRIVE_READY;
+        board_quick_stop(m, now_ns);
+    }
+}
+
+/* Silent only when the last frame has had the time to leave the port. */
+static void shut_down_go_on(board_machine *m, int64_t now_ns)
+{
+    bool stopping = m->stopping || m->stop_waits;
+    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
+        m->shut = 2;
+        board_power_off(m, now_ns);
+    } else if (m->shut == 2 && ((!stopping && now_ns >= m->told_ns + m->table.period_ns) || now_ns >= m->shut_by_ns)) {
+        m->shut = 3;
+        m->news = true;
+    }
+}
+
+static void shut_down(board_machine *m, int64_t now_ns)
+{
+    if (m->control.shut_down != 0 && m->shut == 0) {
+        shut_down_begin(m, now_ns);
+    }
+    if (m->shut != 0) {
+        shut_down_go_on(m, now_ns);
+    }
+}
+
+/* --------------------------------------------------------------------------------------------------- the step */
+static bool has_to_stop(const board_machine *m)
+{
+    uint8_t payload[BOARD_PAYLOAD_MAX];
+    return m->stop_waits || (m->told_motion && !board_payload(m, payload));
+}
+
+static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
+{
+    bool moving = m->told_motion || m->stopping || m->mode == DRIVE_ARMED || m->shut != 0;
+    int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
+    return m->shut < 3 ? earlier(wake_ns, m->due_ns) : wake_ns;
+}
+
+int64_t board_machine_step(board_machine *m, int64_t now_ns)
+{
+    board_obey_wish(m, now_ns);
+    board_guard(m, now_ns);
+    shut_down(m, now_ns);
+    if (m->shut < 3 && now_ns >= m->due_ns) {
+        cycle(m, now_ns);
+    } else if (m->shut < 3 && has_to_stop(m)) {
+        tell(m, now_ns);   /* a stop does not wait for its cycle */
+    }
+    return next_look_ns(m, now_ns);
+}
+
+void board_machine_report(const board_machine *m, board_report *report)
+{
+    report->shut_down = m->shut == 3;
+    report->mode = m->mode;
+    report->demoted = m->demoted;
+    report->wish_seen = m->wish_seen;
+    report->enabled = m->enabled;
+    report->stopping = m->stopping;
+    report->told_motion = m->told_motion;
+    report->stops = m->stops;
+    report->epoch = m->epoch;
+    report->orders_sent = m->orders_sent;
+    report->orders_dropped = m->orders_dropped;
+    report->said_bytes = m->said_bytes;
+    report->cycles = m->cycles;
+    report->sent = m->sent;
+    report->no_room = m->no_room;
+    report->bad_frames = m->bad_frames;
+    report->received = m->received;
+    report->published = m->published;
+    report->quiet = m->quiet;
+    report->cycle_ns = m->cycle_ns;
+    report->setpoints_ns = m->newest.stamp_ns;
+    report->heard_ns = m->heard_ns;
+    report->knows_ns = m->knows_ns;
+    report->written_ns = m->written_ns;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        report->fault_word[j] = m->joint[j].fault_word;
+    }
+    memcpy(report->said, m->said, sizeof report->said);
+}

@@ -1,0 +1,131 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * board_machine.h: the inside of a board's line. Bytes and time in, bytes out: no clock, no file descriptor, so the same
+ * inputs give the same outputs.
+ *
+ * board_table.c    is a table good?
+ * board_frame.c    frames: stuffing, check sum, head
+ * board_text.c     lines of text by templates
+ * board_clock.c    the board's clock on ours
+ * board_values.c   set-points into a payload, a payload into feedback
+ * board_drive.c    what it is told, whether it is there, when it has to stop
+ * board_machine.c  what comes, what is sent and when, and its end
+ */
+#ifndef MOTORD_BOARD_MACHINE_H
+#define MOTORD_BOARD_MACHINE_H
+
+#include "rt.h"
+
+static const int64_t BOARD_MS = 1000000;
+
+enum { BOARD_HEAD_BYTES = 8, BOARD_SEQUENCES_KEPT = 256, BOARD_TYPE_SETPOINTS = 0x01, BOARD_TYPE_FEEDBACK = 0x81 };
+
+/* Hands bytes to the port, all or none; false: it takes none now. */
+typedef bool (*board_sender)(void *sink, const uint8_t *bytes, uint32_t count);
+
+typedef struct {
+    joint_feedback feedback;
+    uint32_t fault_word;
+} board_joint;
+
+/* The piece of the stream that has not ended yet. */
+typedef struct {
+    uint32_t count;
+    bool too_long;
+    bool whole;                 /* text: its beginning was heard */
+    uint8_t bytes[BOARD_WIRE_MAX];
+} board_tail;
+
+typedef struct {
+    board_table table;
+    board_control control;
+    setpoints newest;           /* the core's */
+    board_joint joint[JOINTS_MAX];
+    board_tail tail;
+    board_clock clock;
+    board_order order;
+    bool has_order;
+    bool order_written;         /* it is in the payload, and has not gone out */
+    uint32_t mode;              /* drive_mode */
+    uint32_t demoted;
+    uint32_t wish_seen;
+    uint32_t enabled;           /* 1, 0, 2 */
+    uint32_t epoch;
+    uint32_t joints;            /* bit n: joint n of the core */
+    uint32_t stops;
+    uint32_t orders_sent;
+    uint32_t orders_dropped;
+    uint32_t still_enabled;     /* words in a row that said so without its being armed */
+    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
+    bool was_enabled;           /* set-points were enabled since it was armed */
+    bool told_motion;
+    bool stopping;
+    bool back;                  /* a quiet board spoke: BACK when it has been told to disarm */
+    bool stop_waits;            /* a stop is in the payload, and has not gone out */
+    bool news;                  /* something that Python wants to hear */
+    uint8_t held[BOARD_PAYLOAD_MAX];
+    uint8_t said[BOARD_PAYLOAD_MAX];
+    uint32_t said_bytes;
+    uint16_t sequence;
+    int64_t sent_ns[BOARD_SEQUENCES_KEPT];
+    int64_t written_ns;
+    int64_t told_ns;            /* a frame went out last */
+    int64_t heard_ns;           /* 0: never */
+    int64_t knows_ns;
+    int64_t stamp_ns;           /* of the newest word */
+    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
+    int64_t shut_rest_by_ns;
+    int64_t shut_by_ns;
+    int64_t due_ns;
+    int64_t cycle_start_ns;
+    int64_t cycle_ns;
+    uint64_t cycles;
+    uint64_t sent;
+    uint64_t no_room;
+    uint64_t bad_frames;
+    uint64_t received;
+    uint64_t published;
+    uint64_t quiet;
+    board_sender send;
+    void *sink;
+    histogram *round_trips;     /* NULL: not kept */
+} board_machine;
+
+/* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */
+int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns);
+/* Bytes have come. Nothing is sent. */
+void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
+/* false: the one before has not gone out */
+bool board_machine_order(board_machine *m, const board_order *order);
+/* Sends what is due; returns when to step again, if nothing comes. */
+int64_t board_machine_step(board_machine *m, int64_t now_ns);
+void board_machine_report(const board_machine *m, board_report *report);
+
+/* ----------------------------------------------------------------------- board_table.c */
+bool board_write_is_good(const board_write *write, uint32_t payload_bytes);
+
+/* ---------------------------------------------------------------------- board_values.c */
+int64_t board_get(const uint8_t *data, const board_place *place);
+void board_put(uint8_t *data, const board_place *place, int64_t raw);
+int64_t board_raw_min(const board_place *place);
+int64_t board_raw_max(const board_place *place);
+/* What the next frame carries; true: a set-point in it is not zero. */
+bool board_payload(const board_machine *m, uint8_t *payload);
+/* The fields of the newest word. True: all KEPT ones are as they were set up. */
+bool board_read(board_machine *m);
+void board_publish(board_machine *m);
+void board_forget(board_machine *m);
+bool board_at_rest(const board_machine *m);
+
+/* ----------------------------------------------------------------------- board_drive.c */
+void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
+void board_power_off(board_machine *m, int64_t now_ns);
+void board_quick_stop(board_machine *m, int64_t now_ns);
+void board_obey_wish(board_machine *m, int64_t now_ns);
+void board_guard(board_machine *m, int64_t now_ns);
+/* A good word has come. */
+void board_heard(board_machine *m, int64_t now_ns);
+/* What it was told last has gone out. */
+void board_told(board_machine *m, int64_t now_ns);
+
+#endif

@@ -1,0 +1,155 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * board_table.c: is a board's table good? Nothing outside it is ever read or written because of what it says. */
+#include <math.h>
+
+#include "board_machine.h"
+#include "finding.h"
+
+static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
+static const double NUMBER_MAX = 1e15;      /* every integer up to there is a double */
+static const uint32_t WIDTH_MAX = 99;
+
+static void check_place(finding *f, const board_place *place, uint32_t bytes)
+{
+    need(f, place->bytes >= 1 && place->bytes <= 6, "place.bytes");
+    need(f, place->byte < BOARD_PAYLOAD_MAX && place->byte + place->bytes <= bytes, "place.byte");
+    need(f, place->is_signed <= 1, "place.is_signed");
+}
+
+static void check_setpoint(finding *f, const board_setpoint *setpoint, uint32_t bytes)
+{
+    check_place(f, &setpoint->place, bytes);
+    need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
+    need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
+    need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
+    if (!f->bad) {
+        need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= (double)board_raw_min(&setpoint->place), "setpoint.raw_min");
+        need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= (double)board_raw_max(&setpoint->place), "setpoint.raw_max");
+    }
+}
+
+static void check_write(finding *f, const board_write *write, uint32_t bytes)
+{
+    check_place(f, &write->place, bytes);
+    if (!f->bad) {
+        need(f, write->raw >= board_raw_min(&write->place) && write->raw <= board_raw_max(&write->place), "write.raw");
+    }
+}
+
+bool board_write_is_good(const board_write *write, uint32_t payload_bytes)
+{
+    char name[FIELD_NAME_BYTES];
+    finding f = {.name = name, .path = "", .bad = false};
+    check_write(&f, write, payload_bytes);
+    return !f.bad;
+}
+
+static void check_field(finding *f, const board_field *field, uint32_t bytes)
+{
+    check_place(f, &field->place, bytes);
+    need(f, field->joint < JOINTS_MAX, "field.joint");
+    need(f, field->kind <= FIELD_KEPT, "field.kind");
+    need(f, isfinite(field->si_per_raw), "field.si_per_raw");
+    need(f, field->counter_bits <= 64 && (field->kind != FIELD_COUNT || field->counter_bits >= 1), "field.counter_bits");
+    need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
+}
+
+/* What a part may come to stays a number that is written exactly. */
+static void check_written(finding *f, const board_part *part, const board_table *table)
+{
+    double most = 0.0;
+    for (uint32_t i = 0; i < table->setpoint_count; i++) {
+        const board_setpoint *setpoint = &table->setpoint[i];
+        most += fabs(part->number_per_raw[i]) * fmax(setpoint->raw_max, -setpoint->raw_min);
+    }
+    need(f, most <= NUMBER_MAX, "part.number_per_raw");
+    need(f, part->sign == 0 || part->sign == '+' || part->sign == ' ', "part.sign");
+    need(f, part->zeros <= 1, "part.zeros");
+    need(f, part->width <= WIDTH_MAX && part->precision <= WIDTH_MAX, "part.width");
+}
+
+/* What may go on with a number would be read as its end. */
+static bool parts_number(uint8_t byte)
+{
+    return !((byte >= '0' && byte <= '9') || byte == '.' || byte == 'e' || byte == 'E');
+}
+
+static void check_read(finding *f, const board_text *text, uint32_t number, uint32_t literal, uint32_t bytes)
+{
+    const board_part *part = &text->part[number];
+    bool after_number = number > 0 && text->part[number - 1].form != NUMBER_NONE;
+    need(f, !after_number || (part->literal_bytes > 0 && parts_number(text->literal[literal])), "part.literal_bytes");
+    need(f, isfinite(part->raw_per_number), "part.raw_per_number");
+    if (part->form != NUMBER_NONE) {
+        check_place(f, &part->place, bytes);
+    }
+}
+
+static void check_text(finding *f, const board_table *table, const board_text *text)
+{
+    uint32_t literal = 0;
+    need(f, text->part_count <= BOARD_PARTS_MAX, "part_count");
+    for (uint32_t i = 0; !f->bad && i < text->part_count; i++) {
+        const board_part *part = &text->part[i];
+        need(f, part->form <= NUMBER_GENERAL && (part->form != NUMBER_NONE || i + 1 == text->part_count), "part.form");
+        need(f, part->literal_bytes <= BOARD_TEXT_MAX && literal + part->literal_bytes <= BOARD_TEXT_MAX, "part.literal_bytes");
+        if (!f->bad && text == &table->read) {
+            check_read(f, text, i, literal, table->said_bytes);
+        } else if (!f->bad) {
+            check_written(f, part, table);
+        }
+        literal += part->literal_bytes;
+    }
+}
+
+static void check_counts(finding *f, const board_table *table)
+{
+    need(f, table->dialect <= BOARD_TEXT, "dialect");
+    need(f, table->answers <= 1, "answers");
+    need(f, table->answers == 1 || table->field_count == 0, "field_count");
+    need(f, table->tries >= 1, "tries");
+    need(f, table->payload_bytes >= 1 && table->payload_bytes <= BOARD_PAYLOAD_MAX, "payload_bytes");
+    need(f, table->said_bytes <= BOARD_PAYLOAD_MAX, "said_bytes");
+    need(f, table->setpoint_count >= 1 && table->setpoint_count <= BOARD_SETPOINTS_MAX, "setpoint_count");
+    need(f, table->field_count <= BOARD_FIELDS_MAX, "field_count");
+    need(f, table->quick_stop_count <= BOARD_WRITES_MAX, "quick_stop_count");
+    need(f, table->disarm_count <= BOARD_WRITES_MAX, "disarm_count");
+    need(f, table->period_ns > 0 && table->period_ns <= PERIOD_MAX_NS, "period_ns");
+    need(f, table->silence_ns > 0 && table->silence_ns <= PERIOD_MAX_NS, "silence_ns");
+    need(f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
+    need(f, table->watchdog_ns >= 0, "watchdog_ns");
+}
+
+static void check_writes(finding *f, const board_write *write, uint32_t count, uint32_t bytes)
+{
+    for (uint32_t i = 0; !f->bad && i < count; i++) {
+        check_write(f, &write[i], bytes);
+    }
+}
+
+const char *board_table_check(const board_table *table, char *name)
+{
+    finding f = {.name = name, .path = "", .bad = false};
+    check_counts(&f, table);
+    for (uint32_t i = 0; !f.bad && i < table->setpoint_count; i++) {
+        check_setpoint(&f, &table->setpoint[i], table->payload_bytes);
+    }
+    for (uint32_t i = 0; !f.bad && i < table->field_count; i++) {
+        check_field(&f, &table->field[i], table->said_bytes);
+    }
+    if (!f.bad) {
+        check_writes(&f, table->quick_stop, table->quick_stop_count, table->payload_bytes);
+        check_writes(&f, table->disarm, table->disarm_count, table->payload_bytes);
+    }
+    if (!f.bad && table->dialect == BOARD_TEXT) {
+        need(&f, table->written.part_count >= 1, "written.part_count");
+        need(&f, (table->read.part_count > 0) == (table->answers == 1), "read.part_count");
+        (void)snprintf(f.path, sizeof f.path, "written.");
+        check_text(&f, table, &table->written);
+        (void)snprintf(f.path, sizeof f.path, "read.");
+        check_text(&f, table, &table->read);
+    } else if (!f.bad) {
+        need(&f, table->answers == 1 && table->said_bytes >= 10, "said_bytes");   /* which set-points were heard, and when */
+    }
+    return f.bad ? name : NULL;
+}

@@ -1,0 +1,147 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * board_values.c: set-points into a payload, a payload into feedback. */
+#include <math.h>
+#include <string.h>
+
+#include "board_machine.h"
+#include "fault_word.h"
+
+static const double REST_VELOCITY_RAD_S = 0.1;
+
+/* ----------------------------------------------------------------------------------------------------- places */
+int64_t board_get(const uint8_t *data, const board_place *place)
+{
+    uint64_t raw = 0;
+    for (uint32_t i = 0; i < place->bytes; i++) {
+        raw |= (uint64_t)data[place->byte + i] << 8 * i;
+    }
+    bool negative = place->is_signed != 0 && raw >> (8 * place->bytes - 1) != 0;
+    return (int64_t)raw - (negative ? INT64_C(1) << 8 * place->bytes : 0);
+}
+
+void board_put(uint8_t *data, const board_place *place, int64_t raw)
+{
+    for (uint32_t i = 0; i < place->bytes; i++) {
+        data[place->byte + i] = (uint8_t)((uint64_t)raw >> 8 * i);
+    }
+}
+
+int64_t board_raw_min(const board_place *place)
+{
+    return place->is_signed != 0 ? -(INT64_C(1) << (8 * place->bytes - 1)) : 0;
+}
+
+int64_t board_raw_max(const board_place *place)
+{
+    return (INT64_C(1) << (8 * place->bytes - (place->is_signed != 0))) - 1;
+}
+
+/* ------------------------------------------------------------------------------------------------- set-points */
+/* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
+static double wanted(const board_machine *m, const board_setpoint *setpoint)
+{
+    const setpoints *from = &m->newest;
+    if (m->mode != DRIVE_ARMED || from->enabled != 1 || setpoint->joint >= from->joint_count) {
+        return 0.0;
+    }
+    const joint_setpoint *joint = &from->joint[setpoint->joint];
+    double value = setpoint->kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
+    return isfinite(value) ? value : 0.0;
+}
+
+bool board_payload(const board_machine *m, uint8_t *payload)
+{
+    bool motion = false;
+    memcpy(payload, m->held, BOARD_PAYLOAD_MAX);
+    for (uint32_t i = 0; i < m->table.setpoint_count; i++) {
+        const board_setpoint *setpoint = &m->table.setpoint[i];
+        double clamped = fmin(fmax(wanted(m, setpoint) * setpoint->raw_per_si, setpoint->raw_min), setpoint->raw_max);
+        int64_t raw = (int64_t)nearbyint(clamped);
+        board_put(payload, &setpoint->place, raw);
+        motion |= raw != 0;
+    }
+    return motion;
+}
+
+/* --------------------------------------------------------------------------------------------------- feedback */
+static void read_joint(board_machine *m, const board_field *field, int64_t raw)
+{
+    board_joint *joint = &m->joint[field->joint];
+    joint_feedback *feedback = &joint->feedback;
+    double si = (double)raw * field->si_per_raw;
+    switch (field->kind) {
+    case FIELD_COUNT:
+        feedback->count = (uint64_t)raw & (field->counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << field->counter_bits) - 1);
+        break;
+    case FIELD_VELOCITY:
+        feedback->velocity_rad_s = si;
+        break;
+    case FIELD_CURRENT:
+        feedback->current_a = si;
+        break;
+    case FIELD_VOLTAGE:
+        feedback->voltage_v = si;
+        break;
+    case FIELD_TEMPERATURE:
+        feedback->temperature_c = si;
+        break;
+    default:
+        m->news |= joint->fault_word != (uint32_t)raw;
+        joint->fault_word = (uint32_t)raw;
+        feedback->drive_faults = fault_that_stops((uint32_t)raw, field->is_code != 0, field->harmless_bits, field->harmless,
+                                                  field->harmless_codes);
+        break;
+    }
+}
+
+bool board_read(board_machine *m)
+{
+    bool kept = true;
+    for (uint32_t i = 0; i < m->table.field_count; i++) {
+        const board_field *field = &m->table.field[i];
+        int64_t raw = board_get(m->said, &field->place);
+        bool equals = ((uint32_t)raw & field->equals_mask) == field->equals;
+        if (field->kind == FIELD_ENABLED) {
+            m->enabled = equals ? 1 : 0;
+        } else if (field->kind == FIELD_KEPT) {
+            kept &= equals;
+        } else {
+            read_joint(m, field, raw);
+        }
+    }
+    return kept;
+}
+
+void board_publish(board_machine *m)
+{
+    m->published++;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if ((m->joints >> j & 1) != 0) {
+            joint_feedback *feedback = &m->joint[j].feedback;
+            feedback->stamp_ns = m->stamp_ns;
+            feedback->epoch = m->epoch;
+            feedback->enabled = m->enabled;
+            m->feedback_mask |= 1U << j;
+        }
+    }
+}
+
+void board_forget(board_machine *m)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        m->joint[j].feedback = (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
+                                                .temperature_c = NAN, .enabled = 2};
+    }
+    m->enabled = 2;
+}
+
+bool board_at_rest(const board_machine *m)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        /* NaN is not at rest: the time decides then */
+        if ((m->joints >> j & 1) != 0 && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+            return false;
+        }
+    }
+    return true;
+}

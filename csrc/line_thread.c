@@ -1,0 +1,133 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * line_thread.c: the life of a line's thread, whatever its medium. */
+#include "line_thread.h"
+
+#include <errno.h>
+#include <sys/eventfd.h>
+#include <sys/resource.h>
+#include <time.h>
+#include <unistd.h>
+
+static const int64_t NS_PER_S = 1000000000;
+static const int64_t REPORT_EVERY_NS = 40 * 1000000;
+
+/* An eventfd that is full has been told already. */
+static void add_one(int fd)
+{
+    const uint64_t one = 1;
+    if (write(fd, &one, sizeof one) < 0) {
+        return;
+    }
+}
+
+/* -------------------------------------------------------------------------------- from the caller's thread */
+int line_thread_prepare(line_thread *t, const line_place *at)
+{
+    if (at->priority < 0 || at->priority > 99) {
+        return -EINVAL;
+    }
+    if (t->joinable) {
+        return -EBUSY;
+    }
+    if (!t->made) {
+        t->wake_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
+        if (t->wake_fd < 0) {
+            return -errno;
+        }
+        t->made = true;
+    }
+    t->at = *at;
+    t->at.exchange = at->exchange != NULL ? at->exchange : loop_exchange();
+    t->page_faults = 0;
+    t->reported_ns = 0;
+    t->stop_asked = false;
+    return 0;
+}
+
+int line_thread_start(line_thread *t, void *(*run)(void *), void *arg)
+{
+    t->running = true;   /* before it can end */
+    int error = loop_thread_create(&t->thread, &(loop_config){.priority = t->at.priority}, &t->grant, run, arg);
+    if (error != 0) {
+        t->running = false;
+        return error;
+    }
+    t->joinable = true;
+    (void)exchange_set_line_wake(t->at.exchange, t->at.line, t->wake_fd);
+    return 0;
+}
+
+int line_thread_stop(line_thread *t)
+{
+    if (!t->joinable) {
+        return -ESRCH;
+    }
+    (void)exchange_set_line_wake(t->at.exchange, t->at.line, -1);
+    t->stop_asked = true;
+    line_thread_wake(t);
+    int error = pthread_join(t->thread, NULL);
+    t->joinable = false;
+    return -error;
+}
+
+void line_thread_wake(const line_thread *t)
+{
+    add_one(t->wake_fd);
+}
+
+/* --------------------------------------------------------------------------------------------- in the thread */
+void line_thread_begin(line_thread *t, const char *name)
+{
+    loop_thread_prepare(&(loop_config){.cpu_mask = t->at.cpu_mask}, &t->grant);
+    (void)pthread_setname_np(pthread_self(), name);
+}
+
+void line_thread_end(line_thread *t)
+{
+    t->running = false;
+    line_thread_tell(t);
+}
+
+void line_thread_tell(const line_thread *t)
+{
+    if (t->at.event_fd >= 0) {
+        add_one(t->at.event_fd);
+    }
+}
+
+void line_thread_count_page_faults(line_thread *t, bool worked)
+{
+    struct rusage usage;
+    if (getrusage(RUSAGE_THREAD, &usage) == 0) {
+        long faults = usage.ru_minflt + usage.ru_majflt;
+        t->page_fault_base = worked ? t->page_fault_base : faults;
+        t->page_faults = (uint64_t)(faults - t->page_fault_base);
+    }
+}
+
+bool line_thread_report_is_due(line_thread *t, bool worked, int64_t now_ns)
+{
+    if (now_ns - t->reported_ns < REPORT_EVERY_NS) {
+        return false;
+    }
+    t->reported_ns = now_ns;
+    line_thread_count_page_faults(t, worked);
+    return true;
+}
+
+int line_thread_wait(const line_thread *t, struct pollfd *fds, nfds_t count, int64_t until_ns)
+{
+    int64_t left_ns = until_ns - clock_now_ns();
+    left_ns = left_ns > 0 ? left_ns : 0;
+    struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
+    fds[0] = (struct pollfd){.fd = t->wake_fd, .events = POLLIN};
+    int ready = ppoll(fds, count, &left, NULL);
+    if (ready < 0) {
+        for (nfds_t i = 0; i < count; i++) {
+            fds[i].revents = 0;
+        }
+        return errno == EINTR ? 0 : -errno;
+    }
+    uint64_t wakes;
+    return (fds[0].revents & POLLIN) != 0 && read(t->wake_fd, &wakes, sizeof wakes) > 0;
+}

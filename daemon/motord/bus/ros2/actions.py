@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS 2 action's server: two services and a topic of its own, cancelling, and the goals' states
+(design.ros2.org, "Actions"; rcl_action). What a goal does is not known here.
+
+Goals that take turns share a Turn: a new one is refused while another is under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import re
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import SimpleNamespace
+
+from motord.bus.ros2.nodes import Node
+from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.sparing import Sparing
+
+GOALS_KEPT = 16
+"""With their results; more are forgotten, the oldest first."""
+RESULTS_TOGETHER = 8
+"""Clients that wait for results at once."""
+FEEDBACK_EVERY_S = 0.1
+STATUS = Quality(depth=1, latched=True)
+"""rcl_action_qos_profile_status_default."""
+
+_log = logging.getLogger(__name__)
+
+
+class Status(IntEnum):
+    """action_msgs/msg/GoalStatus."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+
+ENDED = (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED)
+
+
+class Refused(Exception):
+    """A goal is not taken; the text says why."""
+
+
+# action_msgs/srv/CancelGoal
+_NO_ERROR, _UNKNOWN_GOAL, _GOAL_ENDED = 0, 2, 3
+_ANY_ID = bytes(16)
+_NUMBER = re.compile(r"[-+.\d]+")
+Tell = Callable[[SimpleNamespace], None]
+Work = Callable[[Tell, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
+"""Does what a goal asks for. It tells feedback, looks whether it is cancelled, and does not raise.
+"""
+
+
+class Turn:
+    """Who of those that take turns is at work."""
+
+    def __init__(self) -> None:
+        self.holder: str | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class _Goal:
+    number: bytes
+    stamp_ns: int
+    work: Work
+    status: Status = Status.ACCEPTED
+    result: SimpleNamespace | None = None
+    cancel: asyncio.Event = field(default_factory=asyncio.Event)
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class ActionServer:
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        accept: Callable[[SimpleNamespace], Awaitable[Work]],
+        nothing: SimpleNamespace,
+        turn: Turn,
+    ) -> None:
+        """`kind`: pkg/action/Name. `accept` raises Refused. `nothing`: the result of a goal that is
+        not known."""
+        self._name, self._kind = name, kind
+        self._accept, self._nothing, self._turn = accept, nothing, turn
+        self._goals: dict[bytes, _Goal] = {}
+        self._next: asyncio.Queue[_Goal] = asyncio.Queue(1)
+        self._voices: dict[str, Sparing] = {}
+
+    def serve(self, node: Node) -> None:
+        """Be there. Raises DdsError."""
+        below = f"{self._name}/_action"
+        node.serve(f"{below}/send_goal", f"{self._kind}_SendGoal", self._send)
+        node.serve(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", self._cancel)
+        node.serve(
+            f"{below}/get_result", f"{self._kind}_GetResult", self._result,
+            together=RESULTS_TOGETHER,
+        )  # fmt: skip
+        self._feedback = node.publisher(f"{below}/feedback", f"{self._kind}_FeedbackMessage")
+        self._status = node.publisher(f"{below}/status", "action_msgs/msg/GoalStatusArray", STATUS)
+
+    async def run(self) -> None:
+        """One goal after the other, until cancelled."""
+        self._say_status()
+        while True:
+            goal = await self._next.get()
+            try:
+                await self._execute(goal)
+            finally:
+                self._turn.holder = None
+
+    async def _execute(self, goal: _Goal) -> None:
+        if goal.status is Status.ACCEPTED:
+            self._become(goal, Status.EXECUTING)
+        due_s = 0.0
+
+        def tell(feedback: SimpleNamespace) -> None:
+            nonlocal due_s
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                due_s = now_s + FEEDBACK_EVERY_S
+                self._feedback.publish(
+                    SimpleNamespace(goal_id=_uuid(goal.number), feedback=feedback)
+                )
+
+        status, goal.result = await goal.work(tell, goal.cancel)
+        self._become(goal, status)
+        goal.ended.set()
+
+    def _become(self, goal: _Goal, status: Status) -> None:
+        goal.status = status
+        self._say_status()
+
+    def _say_status(self) -> None:
+        told = [
+            SimpleNamespace(goal_info=_info(goal), status=int(goal.status))
+            for goal in self._goals.values()
+        ]
+        self._status.publish(SimpleNamespace(status_list=told))
+
+    # ----------------------------------------------------------------------------------- services
+    async def _send(self, request: SimpleNamespace) -> SimpleNamespace:
+        number = bytes(request.goal_id.uuid)
+        refused = SimpleNamespace(accepted=False, stamp=_time(0))
+        if number in self._goals:
+            return self._no(refused, "a goal of that number is known already")
+        if self._turn.holder is not None:
+            return self._no(refused, f"{self._turn.holder} is under way")
+        self._turn.holder = self._name
+        try:
+            work = await self._accept(request.goal)
+        except Refused as error:
+            self._turn.holder = None
+            return self._no(refused, str(error))
+        goal = _Goal(number=number, stamp_ns=time.time_ns(), work=work)
+        self._goals[number] = goal
+        for old in list(itertools.islice(self._goals, max(0, len(self._goals) - GOALS_KEPT))):
+            del self._goals[old]
+        self._next.put_nowait(goal)
+        self._say_status()
+        return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
+
+    def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
+        """The answer has no word for it: the log has, sparing with each reason by itself."""
+        reason = _NUMBER.sub("", why)
+        voice = self._voices.setdefault(reason, Sparing(_log))
+        voice.say(f"action {self._name}: refused: {why}")
+        return answer
+
+    async def _cancel(self, request: SimpleNamespace) -> SimpleNamespace:
+        """By number, or all up to a moment, or both; neither: all (CancelGoal.srv)."""
+        info = request.goal_info
+        number, until_ns = bytes(info.goal_id.uuid), _nanoseconds(info.stamp)
+        everything = number == _ANY_ID and until_ns == 0
+        meant = [
+            goal
+            for goal in self._goals.values()
+            if everything or goal.number == number or (until_ns and goal.stamp_ns <= until_ns)
+        ]
+        found = [goal for goal in meant if goal.status not in ENDED]
+        for goal in found:
+            goal.cancel.set()
+            self._become(goal, Status.CANCELING)
+        code = _NO_ERROR
+        if not found and number != _ANY_ID:
+            code = _GOAL_ENDED if number in self._goals else _UNKNOWN_GOAL
+        return SimpleNamespace(return_code=code, goals_canceling=[_info(goal) for goal in found])
+
+    async def _result(self, request: SimpleNamespace) -> SimpleNamespace:
+        """When it has ended; each goal has a time-out of its own."""
+        goal = self._goals.get(bytes(request.goal_id.uuid))
+        if goal is None:
+            return SimpleNamespace(status=int(Status.UNKNOWN), result=self._nothing)
+        await goal.ended.wait()
+        return SimpleNamespace(status=int(goal.status), result=goal.result)
+
+
+def _uuid(number: bytes) -> SimpleNamespace:
+    return SimpleNamespace(uuid=number)
+
+
+def _info(goal: _Goal) -> SimpleNamespace:
+    return SimpleNamespace(goal_id=_uuid(goal.number), stamp=_time(goal.stamp_ns))
+
+
+def _time(moment_ns: int) -> SimpleNamespace:
+    sec, nanosec = divmod(moment_ns, 1_000_000_000)
+    return SimpleNamespace(sec=sec, nanosec=nanosec)
+
+
+def _nanoseconds(stamp: SimpleNamespace) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

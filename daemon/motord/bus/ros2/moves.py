@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The actions drive_distance, rotate and calibrate (motord_msgs/action): motions and measures as
+ROS 2 sees them. What they do is in bus/motion.py and bus/calibration.py."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Coroutine
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+from motord.bus.calibration import Calibration, Found, Measure, measure
+from motord.bus.motion import End, Goal, Motion, Plan, Wish
+from motord.bus.mover import Mover, NotNow
+from motord.bus.ros2.actions import ActionServer, Refused, Status, Tell, Turn, Work
+from motord.bus.ros2.nodes import Node
+from motord.snapshot import Snapshot
+from motord.state_page import NoPage, StatePage
+
+if TYPE_CHECKING:
+    from motord.bus.station import Station
+
+LOOK_EVERY_S = 0.05
+_ENDS = {
+    End.SUCCEEDED: Status.SUCCEEDED,
+    End.CANCELED: Status.CANCELED,
+    End.ABORTED: Status.ABORTED,
+}
+_DISTANCE_NOTHING = SimpleNamespace(distance_m=0.0, turned_rad=0.0, duration_s=0.0, message="")
+_ANGLE_NOTHING = SimpleNamespace(angle_rad=0.0, moved_m=0.0, duration_s=0.0, message="")
+_CALIBRATE_NOTHING = SimpleNamespace(
+    factor=0.0, wheel_radius_m=0.0, track_m=0.0, distance_m=0.0, angle_rad=0.0, message=""
+)
+
+
+class Moves:
+    """Of one input. What moves the robot takes turns; who only watches is not in its way."""
+
+    def __init__(self, station: Station, mover: Mover) -> None:
+        self._station = station
+        self._mover = mover
+        moving, watching = Turn(), Turn()
+        package = "motord_msgs/action"
+        self._servers = (
+            ActionServer(
+                "drive_distance", f"{package}/DriveDistance", self._drive, _DISTANCE_NOTHING, moving
+            ),
+            ActionServer("rotate", f"{package}/Rotate", self._rotate, _ANGLE_NOTHING, moving),
+            ActionServer(
+                "calibrate", f"{package}/Calibrate", self._calibrate, _CALIBRATE_NOTHING, watching
+            ),
+        )
+
+    def serve(self, node: Node) -> None:
+        """Be there. Raises DdsError."""
+        for server in self._servers:
+            server.serve(node)
+
+    def runs(self) -> tuple[Callable[[], Coroutine[None, None, None]], ...]:
+        """A task each, until cancelled."""
+        return tuple(server.run for server in self._servers)
+
+    # ------------------------------------------------------------------------------------ motions
+    async def _drive(self, goal: SimpleNamespace) -> Work:
+        asked = Goal(
+            axis="linear",
+            way_u=goal.distance_m,
+            velocity_u_s=goal.speed_m_s,
+            tolerance_u=goal.tolerance_m,
+            timeout_s=goal.timeout_s,
+        )
+        return self._work(await self._planned(asked), _distance_feedback, _distance_result)
+
+    async def _rotate(self, goal: SimpleNamespace) -> Work:
+        asked = Goal(
+            axis="angular",
+            way_u=goal.angle_rad,
+            velocity_u_s=goal.speed_rad_s,
+            tolerance_u=goal.tolerance_rad,
+            timeout_s=goal.timeout_s,
+        )
+        return self._work(await self._planned(asked), _angle_feedback, _angle_result)
+
+    async def _planned(self, asked: Goal) -> Plan:
+        try:
+            return await self._mover.plan(asked)
+        except NotNow as error:
+            raise Refused(str(error)) from error
+
+    def _work(
+        self,
+        plan: Plan,
+        feedback: Callable[[Motion, Snapshot], SimpleNamespace],
+        result: Callable[[Motion | None, float, str], SimpleNamespace],
+    ) -> Work:
+        async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
+            begin_s = time.monotonic()
+            wish, motion = await self._mover.move(
+                plan, lambda motion, newest: tell(feedback(motion, newest)), cancel
+            )
+            return _ended(wish), result(motion, time.monotonic() - begin_s, wish.why)
+
+        return work
+
+    # ---------------------------------------------------------------------------------- measuring
+    async def _calibrate(self, goal: SimpleNamespace) -> Work:
+        try:
+            asked = measure(
+                goal.quantity, goal.true_distance_m, goal.true_angle_rad, goal.timeout_s
+            )
+        except ValueError as error:
+            raise Refused(str(error)) from error
+
+        async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
+            try:
+                with StatePage.open(self._station.robot.robot.name) as page:
+                    return await self._watch(asked, page, tell, cancel)
+            except NoPage as error:
+                return Status.ABORTED, _with(_CALIBRATE_NOTHING, message=str(error))
+
+        return work
+
+    async def _watch(
+        self, asked: Measure, page: StatePage, tell: Tell, cancel: asyncio.Event
+    ) -> tuple[Status, SimpleNamespace]:
+        newest = page.read()
+        if newest is None:
+            return Status.ABORTED, _with(_CALIBRATE_NOTHING, message="there is no state yet")
+        watched = Calibration(asked, newest, time.monotonic_ns(), self._mover.stale_s)
+        while not cancel.is_set():
+            newest = page.read() or newest
+            found = watched.step(newest, time.monotonic_ns())
+            if found is not None:
+                return _ENDS[found.end], self._calibrated(asked, watched, found)
+            tell(
+                SimpleNamespace(
+                    distance_m=watched.travel.distance_m,
+                    angle_rad=watched.travel.angle_rad,
+                    at_rest=newest.at_rest,
+                )
+            )
+            await asyncio.sleep(LOOK_EVERY_S)
+        return Status.CANCELED, _with(_CALIBRATE_NOTHING, message="canceled")
+
+    def _calibrated(self, asked: Measure, watched: Calibration, found: Found) -> SimpleNamespace:
+        """The robot file's own values where they are not what was asked for."""
+        base = self._station.robot.base
+        radius_m, track_m = base.wheel_radius_m, base.track_m
+        if found.end is End.SUCCEEDED:
+            if asked.quantity == "wheel_radius":
+                radius_m *= found.factor
+            else:
+                track_m *= found.factor
+        return SimpleNamespace(
+            factor=found.factor,
+            wheel_radius_m=radius_m,
+            track_m=track_m,
+            distance_m=watched.travel.distance_m,
+            angle_rad=watched.travel.angle_rad,
+            message=found.why,
+        )
+
+
+def _ended(wish: Wish) -> Status:
+    assert wish.end is not None
+    return _ENDS[wish.end]
+
+
+def _distance_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:
+    return SimpleNamespace(
+        distance_m=motion.way_u, remaining_m=motion.remaining_u, speed_m_s=newest.linear_m_s
+    )
+
+
+def _angle_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:
+    return SimpleNamespace(
+        angle_rad=motion.way_u, remaining_rad=motion.remaining_u, speed_rad_s=newest.angular_rad_s
+    )
+
+
+def _distance_result(motion: Motion | None, duration_s: float, why: str) -> SimpleNamespace:
+    if motion is None:
+        return _with(_DISTANCE_NOTHING, message=why)
+    travel = motion.travel
+    return SimpleNamespace(
+        distance_m=travel.distance_m,
+        turned_rad=travel.angle_rad,
+        duration_s=duration_s,
+        message=why,
+    )
+
+
+def _angle_result(motion: Motion | None, duration_s: float, why: str) -> SimpleNamespace:
+    if motion is None:
+        return _with(_ANGLE_NOTHING, message=why)
+    travel = motion.travel
+    return SimpleNamespace(
+        angle_rad=travel.angle_rad, moved_m=travel.distance_m, duration_s=duration_s, message=why
+    )
+
+
+def _with(result: SimpleNamespace, *, message: str) -> SimpleNamespace:
+    return SimpleNamespace(**{**vars(result), "message": message})

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frames that never move, for tf_static: the fixed joints of the robot description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, ParseError, fromstring
+
+from motord.bus.message_types import (
+    Header,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+
+
+def static_transforms(description: str, stamp: Time) -> TFMessage:
+    """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for who reads
+    joint_states. Raises ValueError for what is no URDF."""
+    try:
+        root = fromstring(description)
+    except ParseError as error:
+        raise ValueError(f"the robot description is no XML: {error}") from error
+    return TFMessage(tuple(_frames(root, stamp)))
+
+
+def _frames(root: Element, stamp: Time) -> Iterator[TransformStamped]:
+    for joint in root.findall("joint"):
+        if joint.get("type") != "fixed":
+            continue
+        names = [_link(joint, end) for end in ("parent", "child")]
+        origin = joint.find("origin")
+        x_m, y_m, z_m = _three(joint, origin, "xyz")
+        turn = _quaternion(*_three(joint, origin, "rpy"))
+        place = Vector3(x_m, y_m, z_m)
+        yield TransformStamped(Header(stamp, names[0]), names[1], Transform(place, turn))
+
+
+def _link(joint: Element, end: str) -> str:
+    found = joint.find(end)
+    name = None if found is None else found.get("link")
+    if not name:
+        raise ValueError(f"joint {joint.get('name')!r} has no {end}")
+    return name
+
+
+def _three(joint: Element, origin: Element | None, key: str) -> tuple[float, float, float]:
+    """Zero where it is not said: wiki.ros.org/urdf/XML/joint."""
+    words = "" if origin is None else origin.get(key, "")
+    try:
+        numbers = [float(word) for word in (words or "0 0 0").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"joint {joint.get('name')!r}: {key} is {words!r}, not three numbers")
+    return numbers[0], numbers[1], numbers[2]
+
+
+def _quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """Turns about the fixed x, then y, then z axis (wiki.ros.org/urdf/XML/joint: rpy)."""
+    (sx, cx), (sy, cy), (sz, cz) = (
+        (math.sin(angle_rad / 2.0), math.cos(angle_rad / 2.0))
+        for angle_rad in (roll_rad, pitch_rad, yaw_rad)
+    )
+    return Quaternion(
+        x=sx * cy * cz - cx * sy * sz,
+        y=cx * sy * cz + sx * cy * sz,
+        z=cx * cy * sz - sx * sy * cz,
+        w=cx * cy * cz + sx * sy * sz,
+    )

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a board on a stream costs, and how long it waits: both engines, with and without a thread
+that always wants the GIL. The board is the reference one, compiled for this machine.
+
+    python tests/bench/board_stream.py rt|asyncio PORT SECONDS idle|hog   (what `measure` starts)
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "contract"))
+
+from mcu_peer import McuPeer, compiled
+
+RATE_HZ = 200.0
+WARM_UP_S = 0.5
+ENGINES = ("rt", "asyncio")
+Found = dict[str, dict[str, float]]
+
+
+def hog() -> None:
+    while True:
+        sum(range(1000))
+
+
+async def drive(engine: str, port: str, seconds: float) -> dict[str, float]:
+    from motord_hal.drives.load import find_profile
+    from motord_hal.lines import open_line
+    from motord_hal.ports import DriveState, JointSpec, LineSpec
+    from motord_hal.rt import Exchange
+
+    profile = find_profile("mcu-velocity")
+    joints = tuple(
+        JointSpec(index=n, name=f"j{n}", profile=profile, unit=1, channel=n + 1) for n in range(2)
+    )
+    spec = LineSpec(
+        index=0, name="bench", kind="mcu", port=port, baudrate=921600, parity="none", stop_bits=1,
+        cycle_hz=RATE_HZ, gap_s=None, engine=engine, joints=joints, watchdog_s=1.0,
+    )  # fmt: skip
+    line = open_line(spec, Exchange.private(), lambda _: None)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(line.run())
+        async with asyncio.timeout(20):
+            while set(line.drive_states.values()) != {DriveState.READY}:
+                await asyncio.sleep(0.05)
+        await asyncio.sleep(WARM_UP_S)
+        before = time.process_time_ns(), line.stats().exchanges
+        await asyncio.sleep(seconds)
+        spent_ns, stats = time.process_time_ns() - before[0], line.stats()
+        running.cancel()
+    heard = stats.exchanges - before[1]
+    return {
+        "cpu_us": spent_ns * 1e-3 / max(heard, 1),
+        "p50_us": stats.round_trip.p50_us,
+        "p99_us": stats.round_trip.p99_us,
+    }
+
+
+def measure(seconds: float) -> Found:
+    """Engine and company → figures. CPU is that of the whole process: with a hog it says
+    nothing."""
+    found: Found = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        program = compiled(folder)
+        for company in ("idle", "hog"):
+            for engine in ENGINES:
+                peer = McuPeer(program, folder / "board")
+                command = [sys.executable, __file__, engine, str(peer.link), str(seconds), company]
+                run = subprocess.run(command, capture_output=True, text=True, timeout=90)
+                peer.pull()
+                run.check_returncode()
+                found[f"{engine}, {company}"] = json.loads(run.stdout)
+    return found
+
+
+def table(found: Found) -> str:
+    """For people."""
+    rows = [
+        f"{name:14} CPU a feedback {row['cpu_us']:7.1f} µs   set-points to feedback "
+        f"p50 {row['p50_us']:7.0f}  p99 {row['p99_us']:7.0f} µs"
+        for name, row in found.items()
+    ]
+    return "\n".join([f"a board at {RATE_HZ:g} Hz:", *rows])
+
+
+def verdicts(found: Found) -> list[tuple[str, bool, bool]]:
+    """In sentences, as the other parts'."""
+    part = found["rt, idle"]["cpu_us"] / found["asyncio, idle"]["cpu_us"]
+    wait = found["rt, hog"]["p50_us"] / found["asyncio, hog"]["p50_us"]
+    return [
+        (f"a board on rt costs {part:.2f} of its CPU on asyncio", part < 1.0, False),
+        (f"beside a GIL hog its median wait is {wait:.2f} of that on asyncio", wait < 1.0, False),
+    ]
+
+
+if __name__ == "__main__":
+    if sys.argv[4] == "hog":
+        threading.Thread(target=hog, daemon=True).start()
+    print(json.dumps(asyncio.run(drive(sys.argv[1], sys.argv[2], float(sys.argv[3])))))

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the second process costs, in one run: messages, memory, CPU, the way of a command, and a
+reader that stops reading."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import bus_at_work
+import bus_command
+import datagram
+
+HERE = Path(__file__).parent
+CDR_US, JSON_US = 0.5, 2.0
+OFTEN = ("odom", "tf", "joint_states", "motor_status")
+DAEMON_MB, BOTH_MB = 60.0, 110.0
+Verdicts = list[tuple[str, bool, bool]]
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    run = subprocess.run(
+        [sys.executable, HERE / "bus_encode.py", "5" if quick else "15"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    count, seconds = (40, 3.0) if quick else (200, 10.0)
+    return {
+        "messages_us": json.loads(run.stdout),
+        "memory_mb": bus_at_work.memory(),
+        "cpu_percent": bus_at_work.cpu(seconds),
+        "stalled": bus_at_work.stalled(1 if quick else 5, 6.0),
+        "cmd_vel": bus_command.measure(count),
+        "datagram": datagram.measure(count),
+    }
+
+
+def table(found: dict[str, Any]) -> str:
+    rows = ["a message from snapshot to bytes, µs (in brackets: the Cyclone binding, json):"]
+    for topic, ways in found["messages_us"].items():
+        rows.append(
+            f"  {topic:16} CDR {ways['cdr']:6.2f} ({ways['cdr, cyclone']:6.2f})"
+            f"  JSON {ways['json']:6.2f} ({ways['json, stdlib']:6.2f})"
+        )
+    rows.append("memory, MB resident (shared pages shared out):")
+    for name, one in found["memory_mb"].items():
+        rows.append(f"  {name:16} {one['rss']:6.1f} ({one['pss']:6.1f})")
+    rows.append("CPU of motord-bus with one publisher, all topics, % of one CPU:")
+    for kind, rates in found["cpu_percent"].items():
+        rows.append(f"  {kind:24}" + "  ".join(f"{n} {v:5.2f}" for n, v in rates.items()))
+    rows.append("readers of DDS and rosbridge that read, and that are stopped (SIGSTOP):")
+    for name, row in found["stalled"].items():
+        rows.append(f"  {name:8}" + "  ".join(f"{key} {value:g}" for key, value in row.items()))
+    for what in ("cmd_vel", "datagram"):
+        rows.append(f"from {what} to byte, µs:")
+        rows += [f"  {name:8} p50 {row['p50_us']:6.0f}  p90 {row['p90_us']:6.0f}  p99"
+                 f" {row['p99_us']:6.0f}" for name, row in found[what].items()]  # fmt: skip
+    return "\n".join(rows)
+
+
+def verdicts(found: dict[str, Any]) -> Verdicts:
+    """As wire.verdicts."""
+    said: Verdicts = []
+    for name, goal_us in (("cdr", CDR_US), ("json", JSON_US)):
+        for topic in OFTEN:
+            one_us = found["messages_us"][topic][name]
+            text = f"{topic} from snapshot to {name}: {one_us:.2f} µs ({goal_us:g})"
+            said.append((text, one_us <= goal_us, False))
+    memory = found["memory_mb"]
+    daemon_mb = memory["daemon"]["rss"]
+    both_mb = daemon_mb + memory["motord-bus"]["rss"]
+    said += [
+        (f"the daemon has {daemon_mb:.1f} MB ({DAEMON_MB:g})", daemon_mb <= DAEMON_MB, False),
+        (f"and with motord-bus {both_mb:.1f} MB ({BOTH_MB:g})", both_mb <= BOTH_MB, False),
+    ]
+    idle, hogged = found["cmd_vel"]["idle"], found["cmd_vel"]["hogged"]
+    reached = idle["p50_us"] <= bus_command.GOAL_P50_US and (
+        idle["p99_us"] <= bus_command.GOAL_P99_US
+    )
+    p50_us, p99_us = idle["p50_us"], idle["p99_us"]
+    text = f"cmd_vel on DDS to byte: p50 {p50_us:.0f} µs (500), p99 {p99_us:.0f} (1500)"
+    said.append((text, reached, False))
+    ratio = hogged["p50_us"] / idle["p50_us"]
+    text = f"and with 4 hogs in the daemon {ratio:.2f} times that ({bus_command.GOAL_RATIO:g})"
+    said.append((text, ratio <= bus_command.GOAL_RATIO, False))
+    late = found["stalled"]
+    ratio = late["stopped"]["p99_us"] / late["reading"]["p99_us"]
+    said.append((f"a reader that is stopped: lateness p99 {ratio:.2f} times (1.2)", ratio <= 1.2,
+                 False))  # fmt: skip
+    return said

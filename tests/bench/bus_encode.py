@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a snapshot to bytes, topic by topic: CDR as ROS 2 reads it, JSON as MQTT and rosbridge carry
+it; beside the encoder of the Cyclone DDS binding and the standard library's json, in turns.
+
+python bus_encode.py [ROUNDS]: one JSON object, µs a message, each the best of its rounds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+import timeit
+from collections.abc import Callable
+from typing import Any
+
+from motord.bus import json_direct
+from motord.bus.messages import Body
+from motord.bus.ros2 import direct
+from motord.bus.topics import TOPICS, View, wall_offset_ns
+from motord.snapshot import JointSnapshot, Snapshot
+
+BODY = Body(robot="bench", joints=("left", "right"))
+FAST = ("odom", "tf", "joint_states", "motor_status")
+"""Topics that come at the section's rate; the others at 1 Hz."""
+CALLS = 2000
+
+
+def joint(turned_rad: float) -> JointSnapshot:
+    return JointSnapshot(
+        position_rad=turned_rad, velocity_rad_s=4.0 / 3.0, setpoint_rad_s=1.3, duty=math.nan,
+        current_a=0.77, voltage_v=24.1, temperature_c=math.nan, feedback_age_s=0.0041,
+        drive_faults=0, enabled=True, stale=False, jumps=0,
+    )  # fmt: skip
+
+
+def moving() -> View:
+    """A base on its way: no number of it is round."""
+    snapshot = Snapshot(
+        stamp_ns=90_123_456_789, tick=90_123, machine_state=4, owner=1, reasons=("linear_jerk",),
+        faults=(), armed=True, enabled=True, at_rest=False, odometry_degraded=False,
+        odometry_epoch=0, dt_s=0.001, command_age_s=0.0123, wanted_linear_m_s=0.4,
+        wanted_angular_rad_s=0.1, setpoint_linear_m_s=1 / 3, setpoint_angular_rad_s=1 / 11,
+        saturation=1.0, odometry_stamp_ns=90_121_345_678, x_m=math.pi, y_m=-math.e,
+        heading_rad=0.7, distance_m=12.34, turned_rad=2.2, linear_m_s=0.3331, angular_rad_s=0.0913,
+        pose_covariance=(0.1 / 3, 0.2 / 3, 0.3 / 7, 0.4 / 3, 0.5 / 7, 0.6 / 7),
+        twist_covariance=(1e-4 / 3, 1e-5 / 3, 1e-4 / 7), joints=(joint(12.3456), joint(-3.21)),
+    )  # fmt: skip
+    late = dict.fromkeys(("p50", "p99", "p99_9", "max"), 12.5)
+    loop = {"rate_hz": 1000.0, "policy": "SCHED_FIFO", "ticks": 1, "overruns": 0, "page_faults": 0,
+            "lateness_us": late, "step_ns": late}  # fmt: skip
+    return View(snapshot=snapshot, status={"loop": loop, "leases": ()}, status_ns=1)
+
+
+def cyclone(topic: str) -> Callable[[], Any]:
+    """The message, built and serialized as a program on the Cyclone DDS binding does it."""
+    from motord.bus.ros2.cyclone_types import cyclone_type
+    from motord.bus.ros2.types import TYPES
+
+    view, offset_ns = moving(), wall_offset_ns()
+
+    def made(name: str, value: Any) -> Any:
+        fields = {}
+        for field in TYPES[name]:
+            item = getattr(value, field.name)
+            if field.count is None:
+                item = item if field.primitive else made(field.kind, item)
+            elif not field.primitive:
+                item = [made(field.kind, part) for part in item]
+            else:
+                item = list(item)
+            fields[field.name] = item
+        return cyclone_type(name)(**fields)
+
+    chosen = TOPICS[topic]
+    message = made(chosen.type_name, chosen.build(view, BODY, offset_ns))
+    return lambda: message.serialize(use_version_2=False)
+
+
+def ways(topic: str) -> dict[str, Callable[[], Any]]:
+    view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
+    cdr, text = direct.encoder(chosen, BODY), json_direct.encoder(chosen, BODY)
+    return {
+        "cdr": lambda: cdr(view, offset_ns),
+        "cdr, cyclone": cyclone(topic),
+        "json": lambda: text(view, offset_ns),
+        "json, stdlib": lambda: json.dumps(
+            dataclasses.asdict(chosen.build(view, BODY, offset_ns))
+        ).encode(),
+    }
+
+
+def measure(rounds: int) -> dict[str, dict[str, float]]:
+    """µs a message, by topic and way; ways take turns and each keeps its best round."""
+    all_ways = {topic: ways(topic) for topic in TOPICS if topic != "battery_state"}
+    best = {topic: dict.fromkeys(found, math.inf) for topic, found in all_ways.items()}
+    for _ in range(rounds):
+        for topic, found in all_ways.items():
+            for name, call in found.items():
+                one_us = timeit.timeit(call, number=CALLS) / CALLS * 1e6
+                best[topic][name] = min(best[topic][name], one_us)
+    return best
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(int(sys.argv[1]) if len(sys.argv) > 1 else 7)))

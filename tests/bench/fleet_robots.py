@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many robots' second processes in one: each has its own robot file, station and adapters, as
+motord-bus has them; only the snapshots are made here and not read from a daemon's page.
+
+fleet_robots.py FIRST COUNT SETTING...   in a setting, {n} is the robot's number
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import signal
+import sys
+import time
+from pathlib import Path
+
+from bus_encode import moving
+
+from motord.bus.station import Station
+from motord.config import load_robot
+
+ROBOT = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+LOOK_EVERY_S = 0.05
+
+
+def station(number: int, settings: list[str]) -> Station:
+    words = [f"robot.name=r{number}", *(one.format(n=number) for one in settings)]
+    return Station(load_robot(ROBOT, tuple(words)), Path("/nonexistent"))
+
+
+async def drive(stations: list[Station]) -> None:
+    """A snapshot of now for each, until cancelled."""
+    snapshot = moving().snapshot
+    while True:
+        now_ns = time.monotonic_ns()
+        for one in stations:
+            one._tell(dataclasses.replace(snapshot, stamp_ns=now_ns, odometry_stamp_ns=now_ns))
+        await asyncio.sleep(LOOK_EVERY_S)
+
+
+async def main(first: int, count: int, settings: list[str]) -> None:
+    stations = [station(first + number, settings) for number in range(count)]
+    end = asyncio.Event()
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, end.set)
+    async with asyncio.TaskGroup() as tasks:
+        work = [tasks.create_task(drive(stations))]
+        for one in stations:
+            work += [tasks.create_task(adapter.run()) for adapter in one._adapters()]
+        print("ready", flush=True)
+        await end.wait()
+        for task in work:
+            task.cancel()
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]))

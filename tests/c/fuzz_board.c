@@ -1,0 +1,192 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * fuzz_board.c: a board's machine among bytes, wishes and set-points that do what they like. Whatever comes: motion is
+ * said only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
+ * the end comes. */
+#include "board_wire.h"
+
+#define FUZZ_NAME "fuzz_board"
+enum { FUZZ_MAX = 256 };
+
+static const uint8_t *tape;
+static size_t tape_left;
+static uint32_t mode_before;
+
+static uint8_t next_byte(void)
+{
+    if (tape_left == 0) {
+        return 0;
+    }
+    tape_left--;
+    return *tape++;
+}
+
+static bool may_move(void)
+{
+    const setpoints *from = &w.machine.newest;
+    return w.machine.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.shut == 0 &&
+           w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(w.velocity_rad_s);
+}
+
+static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
+{
+    (void)sink;
+    CHECK(w.machine.shut != 3);
+    if (w.full) {
+        return false;
+    }
+    w.sent_count++;
+    memcpy(w.sent, bytes, count);
+    w.sent_bytes = count;
+    if (w.table.dialect == BOARD_TEXT) {
+        CHECK(count <= BOARD_TEXT_MAX && bytes[count - 1] == '\n');
+        CHECK(may_move() || (count == 4 && memcmp(bytes, "0,0\n", 4) == 0));
+        return true;
+    }
+    CHECK(may_move() || (told(TARGET, 4, 1) == 0 && told(TARGET + 6, 4, 1) == 0));
+    CHECK(w.machine.mode != DRIVE_QUIET || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.back || w.machine.shut != 0);
+    return true;
+}
+
+/* A frame that is whole, with a payload that may say anything. */
+static void say_something(void)
+{
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
+    uint32_t size = next_byte() % 4 == 0 ? next_byte() % BOARD_PAYLOAD_MAX : 36;
+    for (uint32_t i = 0; i < size && i < 36; i++) {
+        payload[i] = next_byte() % 4 == 0 ? next_byte() : 0;
+    }
+    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED;
+    payload[WATCHDOG] = WATCHDOG_MS;
+    board_place heard = at(6, 2, 0);
+    board_put(payload, &heard, w.machine.sequence - next_byte() % 4);
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 0, (uint32_t)(w.now_ns / 1000), payload, size, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+}
+
+static void say_bytes(void)
+{
+    static const char *const words[] = {"v ", "1", ".", "e", "-", "\n", ";", "999999999999999999999", "v 1.5\n", "+"};
+    for (uint32_t i = next_byte() % 8; i > 0; i--) {
+        uint8_t byte = next_byte();
+        const char *word = words[byte % 10];
+        if (byte < 128) {
+            board_machine_hear(&w.machine, &byte, 1, w.now_ns);
+        } else {
+            board_machine_hear(&w.machine, (const uint8_t *)word, (uint32_t)strlen(word), w.now_ns);
+        }
+    }
+}
+
+static void set_points(uint8_t choice)
+{
+    static const double wanted[] = {0.0, 1.0, -1.0, 1e300, (double)NAN, (double)INFINITY, -0.0001, 3.0};
+    w.velocity_rad_s = wanted[choice % 8];
+    setpoints *newest = &w.machine.newest;
+    *newest = (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS, .enabled = choice >> 3 & 1,
+                          .joint_count = choice >> 4 & 3};
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        newest->joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s};
+    }
+}
+
+static void wishes(uint8_t choice)
+{
+    drive_wish *asked = &w.machine.control.wish;
+    asked->count += choice & 1;
+    asked->mode = choice / 2 % 6;
+    asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
+    if (choice >= 200) {
+        board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = choice % 16}, .guarded = choice & 1,
+                           .stops = w.machine.stops};
+        (void)board_machine_order(&w.machine, &one);
+    }
+}
+
+static void look(void)
+{
+    w.wake_ns = board_machine_step(&w.machine, w.now_ns);
+    CHECK(w.wake_ns > w.now_ns);
+    uint32_t mode = w.machine.mode;
+    uint32_t wished = w.machine.control.wish.mode;
+    CHECK(mode == mode_before || mode != DRIVE_ARMED || wished == DRIVE_ARMED);
+    CHECK(mode == mode_before || mode != DRIVE_READY || mode_before == DRIVE_ARMED || wished == DRIVE_READY);
+    mode_before = mode;
+    CHECK(w.machine.said_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
+}
+
+/* The mode that was there before the step, too, after whatever was said. */
+static void say(uint8_t choice)
+{
+    if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {
+        say_something();
+    } else {
+        say_bytes();
+    }
+    mode_before = w.machine.mode;
+}
+
+static board_table text(void)
+{
+    board_table table = {.dialect = BOARD_TEXT, .answers = 1, .tries = 3, .payload_bytes = 12, .setpoint_count = 2,
+                         .said_bytes = 6, .period_ns = 20 * MS, .silence_ns = 150 * MS, .setpoint_timeout_ns = 100 * MS,
+                         .written = {.part_count = 3, .literal = ",\n"}, .read = {.part_count = 2, .literal = "v \n"}};
+    for (uint32_t j = 0; j < 2; j++) {
+        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1), .joint = j, .raw_per_si = 1000.0, .raw_min = -1e6,
+                                             .raw_max = 1e6};
+        table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_GENERAL, .precision = 6};
+        table.written.part[j].number_per_raw[j] = 1.0;
+    }
+    table.written.part[2].literal_bytes = 1;
+    table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
+    table.read.part[1].literal_bytes = 1;
+    table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
+    return table;
+}
+
+/* Where most of what matters begins. */
+static void begin_armed(void)
+{
+    set_points(1 + 8 + 32);
+    w.machine.control.wish = (drive_wish){.count = 1, .mode = DRIVE_READY};
+    look();
+    w.machine.control.wish = (drive_wish){.count = 2, .mode = DRIVE_ARMED};
+    look();
+    CHECK(w.machine.mode == DRIVE_ARMED);
+}
+
+static void once(const uint8_t *data, size_t size)
+{
+    tape = data;
+    tape_left = size;
+    begin_with(next_byte() % 2 == 0 ? frames_table() : text());
+    w.machine.send = judge;
+    mode_before = w.machine.mode;
+    if (next_byte() % 2 == 0) {
+        begin_armed();
+    }
+    while (tape_left > 0) {
+        uint8_t choice = next_byte();
+        w.full = choice >= 240;
+        if (choice & 1) {
+            wishes(next_byte());
+        }
+        if (choice & 2) {
+            set_points(next_byte());
+        }
+        if (choice & 4) {
+            say(next_byte());
+        }
+        uint32_t before = w.sent_count;
+        look();
+        CHECK(w.sent_count <= before + 1);
+        w.now_ns = (choice & 8) != 0 ? w.wake_ns : w.now_ns + next_byte() * MS / 8;
+    }
+    w.machine.control.shut_down = 1;
+    for (int64_t asked_ns = w.now_ns; w.machine.shut != 3; w.now_ns = w.wake_ns) {
+        look();
+        CHECK(w.now_ns <= asked_ns + 600 * MS);
+    }
+    look();
+}
+
+#include "fuzz.h"

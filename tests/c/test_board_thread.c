@@ -1,0 +1,132 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A board's thread on a socket pair, with the reference board, asyncio's side and the loop's side in threads of their own:
+ * for the sanitizers. Nothing is shared but what api_board.h and the exchange pass on. */
+#include <errno.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "board_wire.h"
+#include "exchange.h"
+
+static exchange shared;
+static _Atomic bool over;
+static int ends[2];
+
+static void *core(void *arg)
+{
+    (void)arg;
+    while (!over) {
+        setpoints out = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = JOINTS_MAX};
+        out.joint[0].velocity_rad_s = 1.0;
+        (void)exchange_put_setpoints(&shared, 0, &out);
+        joint_feedback feedback;
+        (void)exchange_take_feedback(&shared, 0, &feedback);
+        (void)poll(NULL, 0, 1);
+    }
+    return NULL;
+}
+
+/* What docs/mcu/motord_mcu.ino does in its loop; how often it was told to turn. */
+static void *sketch(void *arg)
+{
+    unsigned long *turned = arg;
+    motord_board board;
+    motord_measured measured[MOTORS] = {{0}};
+    motord_health health = {.voltage_10mv = 2400};
+    motord_board_init(&board, MOTORS, (uint32_t)(clock_now_ns() / 1000));
+    while (!over) {
+        uint8_t in[256], out[MOTORD_SENT_BYTES_MAX];
+        uint32_t now_us = (uint32_t)(clock_now_ns() / 1000);
+        ssize_t count = recv(ends[1], in, sizeof in, MSG_DONTWAIT);
+        for (ssize_t i = 0; i < count; i++) {
+            motord_board_byte(&board, in[i], now_us);
+        }
+        size_t size = motord_board_feedback(&board, now_us, measured, &health, out);
+        if (size > 0) {
+            (void)send(ends[1], out, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+        }
+        *turned += board.setpoint[0].velocity_mrad_s == 1000;
+        (void)poll(NULL, 0, 1);
+    }
+    return NULL;
+}
+
+static board_report wait_for(uint32_t mode)
+{
+    board_report report;
+    int64_t until_ns = clock_now_ns() + 20000 * MS;
+    do {
+        CHECK(clock_now_ns() < until_ns);
+        (void)poll(NULL, 0, 1);
+        CHECK(board_read_report(0, &report) == 0);
+    } while (report.running != 0 && report.mode != mode);
+    return report;
+}
+
+static void write_out(uint32_t byte, uint32_t bytes, int64_t raw)
+{
+    board_report report;
+    board_order order = {.write = {.place = at(byte, bytes, 0), .raw = raw}};
+    CHECK(board_read_report(0, &report) == 0);
+    uint32_t before = report.orders_sent;
+    CHECK(board_put_order(0, &order) == 0);
+    do {
+        (void)poll(NULL, 0, 1);
+        CHECK(board_read_report(0, &report) == 0 && report.running != 0);
+    } while (report.orders_sent == before || report.knows_ns < report.written_ns);
+}
+
+static void a_line_is_set_up_armed_and_stopped(void)
+{
+    board_control control = {.wish = {.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}};
+    write_out(CONTROL, 1, CONTROL_RESTART_NOTED);
+    write_out(WATCHDOG, 2, WATCHDOG_MS);
+    board_put_control(0, &control);
+    (void)wait_for(DRIVE_READY);
+    write_out(CONTROL, 1, CONTROL_ENABLE);
+    control.wish.count = 2;
+    control.wish.mode = DRIVE_ARMED;
+    board_put_control(0, &control);
+    board_report report = wait_for(DRIVE_ARMED);
+    uint64_t received = report.received;
+    while (report.mode == DRIVE_ARMED && report.received < received + 50) {
+        report = wait_for(DRIVE_ARMED);
+    }
+    histogram trips;
+    CHECK(board_histogram_read(0, &trips) == 0 && trips.samples > 0);
+    control.shut_down = 1;
+    board_put_control(0, &control);
+    int64_t until_ns = clock_now_ns() + 20000 * MS;
+    do {
+        CHECK(clock_now_ns() < until_ns && board_read_report(0, &report) == 0);
+    } while (report.shut_down == 0);
+    CHECK(board_stop(0) == 0 && board_stop(0) == -ESRCH);
+}
+
+int main(void)
+{
+    pthread_t loop, peer;
+    unsigned long turned = 0;
+    board_table table = frames_table();
+    table.silence_ns = 5000 * MS;   /* under a sanitizer everybody is slow */
+    table.setpoint_timeout_ns = 5000 * MS;
+    exchange_init(&shared);
+    CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends) == 0);
+    board_config config = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
+    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, sketch, &turned) == 0);
+    CHECK(board_start(0, &config, &table) == 0 && board_start(0, &config, &table) == -EBUSY);
+    a_line_is_set_up_armed_and_stopped();
+    CHECK(board_start(0, &config, &table) == 0);
+    over = true;
+    CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
+    CHECK(turned > 0);
+    CHECK(close(ends[1]) == 0);
+    int32_t error = wait_for(DRIVE_ARMED).error;
+    CHECK(error == EIO || error == EPIPE);   /* the other end has gone: the thread says so, and ends */
+    CHECK(board_stop(0) == 0);
+    return checks_report("board thread");
+}

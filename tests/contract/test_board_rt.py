@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What only the line of a board in C promises: nothing that asyncio does, or does not, moves a
+motor."""
+
+import time
+
+import pytest
+from loop_side import running, until
+from mcu_peer import McuPeer, compiled
+from test_ascii_line import Reader
+from test_ascii_line import spec_of as text_spec
+from test_mcu_line import spec_of as frames_spec
+
+from motord_hal.clock import now_ns
+from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState
+from motord_hal.rt import JointSetpoint, Setpoints
+
+TURN_RAD_S = 3.0
+WELL_S = 0.3
+"""After what it has to do by then, on a busy machine."""
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return compiled(tmp_path_factory.mktemp("board"))
+
+
+@pytest.fixture
+def peer(program, tmp_path):
+    peer = McuPeer(program, tmp_path / "board")
+    peer.engine = "rt"
+    yield peer
+    peer.pull()
+
+
+def sleep_until(condition):
+    """As `until`, and no event loop runs meanwhile."""
+    end_s = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.002)
+
+
+def core_alone(loop, ticks):
+    """New set-points every 10 ms, from a core that lives; how long the longest pause was."""
+    longest_ns = 0
+    for tick in range(ticks):
+        before_ns, loop.put_ns = loop.put_ns, now_ns()
+        longest_ns = max(longest_ns, loop.put_ns - before_ns)
+        wheels = tuple(JointSetpoint(TURN_RAD_S + tick, 0.0) for _ in range(8))
+        core = Setpoints(loop.put_ns, tick, enabled=True, joints=wheels)
+        loop.exchange.put_setpoints(0, core)
+        time.sleep(0.01)
+    return longest_ns
+
+
+async def turning(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN_RAD_S, 1: TURN_RAD_S}
+    await until(lambda: peer.now.left_mrad_s == round(TURN_RAD_S * 1000), "it turns")
+
+
+async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(peer):
+    async with running(frames_spec(peer, watchdog_s=2.0)) as rig:
+        await turning(rig, peer)
+        seen = len(peer.told)
+        began_s = time.monotonic()
+        sleep_until(lambda: not peer.now.enabled and not peer.now.braking)
+        assert time.monotonic() - began_s < 1.0 + SETPOINT_TIMEOUT_S + WELL_S  # not its watchdog
+        assert any(told.braking for told in peer.told[seen:])
+        await until(lambda: rig.states() == {DriveState.READY})
+
+
+async def test_a_core_that_takes_enabled_back_takes_the_power_while_the_event_loop_hangs(peer):
+    async with running(frames_spec(peer, watchdog_s=2.0)) as rig:
+        await turning(rig, peer)
+        seen = len(peer.told)
+        rig.loop.enabled = False
+        rig.loop.put()
+        sleep_until(lambda: not peer.now.enabled)
+        assert not any(told.braking for told in peer.told[seen:])
+
+
+async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(peer):
+    async with running(frames_spec(peer, watchdog_s=0.2)) as rig:
+        await turning(rig, peer)
+        seen = len(peer.told)
+        longest_ns = core_alone(rig.loop, 60)
+        told = peer.told[seen:]
+        assert len({one.left_mrad_s for one in told}) > 10
+        assert all(one.enabled for one in told) or longest_ns > 0.5e9 * SETPOINT_TIMEOUT_S
+
+
+async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):
+    peer = Reader(tmp_path / "board")
+    async with running(text_spec(peer.link, "rt", "{left:d},{right:d}\n")) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
+        await until(lambda: peer.lines[-1] == b"128,-255")
+        sleep_until(lambda: peer.lines[-6:] == [b"0,0"] * 6)
+    peer.close()
+
+
+async def test_feedback_reaches_the_core_while_the_event_loop_hangs(peer):
+    async with running(frames_spec(peer)) as rig:
+        await rig.ready()
+        first = rig.loop.exchange.take_feedback(0).stamp_ns
+        sleep_until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > first + 100_000_000)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated board of one's own: its frames are of the time that they say."""
+
+import os
+
+import pytest
+from sim_bench import Bench, line_of
+
+from motord_hal.mcu.frame_dialect import FrameDialect
+from motord_hal.mcu.frames import FrameError, Splitter, parse, pick
+
+TURN_RAD_S = 10.0
+TICK_S = 0.02
+
+
+def frames_in(data):
+    for piece in Splitter().feed(data):
+        try:
+            yield parse(piece)
+        except FrameError:
+            continue  # the first may have begun before
+
+
+def test_after_a_standstill_a_board_says_how_far_it_has_come_by_then(tmp_path):
+    with Bench(tmp_path, "mcu-velocity", watchdog_s=0.0) as bench:
+        dialect = FrameDialect(line_of(bench.profile))
+        steps = [{"control": 8}, {"control": 0}, {"control": 1}]
+        turning = {"control": 1, "target_velocity_1": round(TURN_RAD_S * 1000)}
+        for told in (*steps, *[turning] * 50):
+            bench.send(dialect.setpoints({"watchdog": 2000, **told}, 0))
+            bench.go_on(TICK_S)
+        assert bench.wheel().velocity_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
+        before = list(frames_in(os.read(bench.fd, 65536)))[-1]
+        late_s = bench.now_s + 0.1
+        bench.rig.work_lines(lambda: late_s)  # nothing had run for so long
+        bench.rig.work_lines(lambda: late_s + TICK_S)  # its last byte has left
+        (after,) = frames_in(os.read(bench.fd, 65536))
+        passed_s = (after.time_us - before.time_us) * 1e-6
+        assert passed_s > 0.1
+        position = bench.profile.registers["position_1"]
+        counts = pick(after.payload, position) - pick(before.payload, position)
+        per_rad = bench.profile.counts_per_turn / 6.283185307179586
+        assert counts == pytest.approx(TURN_RAD_S * passed_s * per_rad, rel=0.03)

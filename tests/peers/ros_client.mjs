@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// A program as its users write it, on roslibjs: node ros_client.mjs URL ROSLIB. Prints what it saw.
+// ROSLIB: the library's file.
+
+const WITHIN_MS = 30000;
+const [url, roslib] = process.argv.slice(2);
+const { Ros, Service, Topic } = await import(roslib);
+
+function within(what, start) {
+  return new Promise((resolve, reject) => {
+    setTimeout(() => reject(new Error(`no ${what}`)), WITHIN_MS).unref();
+    start(resolve, reject);
+  });
+}
+
+const ros = new Ros();
+await within("connection", (resolve, reject) => {
+  ros.on("connection", resolve);
+  ros.on("error", reject);
+  ros.connect(url);
+});
+
+function heard(name, messageType, fits) {
+  const topic = new Topic({ ros, name, messageType });
+  return within(name, (resolve) =>
+    topic.subscribe((message) => {
+      if (fits(message)) {
+        topic.unsubscribe();
+        resolve(message);
+      }
+    }),
+  );
+}
+
+function trigger(name) {
+  const service = new Service({ ros, name, serviceType: "std_srvs/Trigger" });
+  return within(name, (resolve, reject) => service.callService({}, resolve, reject));
+}
+
+const said = {
+  topics: (await within("topics", (resolve, reject) => ros.getTopics(resolve, reject))).topics,
+  odom: await heard("/odom", "nav_msgs/Odometry", () => true),
+  arm: await trigger("/arm"),
+};
+const cmdVel = new Topic({ ros, name: "/cmd_vel", messageType: "geometry_msgs/Twist" });
+const drive = (x) => cmdVel.publish({ linear: { x, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } });
+const driver = setInterval(() => drive(0.2), 50);
+said.motor_status = await heard(
+  "/motor_status",
+  "motord_msgs/MotorStatus",
+  (message) => message.commander === "web" && message.state === "moving",
+);
+clearInterval(driver);
+said.estop = await trigger("/estop");
+drive(0);
+const end = Date.now() + WITHIN_MS;
+do {
+  said.reset = await trigger("/reset"); // until the zero is there
+} while (!said.reset.success && Date.now() < end);
+console.log(JSON.stringify(said));
+ros.close();

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a board's thread in C writes and reads is what the asyncio engine does, byte for byte."""
+
+import math
+import string
+
+import pytest
+from _motord_rt import ffi, lib
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from motord_hal.ascii.dialect import TextDialect
+from motord_hal.ascii.text import Text
+from motord_hal.drives.load import find_profile
+from motord_hal.mcu.frames import FRAME_BYTES_MAX, Frame, FrameError, build, parse
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
+from motord_hal.rt_engine import board_text
+from motord_hal.rt_engine.board_table import board_table, layout_of
+
+PAYLOADS = st.binary(max_size=FRAME_BYTES_MAX - 10)
+WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.08)}
+FORMATS = st.from_regex(r"[+ ]?0?[0-9]?(\.[0-9])?[fg]|[+ ]?0?[0-9]?d", fullmatch=True)
+
+
+# ----------------------------------------------------------------------------------------- frames
+def c_build(kind, sequence, time_us, payload):
+    out = ffi.new("uint8_t[]", lib.BOARD_WIRE_MAX)
+    size = lib.board_frame_build(kind, sequence, time_us, payload, len(payload), out)
+    return bytes(ffi.buffer(out, size))
+
+
+def c_parse(stuffed):
+    out = ffi.new("uint8_t[]", lib.BOARD_FRAME_MAX)
+    return bytes(ffi.buffer(out, lib.board_frame_parse(stuffed, len(stuffed), out)))
+
+
+@given(st.integers(0, 255), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), PAYLOADS)
+@example(1, 0, 0, bytes(190))
+@example(1, 0, 0, b"\1" * 190)
+def test_a_frame_is_built_as_python_builds_it_and_comes_back(kind, sequence, time_us, payload):
+    raw = c_build(kind, sequence, time_us, payload)
+    assert raw == build(Frame(kind, sequence, time_us, payload))
+    assert c_parse(raw[1:-1])[8:] == payload
+
+
+@given(st.binary(max_size=203) | PAYLOADS.map(lambda p: build(Frame(1, 2, 3, p))[1:-1]), st.data())
+def test_any_bytes_are_the_same_frame_to_both_or_to_none(stuffed, data):
+    if stuffed and data.draw(st.booleans()):
+        at, flip = data.draw(st.integers(0, len(stuffed) - 1)), data.draw(st.integers(1, 255))
+        stuffed = stuffed[:at] + bytes([stuffed[at] ^ flip]) + stuffed[at + 1 :]
+    try:
+        frame = parse(stuffed)
+    except FrameError:
+        assert c_parse(stuffed) == b""
+    else:
+        raw = c_parse(stuffed)
+        assert raw[1] == frame.type
+        assert int.from_bytes(raw[2:4], "little") == frame.sequence
+        assert int.from_bytes(raw[4:8], "little") == frame.time_us
+        assert raw[8:] == frame.payload
+
+
+def test_a_payload_that_is_too_long_makes_no_frame():
+    assert c_build(1, 0, 0, bytes(191)) == b""
+
+
+# ------------------------------------------------------------------------------------------- text
+def spec_of(said, heard="", drive="ascii-velocity"):
+    profile = find_profile(drive)
+    joints = (
+        JointSpec(index=0, name="left", profile=profile, unit=1, channel=1, gear_ratio=3.0),
+        JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True),
+    )
+    text = TextSpec(setpoints=said, feedback=heard, scale=2.5, wheels=WHEELS, track_m=0.5)
+    return LineSpec(
+        index=0, name="board", kind="ascii", port="/nowhere", baudrate=115200, parity="none",
+        stop_bits=1, cycle_hz=50.0, gap_s=None, engine="rt", joints=joints, text=text,
+        watchdog_s=0.2,
+    )  # fmt: skip
+
+
+def table_of(spec):
+    plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
+    layout = layout_of(spec, plan, 0.02)
+    return layout, ffi.new("board_table *", board_table(spec, plan, layout, 0.02))
+
+
+def c_write(spec, raw):
+    layout, table = table_of(spec)
+    payload = bytearray(lib.BOARD_PAYLOAD_MAX)
+    for name, value in raw.items():
+        place = layout.told[name]
+        word = value.to_bytes(place["bytes"], "little", signed=True)
+        payload[place["byte"] : place["byte"] + place["bytes"]] = word
+    out = ffi.new("uint8_t[]", lib.BOARD_TEXT_MAX)
+    return bytes(ffi.buffer(out, lib.board_text_write(table, bytes(payload), out)))
+
+
+def numbers(line):
+    return [float(word) for word in line.decode().replace(";", " ").split()]
+
+
+RAW = st.integers(-1_000_000, 1_000_000)
+
+
+@given(FORMATS, RAW, RAW)
+@example("d", 1000, 3000)
+@example("+07.2f", -5, 5)
+def test_a_joint_s_number_is_written_as_python_writes_it(form, left, right):
+    spec = spec_of(f"{{left:{form}}};{{right:{form}}}\n")
+    raw = {"target_1": left, "target_2": right}
+    python, c = TextDialect(spec).setpoints(raw, 0), c_write(spec, raw)
+    if not any(number == 0.0 for number in numbers(python)):  # C has no -0
+        assert len(c) == len(python)
+    assert c.count(b";") == 1
+    last_digit = 10.0 ** -(int(form[-2]) if form[-1] == "f" and "." in form else 0)
+    for ours, theirs in zip(numbers(c), numbers(python), strict=True):
+        tolerance = last_digit if form[-1] in "df" else 1e-5
+        assert math.isclose(ours, theirs, rel_tol=tolerance, abs_tol=1.01 * last_digit)
+
+
+@given(RAW, RAW)
+def test_the_base_s_speeds_are_written_as_python_writes_them(left, right):
+    spec = spec_of("{v:.6f} {w:.6f}\n")
+    raw = {"target_1": left, "target_2": right}
+    python, c = TextDialect(spec).setpoints(raw, 0), c_write(spec, raw)
+    for ours, theirs in zip(numbers(c), numbers(python), strict=True):
+        assert math.isclose(ours, theirs, abs_tol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("form", "raw", "line"),
+    [
+        ("d", 600, b"2,-2\n"),  # 1.5 and -1.5: to the even one
+        ("d", 200, b"0,0\n"),  # 0.5
+        ("+06.1f", 600, b"+001.5,-001.5\n"),
+        (" .2f", 600, b" 1.50,-1.50\n"),
+        ("7.3f", 0, b"  0.000,  0.000\n"),
+        (".3g", 600, b"1.5,-1.5\n"),
+    ],
+)
+def test_formats_are_those_of_python(form, raw, line):
+    spec = spec_of(f"{{left:{form}}},{{right:{form}}}\n")
+    assert c_write(spec, {"target_1": raw, "target_2": -raw}) == line
+
+
+def test_a_line_that_would_be_too_long_is_not_written():
+    spec = spec_of("." * 220 + "{left:.1f},{right:.1f}\n")
+    assert c_write(spec, {"target_1": 1_000_000, "target_2": 1_000_000})
+    _, table = table_of(spec)
+    table.written.part[0].width = table.written.part[1].width = 99
+    out = ffi.new("uint8_t[]", lib.BOARD_TEXT_MAX)
+    assert lib.board_text_write(table, bytes(lib.BOARD_PAYLOAD_MAX), out) == 0
+
+
+FEEDBACK = "E {left_count} {right_count}, {left_rad_s}\tend\n"
+
+
+def c_read(text, line):
+    raw = ffi.new("board_text *", board_text.read(text, {}))
+    said = ffi.new("uint8_t[]", lib.BOARD_PAYLOAD_MAX)
+    if not lib.board_text_read(raw, line, len(line), said):
+        return None
+    words = bytes(ffi.buffer(said))
+    return {
+        name: int.from_bytes(words[6 * n : 6 * n + 6], "little", signed=True)
+        for n, name in enumerate(text.fields)
+    }
+
+
+def same(text, line):
+    python, c = text.read(line), c_read(text, line)
+    if python is None:
+        assert c is None
+        return
+    assert c is not None
+    for name, value in python.items():
+        held = min(max(value, -(2.0**47)), 2.0**47 - 1)
+        assert math.isclose(c[name], held, rel_tol=1e-12, abs_tol=0.5 + 1e-6)
+
+
+@given(
+    st.lists(
+        st.sampled_from(["E", "end", ",", "-", "+", ".", "e", "E5", "1e3", " ", "\t", "12", "0.5"])
+        | st.floats(allow_nan=False, allow_infinity=False, width=32).map(str),
+        max_size=12,
+    ).map("".join)
+)
+@example("E 1 2, 3 end")
+@example("  E  -7\t12 , 1.5 end")
+@example("E 1 2,3 end ")
+@example("E 1 2, 3. end")
+@example("E .5 2e2, +3E-1\v end")
+@example("E 1e999 2, 3 end")
+@example("E 1 2, 3e end")
+def test_any_line_says_the_same_to_both(line):
+    same(Text(FEEDBACK, ("left_count", "right_count", "left_rad_s")), line.encode())
+
+
+@given(
+    st.lists(st.integers(-(2**40), 2**40), min_size=3, max_size=3),
+    st.sampled_from(["", " ", "\t ", "\f"]),
+)
+def test_what_fits_the_template_is_read(values, white):
+    left, right, speed = values
+    text = Text(FEEDBACK, ("left_count", "right_count", "left_rad_s"))
+    line = f"{white}E {left} {white}{right}, {speed}\tend{white}".encode()
+    assert c_read(text, line) == {"left_count": left, "right_count": right, "left_rad_s": speed}
+
+
+@given(st.binary(max_size=40))
+def test_any_bytes_are_read_or_not_and_nothing_else_happens(line):
+    text = Text("{a},{b}\n", ("a", "b"))
+    if all(chr(byte) in string.printable for byte in line):
+        same(text, line)
+    else:
+        c_read(text, line)
+
+
+# ----------------------------------------------------------------------------------------- tables
+def test_a_table_that_reaches_out_of_its_payload_is_refused():
+    _, table = table_of(spec_of("{left:.2f},{right:.2f}\n"))
+    name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+    assert lib.board_table_check(table, name) == ffi.NULL
+    for path, value in (
+        ("payload_bytes", 191), ("payload_bytes", 0), ("setpoint_count", 9), ("field_count", 73),
+        ("quick_stop_count", 9), ("period_ns", 0), ("silence_ns", 0), ("tries", 0), ("dialect", 2),
+        ("disarm_count", 9), ("setpoint_timeout_ns", 0), ("watchdog_ns", -1), ("said_bytes", 191),
+        ("answers", 1),
+    ):  # fmt: skip
+        before = getattr(table, path)
+        setattr(table, path, value)
+        assert lib.board_table_check(table, name) != ffi.NULL, path
+        setattr(table, path, before)
+    for one, key, value in (
+        (table.setpoint[0].place, "byte", 190), (table.setpoint[0].place, "bytes", 7),
+        (table.setpoint[0].place, "byte", 2**32 - 1), (table.setpoint[0], "joint", 8),
+        (table.setpoint[0], "raw_per_si", math.nan), (table.setpoint[0], "raw_max", math.inf),
+        (table.setpoint[0], "raw_min", 1.0), (table.disarm[0], "raw", 2**40),
+        (table.written.part[0], "literal_bytes", 257), (table.written.part[0], "width", 100),
+        (table.written.part[0], "form", 0), (table.written.part[0], "sign", ord("%")),
+        (table.written.part[0].number_per_raw, 0, math.inf),
+    ):  # fmt: skip
+        before = one[key] if isinstance(key, int) else getattr(one, key)
+        put(one, key, value)
+        assert lib.board_table_check(table, name) != ffi.NULL, key
+        put(one, key, before)
+    assert lib.board_table_check(table, name) == ffi.NULL
+
+
+def put(one, key, value):
+    if isinstance(key, int):
+        one[key] = value
+    else:
+        setattr(one, key, value)

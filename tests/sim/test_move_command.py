@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord move` and `motord turn` with a whole daemon on simulated drives."""
+
+import contextlib
+import json
+import math
+import signal
+import subprocess
+import sys
+
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
+
+from motord.client import ClientError
+
+SETTINGS = (
+    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+    "joint.left.tries=10", "joint.right.tries=10",
+    "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
+)  # fmt: skip
+"""A busy machine is no fault."""
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("move"), *SETTINGS) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+@pytest.fixture
+def armed(stage):
+    def ready():
+        with contextlib.suppress(ClientError):
+            if stage.state() in ("fault", "estop"):
+                stage.robot.reset()
+            return stage.robot.arm() == "armed"
+        return False
+
+    wait_until(ready, "armed")
+    yield stage
+    with contextlib.suppress(ClientError):
+        stage.robot.disarm()
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+@contextlib.contextmanager
+def command(stage, *words):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "motord", *words, "--json", "--socket", str(stage.socket)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ended(process):
+    out, err = process.communicate(timeout=DEADLINE_S)
+    return process.returncode, json.loads(out) if out else None, err
+
+
+def under_way(stage):
+    wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn")
+
+
+def test_a_distance_and_a_turn_are_driven(armed):
+    before = armed.sim.truth()
+    with command(armed, "move", "0.3") as process:
+        code, told, err = ended(process)
+    assert (code, err) == (0, "")
+    assert told["end"] == "succeeded"
+    assert told["distance_m"] == pytest.approx(0.3, abs=0.011)
+    after = armed.sim.truth()
+    assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(
+        0.3, abs=0.03
+    )
+    with command(armed, "turn", "-0.5", "--speed-rad-s", "0.4") as process:
+        code, told, err = ended(process)
+    assert (code, err) == (0, "")
+    assert told["angle_rad"] == pytest.approx(-0.5, abs=0.021)
+    assert armed.robot.status()["leases"] == []
+
+
+def test_interrupted_it_comes_to_rest_and_says_so(armed):
+    with command(armed, "move", "20") as process:
+        under_way(armed)
+        process.send_signal(signal.SIGINT)
+        code, told, err = ended(process)
+    assert "canceled" in err
+    assert (code, told["end"]) == (1, "canceled")
+    assert armed.sim.truth().at_rest
+
+
+def test_killed_it_moves_nothing_any_more(armed):
+    with command(armed, "move", "20") as process:
+        under_way(armed)
+        process.kill()
+        wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+
+
+def test_an_emergency_stop_ends_it_with_the_exit_status_of_a_fault(armed):
+    with command(armed, "move", "20") as process:
+        under_way(armed)
+        armed.robot.estop()
+        code, told, err = ended(process)
+    assert "estop" in err or "emergency stop" in err
+    assert (code, told["end"]) == (3, "aborted")
+
+
+def test_who_commands_already_keeps_the_command(armed):
+    def holding():
+        return armed.robot.drive(0.0, 0.1, lease_s=5.0)["in_command"]
+
+    wait_until(holding, "the command")
+    with command(armed, "move", "0.3") as process:
+        code, told, err = ended(process)
+    armed.robot.release()
+    assert (code, told) == (1, None)
+    assert "is in command" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "why"),
+    [(("move", "0"), 2, "a way of 0"), (("turn", "nan"), 2, "finite"), (("move", "0.3"), 1, "arm")],
+)
+def test_what_cannot_be_moves_nothing(stage, words, code, why):
+    def idle():
+        with contextlib.suppress(ClientError):
+            stage.robot.reset()
+        return stage.state() == "idle"
+
+    wait_until(idle, "idle")
+    with command(stage, *words) as process:
+        returned, told, err = ended(process)
+    assert (returned, told) == (code, None)
+    assert why in err
+    assert stage.sim.truth().at_rest

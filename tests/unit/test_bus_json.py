@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON says what the message says: fast or slow, with msgspec or without."""
+
+import json
+import random
+
+import pytest
+from tests.unit.bus_views import any_body, any_view
+
+from motord.bus import json_direct, json_form
+from motord.bus.topics import TOPICS
+
+OFFSET_NS = 1_700_000_000_000_000_000
+ROUNDS = 150
+
+
+@pytest.fixture(params=["msgspec", "stdlib"])
+def _with_and_without_msgspec(request, monkeypatch):
+    if request.param == "stdlib":
+        monkeypatch.setattr(json_direct, "msgspec", None)
+        monkeypatch.setattr(json_form, "encode", json_form.encode_slowly)
+    else:
+        pytest.importorskip("msgspec")
+
+
+@pytest.mark.usefixtures("_with_and_without_msgspec")
+@pytest.mark.parametrize("name", sorted(TOPICS))
+def test_it_says_what_the_message_says(name):
+    """Several views one after the other: what is kept from one may not show in the next."""
+    topic, rng = TOPICS[name], random.Random(name)
+    said = 0
+    for _ in range(ROUNDS):
+        count = rng.choice((0, 1, 2, 2, 4, 5))
+        body = any_body(rng, count)
+        encode = json_direct.encoder(topic, body)
+        for _ in range(3):
+            one = any_view(rng, count)
+            message = topic.build(one, body, OFFSET_NS)
+            raw = encode(one, OFFSET_NS)
+            if message is None:
+                assert raw is None
+                continue
+            said += 1
+            assert json.loads(raw) == json.loads(json.dumps(json_form.plain(message)))
+    assert said > ROUNDS
+
+
+@pytest.mark.parametrize("name", ["odom", "tf", "joint_states", "motor_status"])
+def test_the_usual_case_builds_one_message_and_no_more(name):
+    pytest.importorskip("msgspec")
+    rng, topic, built = random.Random(1), TOPICS[name], []
+
+    def build(*words):
+        built.append(words)
+        return topic.build(*words)
+
+    counted = type(topic)(name=name, type_name=topic.type_name, message=topic.message, build=build)
+    body, usual = any_body(rng, 2), []
+    encode = json_direct.encoder(counted, body)
+    while len(usual) < 20:
+        before = len(built)
+        one = any_view(rng, 2)
+        if encode(one, OFFSET_NS) is not None and len(built) == before:
+            usual.append(one)
+    assert len(usual) == 20
