@@ -18,6 +18,7 @@ def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path, en
     path = tmp_path / "esp32.toml"
     text = ESP32.replace("[safety]\n", PATIENT).replace("watchdog_s = 0.25", "watchdog_s = 2.0")
     assert PATIENT in text
+    text = text.replace("unit = 1\n", "unit = 1\ntries = 10\n")
     if engine != "rt":  # which it is where nothing is said
         text = text.replace('kind = "mcu"\n', f'kind = "mcu"\nengine = "{engine}"\n')
     path.write_text(text, encoding="utf-8")
