@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -108,8 +109,29 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
 
     said = wait_until(ran, "what the client saw")
     assert said["server"]["name"] == stage.robot.status()["robot"]
-    assert said["channels"] == {f"/{name}": topic.type_name for name, topic in TOPICS.items()}
+    topics = {f"/{name}": topic.type_name for name, topic in TOPICS.items()}
+    assert said["channels"] == topics | {"/robot_description": "std_msgs/msg/String"}
     message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(
         bytes.fromhex(said["odom"]), "nav_msgs/msg/Odometry"
     )
     assert message.child_frame_id == "base_link"
+
+
+async def test_whoever_begins_to_read_is_told_what_the_robot_looks_like(stage, port):
+    wish = {"id": 9, "channelId": None}
+    for _ in range(2):  # the second who comes, too
+        async with asyncio.timeout(DEADLINE_S):
+            client = await connected(port)
+            try:
+                channels = await advertised(client, len(TOPICS) + 1)
+                wish["channelId"] = channels["/robot_description"]["id"]
+                await client.send(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
+                raw = await client.recv()
+                while isinstance(raw, str) or raw[0] != MESSAGE_DATA:
+                    raw = await client.recv()
+            finally:
+                await client.close()
+        typestore = get_typestore(Stores.ROS2_JAZZY)
+        text = typestore.deserialize_cdr(raw[13:], "std_msgs/msg/String")
+        joints = ET.fromstring(text.data).findall("joint[@type='continuous']")
+        assert [joint.get("name") for joint in joints] == ["left", "right"]

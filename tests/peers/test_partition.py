@@ -26,6 +26,20 @@ PORT = 8883
 TOKEN = "a token of sixteen and more"
 LEASE_S = 1.0
 RATE_HZ = 20
+ZENOH_LEASE_S = 11.0
+"""After 10 s of silence Zenoh gives a session up."""
+ZENOH = 7447
+ROUTER = f"""
+import signal, struct, zenoh
+said = '{{mode: "router", listen: {{endpoints: ["tcp/{THERE}:{ZENOH}"]}},'
+said += "scouting: {{multicast: {{enabled: false}}}}}}"
+with zenoh.open(zenoh.Config.from_json5(said)) as it:
+    def take(sample):
+        print("%d.%09d" % struct.unpack_from("<iI", sample.payload.to_bytes(), 4), flush=True)
+    kept = it.declare_subscriber("*/zenoh/odom/**", take)
+    signal.pause()
+"""
+"""Listens, and prints the stamp of each odometry that comes."""
 QUEUED_S = 1.0
 """Of samples that may reach the broker late: what was under way when the cable was plugged."""
 
@@ -213,3 +227,28 @@ def test_a_cut_network_costs_samples_and_the_lease_and_heals_by_itself(stage, ne
         with Driving(network) as driving:
             set_off(stage, driving)
     assert bus.process.poll() is None
+
+
+def test_ros_2_on_zenoh_heals_too_and_tells_the_newest(stage, network):
+    pytest.importorskip("zenoh")
+    router = Lines([*inside(network.wire.there), sys.executable, "-c", ROUTER])
+    name = stage.robot.status()["robot"]
+    rows = (f"robot.name={name}", "publish.z.kind=ros2-zenoh", "publish.z.namespace=/zenoh",
+            f"publish.z.router=tcp/{THERE}:{ZENOH}", f"publish.z.rate_hz={RATE_HZ}")  # fmt: skip
+    words = [part for row in rows for part in ("--set", row)]
+    command = [*inside(network.wire.here), sys.executable, "-m", "motord.bus", str(ROBOT), *words,
+               "--socket", str(stage.socket), "--supervised"]  # fmt: skip
+    with closing(router), closing(Lines(command, stdin=subprocess.PIPE)) as bus:
+        wait_until(lambda: router.heard, "odometry")
+        ticks = stage.robot.status()["loop"]["ticks"]
+        network.wire.pull()
+        try:
+            cut_s = time.time()
+            wait_until(lambda: router.heard[-1][0] < time.time() - ZENOH_LEASE_S, "silence", 60.0)
+            heard = len(router.heard)
+        finally:
+            network.wire.plug()
+        wait_until(lambda: len(router.heard) > heard + RATE_HZ, "odometry again")
+        assert all(float(stamp) > cut_s + QUEUED_S for _, stamp in router.heard[heard + 1 :])
+        assert stage.robot.status()["loop"]["ticks"] > ticks
+        assert bus.process.poll() is None

@@ -57,13 +57,17 @@ async def recording(folder, **settings):
 
 
 def read(path):
+    """What was fed; before it is what the robot looks like."""
     with path.open("rb") as file:
-        return [
+        first, *rows = [
             (channel.topic, schema.name, message.log_time, decoded)
             for schema, channel, message, decoded in make_reader(
                 file, decoder_factories=[DecoderFactory()]
             ).iter_decoded_messages()
         ]
+    assert first[:2] == ("/robot_description", "std_msgs/msg/String")
+    assert first[3].data.startswith("<robot")
+    return rows
 
 
 async def test_what_was_fed_is_read_by_the_reader_of_mcap(tmp_path):
@@ -163,7 +167,7 @@ async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
             seen[channel.topic] = (schema.name, message)
     assert {topic: name for topic, (name, _) in seen.items()} == {
         f"/{topic.name}": topic.type_name for topic in TOPICS.values()
-    }
+    } | {"/robot_description": "std_msgs/msg/String"}
     assert seen["/joint_states"][1].name == ["left", "right"]
     assert seen["/motor_status"][1].state == "idle"
 
@@ -173,7 +177,12 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
         await stage.until(lambda: stage.files() and stage.feed.taken > 5, x_m=1.25)
     (path,) = stage.files()
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        (connection,) = reader.connections
-        found = [reader.deserialize(raw, connection.msgtype) for _, _, raw in reader.messages()]
+        by_topic = {connection.topic: connection for connection in reader.connections}
+        connection = by_topic.pop("/odom")
+        assert set(by_topic) == {"/robot_description"}
+        found = [
+            reader.deserialize(raw, connection.msgtype)
+            for _, _, raw in reader.messages([connection])
+        ]
     assert len(found) == stage.feed.taken
     assert {message.pose.pose.position.x for message in found} == {1.25}

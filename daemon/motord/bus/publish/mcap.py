@@ -20,6 +20,7 @@ from motord.bus.feed import Sample
 from motord.bus.journal import TOPIC, TYPE_NAME, Journal, NoJournal
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
 from motord.bus.ros2.direct import encoder, stamp_ns
+from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
 from motord.config import McapPublish
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class McapRecorder:
             total_max_mb=section.total_max_mb,
             free_min_mb=section.free_min_mb,
         )
+        self._description = description(station.robot)
         self._waiting: deque[Entry] = deque(maxlen=WAITING_MAX)
         self._recording: Recording | None = None
         self._since_s = 0.0
@@ -114,6 +116,7 @@ class McapRecorder:
                 recording.close()
             if self._recording is None:
                 self._recording = self._folder.open("all")
+                self._recording.add([self._described(batch)])
                 self._since_s = time.monotonic()
             else:
                 self._folder.make_room(keep=self._recording.path)
@@ -157,12 +160,17 @@ class McapRecorder:
         """In the thread. Raises OSError."""
         with self._writing:
             self._recording = self._folder.open(what)
-            self._recording.add(batch)
+            self._recording.add([self._described(batch), *batch])
             recording, self._recording = self._recording, None
             recording.close()
             return str(recording.path)
 
     # -------------------------------------------------------------------------------------- both
+    def _described(self, batch: list[Entry]) -> Entry:
+        """Each file begins with what the robot looks like."""
+        log_ns = batch[0].log_ns if batch else time.time_ns()
+        return Entry(DESCRIPTION, STRING, log_ns, self._description)
+
     def _taken(self) -> list[Entry]:
         batch = list(self._waiting)
         self._waiting.clear()

@@ -6,14 +6,23 @@ the middle between the wheels, as the odometry has it."""
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+from motord.bus.ros2.cdr import encode
 from motord.config import Joint, Robot
 
+DESCRIPTION, STRING = "robot_description", "std_msgs/msg/String"
+"""Its topic, and the type of that."""
 WHEEL_WIDTH = 0.4
 """By its radius."""
 SPACING = 2.2
 """Between wheels of one side, by the radius: the robot file does not say it."""
+
+
+def description(robot: Robot) -> bytes:
+    """The message of its topic, in CDR."""
+    return bytes(encode(STRING, SimpleNamespace(data=urdf(robot))))
 
 
 def urdf(robot: Robot) -> str:
