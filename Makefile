@@ -17,7 +17,7 @@ help:
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
 	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
-	@echo "make fuzz      rtu.c and the line, RUNS=10000000" >&2
+	@echo "make fuzz      rtu.c, the line, the CAN bus  RUNS=10000000" >&2
 	@echo "make mutants   are the tests of rtu.c good?    make mutants FILE=line_drive.c" >&2
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
 	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2

@@ -82,6 +82,16 @@ typedef struct {
     uint8_t literal[BOARD_TEXT_MAX];    /* of all parts, one after the other; white space fits any other */
 } board_text;
 
+/* An inertial sensor on the board, whose words are the robot's. In frames it stands where docs/mcu-frame.md says; a text
+ * has its rate about z, in units of 1e-6 rad/s. */
+typedef struct {
+    uint32_t used;              /* 0: there is none, the rest is not looked at */
+    uint32_t epoch;             /* of its samples */
+    uint32_t axis[3];           /* of the base's x, y, z: the sensor's 0, 1, 2 that lies along it */
+    uint32_t backward[3];       /* 1: the other way */
+    board_place rate_z;         /* TEXT */
+} board_imu;
+
 typedef struct {
     uint32_t dialect;           /* board_dialect */
     uint32_t answers;           /* 0: it says nothing, and is taken to be there while the port takes its bytes */
@@ -104,6 +114,7 @@ typedef struct {
     board_write disarm[BOARD_WRITES_MAX];
     board_text written;
     board_text read;
+    board_imu imu;
 } board_table;
 
 /* As line_control, of the one drive. */

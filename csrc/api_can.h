@@ -183,7 +183,9 @@ typedef struct {
     uint32_t epoch;             /* of its feedback */
     uint32_t orders_sent;
     uint32_t orders_dropped;    /* too late, or guarded and the drive was stopped */
-    uint32_t reserved;
+    uint32_t faults;            /* how often a joint's fault word became one that stops, */
+    uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
+    uint32_t last_fault_joint;
 } can_drive_report;
 
 typedef struct {

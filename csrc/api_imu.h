@@ -29,7 +29,7 @@ enum {
     GYRO_UNBIASED = 1,          /* heard, but the base has not stood still long enough to know its zero */
     GYRO_USED = 2,              /* the heading follows it */
     GYRO_STALE = 3,             /* its last good sample is too old: the heading follows the wheels */
-    GYRO_REVERSED = 4,          /* it turned against the wheels, so it is mounted otherwise than it was said: the wheels, for good */
+    GYRO_REVERSED = 4,          /* it turned against the wheels, so it is mounted otherwise than was said: not used any more */
 };
 
 /* What the core tells of it. NaN: not measured, or not known yet. */

@@ -56,7 +56,8 @@ static bool take_frame(board_machine *m, int64_t now_ns)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     uint32_t count = m->tail.too_long ? 0 : board_frame_parse(m->tail.bytes, m->tail.count, raw);
-    if (count < BOARD_HEAD_BYTES + m->table.said_bytes || raw[1] != BOARD_TYPE_FEEDBACK) {
+    if (count < BOARD_HEAD_BYTES + m->table.said_bytes || raw[1] != BOARD_TYPE_FEEDBACK ||
+        !board_imu_fits(raw + BOARD_HEAD_BYTES, count - BOARD_HEAD_BYTES)) {
         return false;
     }
     m->said_bytes = count - BOARD_HEAD_BYTES;
@@ -87,6 +88,7 @@ static void take_piece(board_machine *m, int64_t now_ns)
     }
     if (text ? take_line(m, now_ns) : take_frame(m, now_ns)) {
         m->received++;
+        board_imu_read(m);
         board_heard(m, now_ns);
     } else {
         m->bad_frames++;

@@ -6,6 +6,7 @@
  * board_frame.c    frames: stuffing, check sum, head
  * board_text.c     lines of text by templates
  * board_clock.c    the board's clock on ours
+ * board_imu.c      what an inertial sensor on the board says
  * board_values.c   set-points into a payload, a payload into feedback
  * board_drive.c    what it is told, whether it is there, when it has to stop
  * board_machine.c  what comes, what is sent and when, and its end
@@ -57,6 +58,8 @@ typedef struct {
     uint32_t still_enabled;     /* words in a row that said so without its being armed */
     uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
     uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
+    imu_sample imu;             /* the newest */
+    bool imu_is_new;            /* since it was taken */
     bool was_enabled;           /* set-points were enabled since it was armed */
     bool told_motion;
     bool stopping;
@@ -116,6 +119,12 @@ bool board_read(board_machine *m);
 void board_publish(board_machine *m);
 void board_forget(board_machine *m);
 bool board_at_rest(const board_machine *m);
+
+/* ------------------------------------------------------------------------- board_imu.c */
+/* Whether a payload is as long as it says that its inertial sensor needs. */
+bool board_imu_fits(const uint8_t *said, uint32_t said_bytes);
+/* Its sample in the newest word, where there is one that is wanted. */
+void board_imu_read(board_machine *m);
 
 /* ----------------------------------------------------------------------- board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);

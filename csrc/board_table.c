@@ -127,6 +127,15 @@ static void check_writes(finding *f, const board_write *write, uint32_t count, u
     }
 }
 
+static void check_imu(finding *f, const board_table *table)
+{
+    const board_imu *imu = &table->imu;
+    need(f, imu->axis[0] < 3 && imu->axis[1] < 3 && imu->axis[2] < 3, "imu.axis");
+    if (table->dialect == BOARD_TEXT && imu->used != 0) {
+        check_place(f, &imu->rate_z, table->said_bytes);
+    }
+}
+
 const char *board_table_check(const board_table *table, char *name)
 {
     finding f = {.name = name, .path = "", .bad = false};
@@ -141,6 +150,7 @@ const char *board_table_check(const board_table *table, char *name)
         check_writes(&f, table->quick_stop, table->quick_stop_count, table->payload_bytes);
         check_writes(&f, table->disarm, table->disarm_count, table->payload_bytes);
     }
+    check_imu(&f, table);
     if (!f.bad && table->dialect == BOARD_TEXT) {
         need(&f, table->written.part_count >= 1, "written.part_count");
         need(&f, (table->read.part_count > 0) == (table->answers == 1), "read.part_count");

@@ -44,11 +44,13 @@ void can_hold_nothing(can_machine *m, uint32_t drive)
     }
 }
 
-static void write_all(can_machine *m, uint32_t number, const can_write *write, uint32_t count)
+static bool write_all(can_machine *m, uint32_t number, const can_write *write, uint32_t count)
 {
+    bool all = true;
     for (uint32_t i = 0; i < count; i++) {
-        (void)can_write_out(m, number, &write[i]);
+        all &= can_write_out(m, number, &write[i]);
     }
+    return all;
 }
 
 static void ask_all(can_machine *m, const can_packet *ask, uint32_t count)
@@ -78,7 +80,8 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
 void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    if (drive->mode == DRIVE_ARMED || drive->stopping || m->table.drive[number].idle_setpoints != 0) {
+    bool moves = drive->told_motion && drive->stop == CAN_STOP_NOTHING;   /* it has power: zero does not switch it on */
+    if (drive->mode == DRIVE_ARMED || drive->stopping || moves || m->table.drive[number].idle_setpoints != 0) {
         send_setpoints(m, number, now_ns);
     }
 }
@@ -204,15 +207,19 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
     if (now_ns < drive->probe_at_ns || drive->back) {
         return;
     }
-    drive->probe_at_ns = now_ns + drive->probe_pause_ns;
-    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+    bool told = true;
     if (drive->may_turn && now_ns > drive->quiet_since_ns + STOPPING_NS) {
-        write_all(m, number, table->disarm, table->disarm_count);
+        told = write_all(m, number, table->disarm, table->disarm_count);
     } else if (drive->may_turn) {
-        write_all(m, number, table->quick_stop, table->quick_stop_count);
+        told = write_all(m, number, table->quick_stop, table->quick_stop_count);
         send_setpoints(m, number, now_ns);
+        told = told && !drive->told_motion;
     }
     ask_all(m, table->probe, table->probe_count);
+    if (told) {   /* else again in the next cycle */
+        drive->probe_at_ns = now_ns + drive->probe_pause_ns;
+        drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+    }
 }
 
 /* --------------------------------------------------------------------------------------------------- guarding */
@@ -258,8 +265,8 @@ static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
     drive->mode = DRIVE_READY;
     drive->epoch++;
     drive->demoted = drive->still_enabled = 0;
-    drive->stop = CAN_STOP_NOTHING;
-    drive->may_turn = drive->told_motion = drive->stopping = drive->back = drive->off_next_cycle = false;
+    drive->stopping = drive->back = drive->off_next_cycle = false;
+    drive->may_turn = drive->told_motion;   /* a stop that the bus has not taken waits still */
     drive->slow_cycles = 0;
     drive->told_ns = now_ns;
     can_forget(m, number);
@@ -293,7 +300,7 @@ void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
     drive->wish_seen = wish->count;
     m->news = true;
     if (wish->mode == DRIVE_OFF) {
-        if (drive->mode == DRIVE_ARMED || drive->stopping) {
+        if (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion) {
             power_off(m, number);
         }
         drive->mode = DRIVE_OFF;
@@ -324,7 +331,7 @@ static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
     }
     bool resting = drive->mode == DRIVE_READY && !drive->stopping && drive->stop == CAN_STOP_NOTHING;
     if (table->says_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
-        write_all(m, number, table->disarm, table->disarm_count);
+        (void)write_all(m, number, table->disarm, table->disarm_count);
     }
 }
 

@@ -33,6 +33,9 @@ typedef struct {
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
+    uint32_t faults;            /* as in can_drive_report, the two after it, too */
+    uint32_t last_fault;
+    uint32_t last_fault_joint;
     uint32_t still_enabled;     /* frames in a row in which it said so without being armed */
     uint32_t missing;
     uint32_t stop;              /* can_stop_kind */

@@ -117,6 +117,22 @@ static void read_count(can_joint_state *joint, const can_field *field, double nu
     }
 }
 
+static void read_fault(can_machine *m, uint32_t number, const can_field *field, uint32_t word)
+{
+    can_joint_state *joint = &m->joint[field->joint];
+    can_drive_state *drive = &m->drive[number];
+    bool other = joint->fault_word != word;
+    joint->fault_word = word;
+    joint->feedback.drive_faults =
+        fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
+    m->news |= other;
+    if (other && joint->feedback.drive_faults != 0) {
+        drive->faults++;
+        drive->last_fault = word;
+        drive->last_fault_joint = field->joint;
+    }
+}
+
 static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data, int64_t stamp_ns)
 {
     can_joint_state *joint = &m->joint[field->joint];
@@ -142,10 +158,7 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
         joint->feedback.temperature_c = si;
         break;
     case FIELD_FAULT:
-        m->news |= joint->fault_word != (uint32_t)raw;
-        joint->fault_word = (uint32_t)raw;
-        joint->feedback.drive_faults = fault_that_stops((uint32_t)raw, field->is_code != 0, field->harmless_bits,
-                                                        field->harmless, field->harmless_codes);
+        read_fault(m, number, field, (uint32_t)raw);
         break;
     default:
         m->drive[number].enabled = ((uint32_t)raw & field->equals_mask) == field->equals ? 1 : 0;

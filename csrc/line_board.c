@@ -122,6 +122,10 @@ static void hand_on(board_thread *t, int64_t now_ns)
         }
     }
     m->feedback_mask = 0;
+    if (m->imu_is_new) {
+        exchange_put_imu(t->life.at.exchange, &m->imu);
+    }
+    m->imu_is_new = false;
     bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
     if (m->news || due || m->received != t->received_reported) {
         t->received_reported = m->received;

@@ -37,6 +37,9 @@ class CanDriveReport:
     epoch: int
     orders_sent: int
     orders_dropped: int
+    faults: int
+    last_fault: int
+    last_fault_joint: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +197,9 @@ def _drive_report(raw: Any) -> CanDriveReport:
         epoch=raw.epoch,
         orders_sent=raw.orders_sent,
         orders_dropped=raw.orders_dropped,
+        faults=raw.faults,
+        last_fault=raw.last_fault,
+        last_fault_joint=raw.last_fault_joint,
     )
 
 

@@ -43,7 +43,7 @@ def on_the_wire(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
 
 
 def on_a_bus(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = can_bus.measure(rounds=1 if quick else 3, seconds=3.0 if quick else 6.0)
+    found = can_bus.measure(rounds=1 if quick else 5, seconds=3.0 if quick else 6.0)
     return can_bus.table(found), found, can_bus.verdicts(found)
 
 

@@ -16,6 +16,8 @@ static void check_sums_are_those_of_the_standards(void)
     CHECK(rtu_crc16(digits, 9) == 0x4B37);
     CHECK(rtu_crc16(digits, 0) == 0xFFFF);
     CHECK(rtu_crc8(digits, 9) == 0xA1);
+    CHECK(rtu_xmodem(0, digits, 9) == 0x31C3 && rtu_xmodem(0, digits, 0) == 0);
+    CHECK(rtu_xmodem(rtu_xmodem(0, digits, 4), digits + 4, 5) == 0x31C3);
     CHECK(rtu_crc8(digits, 0) == 0);
     for (uint32_t value = 0; value < 256; value++) {
         const uint8_t one = (uint8_t)value;
@@ -317,6 +319,26 @@ static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 10), HEARD_MORE, 0, 0));
 }
 
+/* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a write is 0xFF. */
+static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
+{
+    line_frame asked = {.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_ASKED, .exact = 1, .request = {0x80, 24}};
+    uint8_t reply[5] = {0x00, 0xF0, 0, 0, 0xFF}, sealed[4] = {0x80, 24, 0x00, 0xF0};
+    rtu_write(reply + 2, FORM_U16, rtu_xmodem(0, sealed, 4));
+    CHECK(is(find(&asked, 0, reply, 3), HEARD_MORE, 0, 0));
+    CHECK(is(find(&asked, 0, reply, 4), HEARD_ANSWER, 0, 0));
+    CHECK(find(&asked, 2, reply, 5).kind == HEARD_BAD);
+    asked.request[0] = 0x81;   /* another's */
+    CHECK(find(&asked, 0, reply, 4).kind == HEARD_BAD);
+    line_frame told = {.request_bytes = 8, .reply_bytes = 1, .match_bytes = 1, .match = {0xFF}, .request_seal = SEAL_XMODEM,
+                       .exact = 1, .request = {0x80, 34}};
+    rtu_seal(told.request, 8, SEAL_XMODEM);
+    CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(told.request + 6, FORM_U16) == rtu_xmodem(0, told.request, 6));
+    CHECK(is(find(&told, 0, reply + 4, 1), HEARD_ANSWER, 0, 0));
+    CHECK(find(&told, 0, reply + 3, 1).kind == HEARD_BAD && find(&told, 0, reply + 3, 2).kind == HEARD_BAD);
+    CHECK(is(find(&told, 0, reply, 0), HEARD_MORE, 0, 0));
+}
+
 int main(void)
 {
     check_sums_are_those_of_the_standards();
@@ -334,5 +356,6 @@ int main(void)
     no_answer_begins_within_the_echo();
     nothing_heard_is_nothing_said();
     the_short_frames_of_others_have_a_seal_of_one_byte();
+    an_answer_that_does_not_say_what_it_answers_is_all_that_comes();
     return checks_report("rtu");
 }

@@ -11,7 +11,6 @@ from functools import partial
 import can
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable, datatypes
-from scripted_odrive import open_bus
 
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
@@ -62,14 +61,14 @@ def _record(index, entries):
 class Cia402Node:
     """Node, state machine and PDO exchange; a thread of its own sends what the event timers ask."""
 
-    def __init__(self, address, node):
+    def __init__(self, bus, node):
         self.node_id = node
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
         self.error_code = 0
         self.position, self.velocity = 0, 0
         self.stuck = False
         self.syncs, self.waiting = 0, {}
-        self.network = canopen.Network(open_bus(address))
+        self.network = canopen.Network(bus)
         self.network.notifier = can.Notifier(self.network.bus, self.network.listeners, 0.01)
         self.node = canopen.LocalNode(node, dictionary(node))
         self.network.add_node(self.node)

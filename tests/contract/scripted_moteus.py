@@ -7,8 +7,7 @@ import threading
 import time
 
 import can
-
-from motord_hal.can.address import bus_arguments
+from shared_bus import end_of
 
 STOPPED, FAULT, ENABLING, POSITION, TIMEOUT, ZERO_VELOCITY = 0, 1, 2, 10, 11, 12
 ENABLING_S = 0.02
@@ -48,7 +47,7 @@ class Moteus:
         self.deaf = False
         self._fed_s = None
         self._enabled_at_s = 0.0
-        self._bus = can.Bus(**bus_arguments(address, 1_000_000, 5_000_000))
+        self._bus = end_of(address, 1_000_000, 5_000_000)
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()

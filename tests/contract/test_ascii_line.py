@@ -18,6 +18,7 @@ from motord_hal.ports import (
     JointSpec,
     LineSpec,
     LineState,
+    Mounting,
     TextSpec,
     TextWheel,
 )
@@ -133,6 +134,21 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer, engi
         assert rig.line.stats().errors["bad_reply"] >= 1
         await until(lambda: rig.states() == {DriveState.QUIET}, "it says nothing any more")
         assert EventKind.DRIVE_QUIET in rig.kinds()
+
+
+async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer, engine):
+    feedback = "{left_count} {gyro_z_rad_s}\n"
+    spec = spec_of(peer.link, engine, "{left:d},{right:d}\n", feedback)
+    async with running(replace(spec, imu=Mounting(up="-z", forward="x"))) as rig:
+
+        def said():
+            peer.say(b"\n12 0.25\n")
+            return rig.loop.exchange.take_imu().stamp_ns > 0
+
+        await until(said)
+        sample = rig.loop.exchange.take_imu()
+        assert sample.angular_rad_s[2] == pytest.approx(-0.25)
+        assert sample.angular_rad_s[0] != sample.angular_rad_s[0]
 
 
 async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path, engine):

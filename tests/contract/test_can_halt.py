@@ -9,7 +9,7 @@ from motord_hal.errors import PortError
 from motord_hal.lines import halt_line
 
 
-@pytest.fixture(params=[kind for kind in BUSES if kind != "unix"])
+@pytest.fixture(params=BUSES)
 async def peer(request):
     async with living(Peer(request.param, nodes=(0, 3))) as peer:
         for axis in peer.axes.values():

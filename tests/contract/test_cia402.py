@@ -6,7 +6,7 @@ import math
 import pytest
 from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
-from scripted_odrive import BUSES, engine_asked, new_address
+from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import DriveFault
@@ -19,7 +19,7 @@ NODE = 5
 @pytest.fixture(params=[kind for kind in BUSES if kind != "virtual"])
 async def node(request):
     address = new_address(request.param)
-    node = Cia402Node(address, NODE)
+    node = Cia402Node(open_bus(address), NODE)
     node.address, node.engine = address, engine_asked(request.param)
     yield node
     node.close()

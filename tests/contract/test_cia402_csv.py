@@ -3,19 +3,19 @@
 
 import dataclasses
 import math
+import time
 
 import can
 import pytest
 from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
-from scripted_odrive import new_address
+from shared_bus import KINDS, end_of, shared_bus
 
-from motord_hal.can.address import bus_arguments
 from motord_hal.can.halt import halt_line
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import ProfileError
 from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, JointSpec, LineSpec
+from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.rt import Exchange
 
 RPM = 2 * math.pi / 60
@@ -23,21 +23,30 @@ NODES = (5, 6)
 CYCLE_HZ = 100.0
 
 
+@pytest.fixture(params=KINDS, ids=" ".join)
+def bus(request):
+    """Its address, and the engine of the line on it."""
+    kind, engine = request.param
+    with shared_bus(kind) as address:
+        yield address, engine
+
+
 @pytest.fixture
-def address():
-    return new_address("udp_multicast")
+def address(bus):
+    return bus[0]
 
 
 @pytest.fixture
 def nodes(address):
-    nodes = [Cia402Node(address, number) for number in NODES]
+    nodes = [Cia402Node(end_of(address), number) for number in NODES]
     yield nodes
     for node in nodes:
         node.close()
 
 
 @pytest.fixture
-def spec(address):
+def spec(bus):
+    address, engine = bus
     profile = find_profile("cia402-csv")
     joints = tuple(
         JointSpec(index=index, name=f"wheel_{number}", profile=profile, unit=number)
@@ -45,7 +54,7 @@ def spec(address):
     )
     return LineSpec(
         index=0, name="can0", kind="can", port=address, baudrate=500000, parity="none",
-        stop_bits=1, cycle_hz=CYCLE_HZ, gap_s=None, engine="asyncio", joints=joints,
+        stop_bits=1, cycle_hz=CYCLE_HZ, gap_s=None, engine=engine, joints=joints,
         watchdog_s=0.5,
     )  # fmt: skip
 
@@ -92,7 +101,7 @@ async def test_a_speed_without_a_sync_is_not_obeyed(nodes, spec, address):
         await rig.arm()
     node = nodes[0]
     syncs = node.syncs
-    with can.Bus(**bus_arguments(address, 500000, None)) as bus:
+    with end_of(address) as bus:
         bus.send(can.Message(arbitration_id=0x305, data=b"\x2a\0\0\0", is_extended_id=False))
         await until(lambda: node.waiting, "the speed has come")
         assert (node.velocity, node.syncs) == (0, syncs)
@@ -108,6 +117,20 @@ async def test_old_set_points_stop_all_drives_of_the_bus(rig, nodes):
     await until(lambda: all(node.controls[-1] in (0x02, 0x06) for node in nodes))
     await until(lambda: [node.velocity for node in nodes] == [0, 0])
     await until(lambda: rig.states() == {DriveState.READY})
+
+
+async def more_syncs(node):
+    syncs = node.syncs
+    await until(lambda: node.syncs > syncs + 10)
+
+
+async def test_a_pause_of_this_program_makes_no_drive_quiet(rig, nodes):
+    await rig.ready()
+    for _ in range(3):
+        time.sleep(0.5)  # noqa: ASYNC251  # no SYNC meanwhile
+        await more_syncs(nodes[0])
+    assert rig.states() == {DriveState.READY}
+    assert EventKind.DRIVE_QUIET not in rig.kinds()
 
 
 async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, spec):

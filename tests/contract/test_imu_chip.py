@@ -9,6 +9,7 @@ import threading
 import pytest
 
 from motord_hal.errors import BadReply, NoReply, PortError
+from motord_hal.i2c import imu_reader
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.imu import STUCK_SAMPLES, ImuChip
 from motord_hal.i2c.imu_reader import ImuReader, ImuSpec
@@ -260,6 +261,14 @@ def test_a_chip_that_is_opened_again_says_so_by_its_epoch():
     running.until(lambda: running.reader.samples > before)
     running.stop()
     assert running.exchange.take_imu().epoch == 2
+
+
+def test_a_bus_on_which_every_transfer_is_late_says_so_and_hands_nothing_on(monkeypatch):
+    monkeypatch.setattr(imu_reader, "LATE_NS", -1)
+    running = Running(Mpu(0x68))
+    running.thread.join(30)
+    assert "transfers in a row took more than" in str(running.error)
+    assert running.reader.samples == running.exchange.take_imu().stamp_ns == 0
 
 
 # ------------------------------------------------------------------------------------ the mounting

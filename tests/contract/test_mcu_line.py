@@ -352,7 +352,7 @@ async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):
 
 # --------------------------------------------------------------------------- a sensor on the board
 async def test_a_sensor_on_the_board_reaches_the_core_in_the_bases_axes(peer):
-    spec = spec_of(peer.link, imu=Mounting(up="x", forward="y"))
+    spec = spec_of(peer, imu=Mounting(up="x", forward="y"))
     async with running(spec) as rig:
         await rig.ready()
         peer.do("i")

@@ -2,11 +2,12 @@
 """The moteus profile against a register server that follows mjbots' documents."""
 
 import math
+import time
 
 import pytest
 from loop_side import running, until
 from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
-from scripted_odrive import new_address
+from shared_bus import KINDS, shared_bus
 
 from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan
@@ -19,9 +20,17 @@ NODES = (3, 9)
 WATCHDOG_S = 0.25
 
 
+@pytest.fixture(params=KINDS, ids=" ".join)
+def bus(request):
+    """Its address, and the engine of the line on it."""
+    kind, engine = request.param
+    with shared_bus(kind) as address:
+        yield address, engine
+
+
 @pytest.fixture
-def address():
-    return new_address("udp_multicast")
+def address(bus):
+    return bus[0]
 
 
 @pytest.fixture
@@ -34,14 +43,15 @@ def drives(address):
 
 
 @pytest.fixture
-def spec(address):
+def spec(bus):
+    address, engine = bus
     joints = tuple(
         JointSpec(index=index, name=f"wheel_{node}", profile=find_profile("moteus"), unit=node)
         for index, node in enumerate(NODES)
     )
     return LineSpec(
         index=0, name="can0", kind="can", port=address, baudrate=1_000_000, parity="none",
-        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="asyncio", joints=joints,
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine=engine, joints=joints,
         watchdog_s=WATCHDOG_S, data_baudrate=5_000_000,
     )  # fmt: skip
 
@@ -50,6 +60,11 @@ def spec(address):
 async def rig(drives, spec):
     async with running(spec) as rig:
         yield rig
+
+
+async def more_cycles(rig):
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 10)
 
 
 async def turning(rig, drives):
@@ -90,8 +105,7 @@ def test_a_command_that_says_nothing_is_a_stop(address):
 
 async def test_it_is_set_up_stopped_with_its_watchdog_in_every_command(rig, drives):
     await rig.ready()
-    cycles = rig.line.stats().cycles
-    await until(lambda: rig.line.stats().cycles > cycles + 10)
+    await more_cycles(rig)
     for drive in drives:
         assert set(drive.modes) == {STOPPED}
         assert set(drive.velocities) == {0.0}
@@ -135,6 +149,16 @@ async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(ri
     assert drives[0].mode == STOPPED
 
 
+async def test_a_pause_of_this_program_makes_no_drive_quiet(rig, drives):
+    await rig.ready()
+    for _ in range(3):
+        time.sleep(0.5)  # noqa: ASYNC251  # what a busy machine does to the event loop
+        await more_cycles(rig)
+    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    drives[0].deaf = True
+    await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.QUIET)
+
+
 async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives):
     await turning(rig, drives)
     drives[1].fail(33)
@@ -147,6 +171,17 @@ async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives)
     await until(lambda: STOPPED in drives[1].modes[last:])
     await until(lambda: rig.line.drive_states["wheel_9"] is DriveState.READY)
     assert drives[1].mode == STOPPED
+
+
+async def test_a_fault_is_said_also_where_this_program_had_a_pause_and_the_stop_has_cleared_it(
+    rig, drives
+):
+    await turning(rig, drives)
+    drives[1].fail(33)
+    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C goes on
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
+    await until(lambda: drives[1].mode == STOPPED)
+    await until(lambda: rig.line.drive_faults["wheel_9"] == ())
 
 
 async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, drives):

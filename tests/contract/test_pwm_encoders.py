@@ -143,7 +143,13 @@ def test_a_function_that_the_counter_does_not_take_is_said(counter):
         open_counter(counter_of(counter.folder), "left")
 
 
-@pytest.mark.parametrize("text", ["0", None, "junk"])
+def test_a_counter_that_would_never_count_is_said(tmp_path):
+    made = Counter(tmp_path / "counter0", ceiling="0")
+    with pytest.raises(PortError, match="its ceiling is 0"):
+        open_counter(counter_of(made.folder), "left")
+
+
+@pytest.mark.parametrize("text", [None, "junk", str(2**64 - 1)])
 def test_a_counter_without_a_ceiling_is_as_wide_as_it_can_be(tmp_path, text):
     made = Counter(tmp_path / "counter0", ceiling=text)
     found = open_counter(counter_of(made.folder), "left")

@@ -2,6 +2,7 @@
 // A participant on eProsima Fast DDS, with its types written by hand on Fast CDR. It shares nothing with motord.
 //   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
 //   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
+//   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
 #include <array>
 #include <chrono>
@@ -23,6 +24,7 @@
 #include <memory>
 #include <string>
 #include <thread>
+#include <vector>
 
 using namespace eprosima::fastdds::dds;
 using eprosima::fastcdr::Cdr;
@@ -43,13 +45,20 @@ struct Odometry {
     std::array<double, 36> pose_covariance{};
     std::array<double, 6> twist{};
     std::array<double, 36> twist_covariance{};
-    static const char *name() { return "nav_msgs::msg::dds_::Odometry_"; }
+    static const char *type() { return "nav_msgs::msg::dds_::Odometry_"; }
 };
 
 struct TwistStamped {
     Header header;
     std::array<double, 6> twist{};
-    static const char *name() { return "geometry_msgs::msg::dds_::TwistStamped_"; }
+    static const char *type() { return "geometry_msgs::msg::dds_::TwistStamped_"; }
+};
+
+struct JointState {
+    Header header;
+    std::vector<std::string> name;
+    std::vector<double> position, velocity, effort;
+    static const char *type() { return "sensor_msgs::msg::dds_::JointState_"; }
 };
 
 // `Archive` is a Cdr that writes or reads.
@@ -74,12 +83,20 @@ static void pass(Cdr &cdr, TwistStamped &command, bool writing)
     pass(cdr, command.header, writing);
     pass(cdr, command.twist, writing);
 }
+static void pass(Cdr &cdr, JointState &command, bool writing)
+{
+    pass(cdr, command.header, writing);
+    pass(cdr, command.name, writing);
+    pass(cdr, command.position, writing);
+    pass(cdr, command.velocity, writing);
+    pass(cdr, command.effort, writing);
+}
 
 template <typename Message> class Type : public TopicDataType {
   public:
     Type()
     {
-        setName(Message::name());
+        setName(Message::type());
         m_typeSize = 1024;
         m_isGetKeyDefined = false;
     }
@@ -125,7 +142,7 @@ template <typename Message> static Topic *topic(DomainParticipant *of, const cha
 {
     TypeSupport type(new Type<Message>);
     type.register_type(of);
-    return of->create_topic(name, Message::name(), TOPIC_QOS_DEFAULT);
+    return of->create_topic(name, Message::type(), TOPIC_QOS_DEFAULT);
 }
 
 static int hear(DomainParticipant *of, const char *name)
@@ -145,17 +162,15 @@ static int hear(DomainParticipant *of, const char *name)
     }
 }
 
-static int drive(DomainParticipant *of, const char *name, double linear_m_s, double angular_rad_s)
+template <typename Message> static int send(DomainParticipant *of, const char *name, Message command)
 {
     DataWriterQos qos;
     qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
-    DataWriter *writer = of->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic<TwistStamped>(of, name), qos);
+    DataWriter *writer = of->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic<Message>(of, name), qos);
     for (;;) {
-        TwistStamped command;
         auto now_ns = std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
         command.header.sec = static_cast<int32_t>(now_ns / 1000000000);
         command.header.nanosec = static_cast<uint32_t>(now_ns % 1000000000);
-        command.twist = {linear_m_s, 0, 0, 0, 0, angular_rad_s};
         writer->write(&command);
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }
@@ -170,5 +185,9 @@ int main(int count, char **words)
         return 1;
     if (std::string(words[2]) == "odom")
         return hear(own, words[3]);
-    return count < 6 ? 2 : drive(own, words[3], atof(words[4]), atof(words[5]));
+    if (count < 6)
+        return 2;
+    if (std::string(words[2]) == "joints")
+        return send(own, words[3], JointState{{}, {"left", "right"}, {}, {atof(words[4]), atof(words[5])}, {}});
+    return send(own, words[3], TwistStamped{{}, {atof(words[4]), 0, 0, 0, 0, atof(words[5])}});
 }

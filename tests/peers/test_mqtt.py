@@ -153,7 +153,7 @@ def test_odometry_on_the_broker_is_that_of_the_daemon(stage, peer):
     assert message["pose"]["pose"]["position"]["x"] == pytest.approx(x_m, abs=2.0)
 
 
-@pytest.mark.parametrize("topic", sorted(TOPICS))
+@pytest.mark.parametrize("topic", sorted(set(TOPICS) - {"imu"}))  # this robot has no gyro
 def test_every_topic_comes(stage, peer, topic):
     assert "header" in json.loads(peer.get(f"site/r2/{topic}")) or topic == "tf"
 

@@ -145,6 +145,19 @@ def test_a_stop_ends_the_goal_at_rest(armed, method):
     at_rest(armed)
 
 
+def test_drives_that_are_not_heard_end_the_goal_at_rest(armed):
+    with goal("drive_distance", distance_m=20.0) as client:
+        under_way(armed)
+        armed.sim.inject("silence:unit=1,for_s=1000")
+        try:
+            status, told = result(client)
+            assert status == ABORTED
+            assert "stale" in told["message"] or "fault" in told["message"]
+            at_rest(armed)
+        finally:
+            armed.sim.clear_faults_script()
+
+
 def test_a_command_by_hand_ends_the_goal_and_counts(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         under_way(armed)

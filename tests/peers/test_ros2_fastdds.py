@@ -44,10 +44,24 @@ def decode(line):
     return {"x_m": float(x), "linear_m_s": float(v), "frames": (frame, child)}
 
 
-def test_fast_dds_reads_odometry_and_drives_the_robot(program, stage):
-    def fast(*words):
-        return peer(*words, program=(str(program),), decode=decode)
+@pytest.fixture
+def fast(program):
+    return lambda *words: peer(*words, program=(str(program),), decode=decode)
 
+
+def test_fast_dds_turns_the_wheels(fast, stage):
+    def speeds():
+        joints = stage.sim.truth().joints
+        return [joints[name].velocity_rad_s for name in ("left", "right")]
+
+    wait_until(lambda: called("arm")["success"], "armed")
+    with fast("joints", f"rt{NAMESPACE}/joint_commands", 1.0, 2.0):
+        wait_until(lambda: speeds() == pytest.approx([1.0, 2.0], abs=0.2), "the wheels' speeds")
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+    settle(stage)
+
+
+def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
     wait_until(lambda: called("arm")["success"], "armed")
     with (
         fast("odom", f"rt{NAMESPACE}/odom") as ear,

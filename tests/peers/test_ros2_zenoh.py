@@ -71,8 +71,9 @@ async def running(node):
 class Robot:
     """A node with one topic out, one in, and a service that is counted."""
 
-    def __init__(self, port, quality=None):
-        self.node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
+    def __init__(self, port, quality=None, distribution="jazzy"):
+        where = Router(endpoint=endpoint(port))
+        self.node = ZenohNode("base", "/r2", 3, where, distribution)
         self.said = self.node.publisher("said", STRING, quality)
         self.heard = []
         self.stops = 0
@@ -123,6 +124,28 @@ def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **said):
 
 
 REQUEST = b"\x00\x01\x00\x00\x00"
+
+
+async def test_humble_hears_and_calls_by_keys_without_hashes():
+    port, unhashed = free_port(), "TypeHashNotSupported"
+    async with router(port):
+        robot = Robot(port, distribution="humble")
+        with peer(port) as session:
+            tokens, heard = Tokens(session), []
+            key = f"{STRING_KEY.rpartition('/')[0]}/{unhashed}"
+            kept = session.declare_subscriber(key, heard.append)
+            async with running(robot.node):
+                await until(lambda: len(tokens.alive) == 4)
+                endpoints = [token for what in ("MP", "MS", "SS") for token in tokens.of(what)]
+                assert all(f"/{unhashed}/" in token for token in endpoints)
+                robot.said.publish(SimpleNamespace(data="here"))
+                await until(lambda: heard)
+                stop = f"{STOP_KEY.rpartition('/')[0]}/{unhashed}"
+                replies = await asyncio.to_thread(
+                    ask, session, stop, payload=REQUEST, attachment=attached()
+                )
+                assert [reply.ok is not None for reply in replies] == [True]
+            kept.undeclare()
 
 
 async def test_other_nodes_see_the_node_its_topics_and_its_service():

@@ -49,6 +49,11 @@ def test_the_heading_stays_right_when_one_side_slips(tmp_path):
         wait_until(lambda: gyro(stage) == "used", "the gyro's zero")
         zero_rad_s = stage.robot.status()["imu"]["bias_rad_s"]
         assert 0.0 < abs(zero_rad_s) < 0.036
+        asked = [sys.executable, "-m", "motord", "status", "--socket", str(stage.socket)]
+        shown = subprocess.run(asked, capture_output=True, text=True, timeout=60, check=True)
+        (row,) = [row for row in shown.stdout.splitlines() if row.startswith("imu ")]
+        assert "zero at " in row
+        assert row.split()[1] == "used,"
         error_rad = turned_and_slipped(stage)
         imu = stage.robot.status()["imu"]
         assert imu["refused"] == 0

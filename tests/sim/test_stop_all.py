@@ -6,17 +6,26 @@ The drives' own watchdogs are set so long that what stops the wheels is what was
 
 import json
 import signal
+import struct
 import subprocess
 import sys
 
+import can
 import pytest
 from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
 from pymodbus.client import ModbusTcpClient
 
 from motord.tools.simulator import start_simulator
+from motord_hal.can.unix_client import UnixClient
 
 LONG = "safety.drive_watchdog_s=10"
 SPEED_M_S = 0.5
+ODRIVE_SETS_OFF = {
+    0x0B: struct.pack("<II", 2, 1),
+    0x07: struct.pack("<I", 8),
+    0x0D: struct.pack("<ff", 1.0, 0.0),
+}
+"""CAN Simple: velocity control, closed loop, a turn a second."""
 
 
 def stop_all(*settings, robot=ROBOT):
@@ -112,6 +121,29 @@ def test_drives_behind_a_gateway_stop_too(tmp_path):
         truth = simulator.control.truth()
         assert not any(joint.enabled for joint in truth.joints.values())
         assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())
+
+
+def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
+    robot = ROOT / "config/robots/odrive-two.toml"
+    path = str(tmp_path / "can0")
+    with start_simulator(robot, options=("--can", f"unix:{path}")) as simulator:
+        with UnixClient(path) as bus:
+            for node in (1, 2):
+                for command, data in ODRIVE_SETS_OFF.items():
+                    identifier = node << 5 | command
+                    bus.send(
+                        can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+                    )
+            wait_until(lambda: not simulator.control.truth().at_rest, "a wheel turns")
+        bus_settings = ('line.can0.interface="unix"', f"line.can0.channel={json.dumps(path)}")
+        status, lines = stop_all(*bus_settings, robot=robot)
+        assert (status, lines[0]["problems"]) == (0, [])
+        truth = simulator.control.truth()
+        assert not any(joint.enabled for joint in truth.joints.values())
+        assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())
+    status, lines = stop_all(*bus_settings, robot=robot)
+    assert status == 3
+    assert f"unix:{path}" in lines[0]["problems"][0]
 
 
 def test_a_board_that_streams_is_told_zero_and_stop_by_its_own_line(tmp_path):

@@ -215,3 +215,20 @@ def test_before_the_gyro_has_a_zero_its_error_is_unknown():
 def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
     assert messages.imu(inertial(**changes), BODY, OFFSET_NS) is None
     assert messages.imu(snapshot(), BODY, OFFSET_NS) is None
+
+
+@pytest.mark.parametrize(
+    ("state", "level"),
+    [
+        ("used", Level.OK),
+        ("unbiased", Level.WARN),
+        ("stale", Level.STALE),
+        ("reversed", Level.ERROR),
+    ],
+)
+def test_diagnostics_say_how_the_imu_does(state, level):
+    found = messages.diagnostics(inertial(state=state, refused=7), BODY, OFFSET_NS).status[-1]
+    assert (found.name, found.level, found.message) == ("r2: imu", level, state)
+    assert {pair.key: pair.value for pair in found.values}["refused"] == "7"
+    names = [status.name for status in messages.diagnostics(snapshot(), BODY, OFFSET_NS).status]
+    assert "r2: imu" not in names

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.unit.bus_views import joint, view
 
-from motord.bus.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, planned
+from motord.bus.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, Wish, planned
 
 LEASE, STALE_S, STEP_MS = 7, 0.25, 20
 BOUNDS = Bounds(velocity_u_s=0.5, acceleration_u_s2=0.5, deceleration_u_s2=0.8, jerk_u_s3=math.inf)
@@ -193,6 +193,27 @@ def test_what_takes_too_long_comes_to_rest_and_is_aborted():
     assert "longer than 2.0 s" in wish.why
     assert base.speed_u_s == 0.0
     assert 0.0 < base.way_u < 5.0
+
+
+def test_a_base_that_something_holds_is_not_pushed_for_long():
+    base, motion = begun(Goal(axis="linear", way_u=5.0, timeout_s=1000.0))
+    while base.way_u < 1.0:
+        base.follow(motion.step(base.said(), base.at_ms * 1_000_000))
+    held_ms = base.at_ms
+    while motion.step(base.said(), base.at_ms * 1_000_000) != Wish():
+        base.at_ms += STEP_MS
+    assert 3000 < base.at_ms - held_ms < 5000
+    base.speed_u_s = 0.0
+    wish = carried_out(base, motion)
+    assert (wish.end, wish.why) == (End.ABORTED, "it is stuck")
+
+
+def test_a_slow_base_is_not_a_stuck_one():
+    slow = Bounds(
+        velocity_u_s=0.002, acceleration_u_s2=0.001, deceleration_u_s2=0.001, jerk_u_s3=0.001
+    )
+    base, motion = begun(Goal(axis="linear", way_u=0.05), slow)
+    assert carried_out(base, motion).end is End.SUCCEEDED
 
 
 def test_a_base_that_slides_past_the_goal_did_not_succeed():

@@ -84,6 +84,7 @@ def result(**changes):
         "state": "idle",
         "faults": [],
         "stops": 1,
+        "joints": {"left": {"jumps": 0}, "right": {"jumps": 0}},
         "loop": {
             "rate_hz": 1000.0, "policy": "SCHED_OTHER", "ticks": 9000, "overruns": 7,
             "lateness_us": {"p50": 20.0, "p99": 60.0, "p99_9": 90.0, "max": 345.0},

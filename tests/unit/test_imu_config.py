@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """[imu] in a robot file: what it may say, and what core and line are told."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,12 @@ from motord import assembly
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
 from motord.rt import Loop, LoopSettings
+from motord_hal.ascii.dialect import TextDialect
 from motord_hal.ports import Mounting
+from motord_hal.sim.content import NamedContent
+from motord_hal.sim.gyro import SimulatedGyro
+from motord_hal.sim.plant import Contact, Plant, Wheel, WheelModel
+from motord_hal.sim.text_talk import TextTalk
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/esp32-imu.toml").read_text("utf-8")
 OF_LINE = 'source = "line"\nline = "board"\n'
@@ -106,3 +112,42 @@ def test_a_line_of_text_has_to_say_the_rate_about_z(load):
     said = rows(load, *text_robot(" {gyro_z_rad_s}", up="y"))
     assert any("a line of text has the rate about z alone" in row for row in said)
     assert load(*text_robot(" {gyro_z_rad_s}", up="-z")).imu.up == "-z"
+
+
+def test_the_rate_in_a_line_of_text_is_heard_and_said(load):
+    robot = load(*text_robot(" {gyro_z_rad_s}"))
+    (spec,) = line_specs(robot, assembly.profiles_of(robot))
+    dialect = TextDialect(spec)
+    (said,) = dialect.feed(b"half a line\n10 20 -0.25\n", 5)
+    assert said.imu.angular_rad_s[2] == -0.25
+    assert math.isnan(said.imu.angular_rad_s[0])
+    assert not said.imu.saturated
+    plant = Plant(
+        {"left": Wheel(WheelModel()), "right": Wheel(WheelModel())},
+        {side: Contact(side=side, wheel_radius_m=0.05) for side in ("left", "right")},
+        0.2,
+    )
+    gyro = SimulatedGyro(plant, spec.imu, seed=3)
+    told = TextTalk(spec, gyro).feedback(NamedContent(spec.joints[0].profile), 0.0)
+    assert float(told.split()[2]) == pytest.approx(gyro.bias_rad_s[2], abs=0.02)
+
+
+def test_a_simulated_gyro_says_the_plants_turn_with_its_offset_in_the_sensors_axes():
+    wheels = {"left": Wheel(WheelModel()), "right": Wheel(WheelModel())}
+    contacts = {side: Contact(side=side, wheel_radius_m=0.05) for side in wheels}
+    plant = Plant(wheels, contacts, 0.2)
+    gyro = SimulatedGyro(plant, Mounting(up="-x", forward="y"), seed=5)
+    wheels["right"].turn(8.0)
+    wheels["left"].turn(-8.0)
+    plant.step(2.0)
+    gyro.measure()
+    before_rad = plant.yaw_rad
+    plant.reset_truth()
+    plant.step(1.0)
+    said = gyro.measure()
+    turned_rad_s = plant.yaw_rad - before_rad
+    assert turned_rad_s == pytest.approx(4.0, rel=0.05)
+    assert -said.angular_rad_s[0] == pytest.approx(turned_rad_s + gyro.bias_rad_s[2], abs=1e-3)
+    assert said.acceleration_m_s2[0] == pytest.approx(-9.8, abs=0.2)
+    assert SimulatedGyro(plant, Mounting(), 5).bias_rad_s == gyro.bias_rad_s
+    assert SimulatedGyro(plant, Mounting(), 6).bias_rad_s != gyro.bias_rad_s

@@ -29,6 +29,30 @@ def test_names_are_below_the_namespace(namespace, name, full):
     assert names.full_name(namespace, "motord", name) == full
 
 
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("cmd_vel", "/cmd_vel_safe"), ("odom", "/r2/wheels/odom"), ("~/stop", "/r2/stop"),
+        ("/diagnostics", "/r2/diagnostics"), ("tf", "/r2/tf"), ("stop", "/r2/stop"),
+    ],
+)  # fmt: skip
+def test_a_name_may_be_another(name, full):
+    rules = {
+        "/r2/cmd_vel": "/cmd_vel_safe", "odom": "wheels/odom", "~/stop": "stop",
+        "/diagnostics": "diagnostics",
+    }  # fmt: skip
+    assert names.remapped("/r2", "motord", name, rules) == full
+
+
+def test_a_node_has_one_name_for_a_topic():
+    both = ("input.ros2.kind=ros2", "publish.ros2.kind=ros2")
+    robot(*both, "publish.ros2.remap.odom=/a", "input.ros2.remap.cmd_vel=/b")
+    with pytest.raises(ConfigError, match="another name"):
+        robot(*both, "publish.ros2.remap.tf=/a", "input.ros2.remap.tf=/b")
+    with pytest.raises(ConfigError, match="remap"):
+        robot(*both, "publish.ros2.remap.tf=//a")
+
+
 def test_names_on_dds_have_the_prefixes_of_ros():
     assert names.topic("/odom") == "rt/odom"
     assert names.request("/motord/arm") == "rq/motord/armRequest"

@@ -36,7 +36,7 @@ from motord.bus.message_types import (
     TwistWithCovariance,
     Vector3,
 )
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 
 STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
 """By their numbers on the state page."""
@@ -272,9 +272,11 @@ def diagnostics(
     wall_offset_ns: int,
     battery: Mapping[str, Any] | None = None,
 ) -> DiagnosticArray:
-    """diagnostic_msgs/DiagnosticArray: the base, each joint, and the battery where the daemon
-    watches one."""
+    """diagnostic_msgs/DiagnosticArray: the base, each joint, the inertial sensor and the battery
+    where there are such."""
     statuses = (_base_diagnostic(snapshot, body), *_joint_diagnostics(snapshot, body))
+    if snapshot.imu is not None:
+        statuses += (_imu_diagnostic(snapshot.imu, body),)
     if battery is not None:
         level, measured = _BATTERY_LEVELS.get(battery["state"], Level.STALE), dict(battery)
         state = measured.pop("state")
@@ -316,6 +318,20 @@ def _joint_diagnostics(snapshot: Snapshot, body: Body) -> Iterator[DiagnosticSta
         }
         said = f"{body.robot}: joint {name}"
         yield DiagnosticStatus(level, said, message, f"{body.robot}/{name}", _pairs(values))
+
+
+_IMU_LEVELS = {"used": Level.OK, "unbiased": Level.WARN, "stale": Level.STALE}
+
+
+def _imu_diagnostic(found: ImuSnapshot, body: Body) -> DiagnosticStatus:
+    values = {
+        "heading_by_gyro": _word(found.heading_by_gyro),
+        "still": _word(found.still),
+        "bias_rad_s": _word(found.bias_rad_s),
+        "refused": str(found.refused),
+    }
+    level = _IMU_LEVELS.get(found.state, Level.ERROR)
+    return DiagnosticStatus(level, f"{body.robot}: imu", found.state, body.robot, _pairs(values))
 
 
 def _joint_level(joint: JointSnapshot) -> tuple[Level, str]:

@@ -24,6 +24,8 @@ COMMANDS_WITHIN_S = 1.0
 RESTS_WITHIN_S = 5.0
 """Of the goal's end, beside the ramp itself."""
 LOOK_WITHIN_S = 0.9
+STUCK_S = 3.0
+"""Without a step nearer for so long, beside what its acceleration takes: something holds it."""
 TURN_RATE_MAX_RAD_S = math.pi
 """So that the base does not turn by half a turn between two looks: which way would not be known."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
@@ -214,6 +216,7 @@ class Motion:
         self._commanding = False
         self._ending: tuple[End, str] | None = None
         self._ending_ns = 0
+        self._near_u, self._near_ns = abs(plan.way_u), now_ns
         self._forward = 1.0
         self._corrections = 0
 
@@ -240,6 +243,8 @@ class Motion:
             self._end(End.ABORTED, f"it took longer than {self.plan.timeout_s:.1f} s", now_ns)
         if self.remaining_u * self._forward <= self.plan.tolerance_u / 2.0:
             self._end(End.SUCCEEDED, "", now_ns)
+        if self._ending is None and self._stuck(now_ns):
+            self._end(End.ABORTED, "it is stuck", now_ns)
         if self._ending is None:
             return self._onward()
         return self._come_to_rest(snapshot, now_ns)
@@ -263,11 +268,25 @@ class Motion:
         if self._ending is None:
             self._ending, self._ending_ns = (how, why), now_ns
 
+    def _stuck(self, now_ns: int) -> bool:
+        """A step is a quarter of what it creeps in that time, or of the tolerance."""
+        plan, bounds = self.plan, self.plan.bounds
+        step_u = min(plan.tolerance_u, self._creep_u_s() * STUCK_S) / 4.0
+        if abs(self.remaining_u) <= self._near_u - step_u:
+            self._near_u, self._near_ns = abs(self.remaining_u), now_ns
+        starts_s = plan.velocity_u_s / bounds.acceleration_u_s2
+        starts_s += bounds.acceleration_u_s2 / bounds.jerk_u_s3
+        return (now_ns - self._near_ns) * _NS > STUCK_S + starts_s
+
+    def _creep_u_s(self) -> float:
+        """Stops within half of the tolerance."""
+        creep_u_s = self.plan.bounds.approach_u_s(self.plan.tolerance_u / 2.0)
+        return min(creep_u_s, self.plan.velocity_u_s)
+
     def _onward(self) -> Wish:
-        """Not slower than what gets there: creeping, it stops within half of the tolerance."""
+        """Not slower than what gets there."""
         plan = self.plan
-        creep_u_s = plan.bounds.approach_u_s(plan.tolerance_u / 2.0)
-        speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), creep_u_s)
+        speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
         speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.way_u)
         return self._along(speed_u_s * self._forward)
 
@@ -282,17 +301,18 @@ class Motion:
                 return Wish(end=End.ABORTED, why="it does not come to rest")
             return Wish()
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
-            if self._corrected():
+            if self._corrected(now_ns):
                 return Wish()
             how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"
         return Wish(end=how, why=why)
 
-    def _corrected(self) -> bool:
+    def _corrected(self, now_ns: int) -> bool:
         """It goes on, towards the goal from where it is."""
         near_u = CORRECTION_TOLERANCES * self.plan.tolerance_u
         if abs(self.remaining_u) > near_u or self._corrections == CORRECTIONS_MAX:
             return False
         self._corrections += 1
+        self._near_u, self._near_ns = abs(self.remaining_u), now_ns
         self._forward = math.copysign(1.0, self.remaining_u)
         self._ending = None
         return True

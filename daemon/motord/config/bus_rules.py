@@ -196,10 +196,23 @@ def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*path, "router")), "is of no use without tls/")
         node = (section.node_name, section.namespace, section.domain_id)
         before, first = routers.setdefault(node, (path, section))
-        for key in keys:
+        for key in (*keys, "distribution"):
             if getattr(section, key) != getattr(first, key):
                 text = f"a node has one router: {'.'.join(map(str, before))} says another"
                 yield Finding(((*path, key), (*before, key)), text)
+
+
+def _remaps_agree(robot: Robot) -> Iterator[Finding]:
+    """One node has one name for a topic."""
+    said: dict[tuple[str, str, str, int, str], tuple[Path, str]] = {}
+    for path, section in (*_ros2_nodes(robot), *_zenoh_nodes(robot)):
+        over = "dds" if isinstance(section, Ros2Node) else "zenoh"
+        for old, new in section.remap.items():
+            key = (over, section.node_name, section.namespace, section.domain_id, old)
+            before, first = said.setdefault(key, (path, new))
+            if first != new:
+                text = f"{'.'.join(map(str, before))} gives it another name for the same node"
+                yield Finding(((*path, "remap", old), (*before, "remap", old)), text)
 
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
@@ -215,4 +228,5 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _packages_are_there,
     _zenoh_commands_are_meant,
     _zenoh_routers,
+    _remaps_agree,
 )

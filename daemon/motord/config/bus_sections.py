@@ -217,6 +217,10 @@ class JoystickInput(BusInput):
     rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
 
 
+_ROS_NAME = r"^(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*$"
+RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
+
+
 class RosNode(Section):
     """Which node we are. Sections that say the same are one node."""
 
@@ -225,6 +229,12 @@ class RosNode(Section):
     """Goes before the name of every topic and service."""
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
     """Name of the node."""
+    distribution: Literal["humble", "jazzy"] = "jazzy"
+    """Of those who are to see the node: Humble has another graph, and over Zenoh other keys. Iron
+    and later are as Jazzy."""
+    remap: dict[RosName, RosName] = Field(default_factory=dict)
+    """Topics and services of this section that have another name: cmd_vel = "/cmd_vel_safe". Names
+    as everywhere in ROS 2: below the namespace, below the node (~/), or as they are (/)."""
 
 
 class Ros2Node(RosNode):
@@ -233,8 +243,6 @@ class Ros2Node(RosNode):
     discovery: Literal["localhost", "subnet"] = "localhost"
     """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
     networks that it is connected to."""
-    distribution: Literal["humble", "jazzy"] = "jazzy"
-    """Of those who are to list the node: Humble has another graph. Iron and later are as Jazzy."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
     """The one network interface to use, by name (discovery subnet); where it is not given, what the
     DDS library chooses."""

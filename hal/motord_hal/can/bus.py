@@ -22,6 +22,7 @@ from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, check_up, restart_controller
 from motord_hal.can.plan import Sent
+from motord_hal.can.unix_client import UnixClient
 from motord_hal.clock import now_ns
 from motord_hal.errors import PortError
 
@@ -93,8 +94,9 @@ class CanBus:
         self._listen(self._bus)
 
     def _open(self) -> can.BusABC:
+        interface, channel = split_address(self.address)
         try:
-            return can.Bus(**self._arguments)
+            return UnixClient(channel) if interface == "unix" else can.Bus(**self._arguments)
         except (can.CanError, OSError, ValueError, ImportError) as error:
             raise PortError(f"{self.address}: {error}") from error
 

@@ -77,6 +77,8 @@ class CanDrive:
         self._values: dict[str, int] = {}
         self._heard_s: dict[str, float] = {}
         self._heard_ns: dict[str, int] = {}
+        self._unanswered: dict[str, tuple[float, int]] = {}
+        """Frame that was asked for since it came last → since when, and how often."""
         self._told_s = -math.inf
         """When set-points went out last."""
         self._waits_since_s = 0.0
@@ -98,6 +100,7 @@ class CanDrive:
     def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
         """A frame of this drive has come. Nothing is sent from here."""
         self._heard_s[frame.name] = stamp_ns * 1e-9
+        self._unanswered.pop(frame.name, None)
         self._runner.heard(frame, values)
         next_ns = self._heard_ns.get(frame.name, 0) + SAMPLE_PART * frame.period_s * 1e9
         if frame in self.plan.measuring and stamp_ns < next_ns:
@@ -167,11 +170,27 @@ class CanDrive:
         if hello is not None and self.state in (DriveState.UNKNOWN, DriveState.QUIET):
             heard_s = self._heard_s.get(hello.name, -math.inf)
             return None if now_s() - heard_s < HELLO_GOOD_FOR_S else hello
-        for frame in self.plan.watched:
-            silent_s = now_s() - self._heard_s.get(frame.name, -math.inf)
-            if silent_s > self._silence_s(frame):
-                return frame
-        return None
+        return next((frame for frame in self.plan.watched if self._is_missing(frame)), None)
+
+    def _is_missing(self, frame: Frame) -> bool:
+        """What comes only when it is asked for is missed where it was asked for: this program may
+        have had a pause."""
+        heard_s = self._heard_s.get(frame.name, -math.inf)
+        if frame.period_s or heard_s == -math.inf:
+            return now_s() - heard_s > self._silence_s(frame)
+        since_s, questions = self._unanswered.get(frame.name, (math.inf, 0))
+        return questions >= self.tries and now_s() - since_s > self._silence_s(frame)
+
+    def _asked_for(self, *frames: Frame) -> None:
+        """They are to come now. The bus need not have taken the question: one that takes nothing
+        has no drives to hear."""
+        for frame in frames:
+            since_s, questions = self._unanswered.get(frame.name, (now_s(), 0))
+            self._unanswered[frame.name] = (since_s, questions + 1)
+
+    def synchronised(self) -> None:
+        """The line has sent its SYNC."""
+        self._asked_for(*self.plan.answering.get(self.plan.table.sync, ()))
 
     def look(self) -> None:
         """Once a cycle: is it there? Questions to one that is not, and jobs."""
@@ -273,12 +292,14 @@ class CanDrive:
     def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
         """Send a frame with these signals, and what is held. False: the bus takes nothing now."""
         self._held.update({name: raw[name] for name in self.plan.held if name in raw})
+        self._asked_for(*self.plan.answering[frame.name])
         return self._send(self.plan.write(frame, {**self._held, **raw}))
 
     def _ask(self, frame: Frame) -> bool:
         question = self.plan.question(frame)
         if question == self.plan.sync:  # it goes to all drives: the line sends it, in its time
             return False
+        self._asked_for(frame)
         return question is not None and self._send(question)
 
     # ---------------------------------------------------------------------------- the acyclic part
@@ -315,6 +336,7 @@ class CanDrive:
         """The bus is gone: nothing is known of the drive."""
         self._forget(error)
         self._heard_s.clear()
+        self._unanswered.clear()
         self.state = DriveState.UNKNOWN
         self._waits_since_s = now_s()
 
@@ -359,6 +381,7 @@ class CanDrive:
         self.state = DriveState.READY
         self._epoch += 1
         self._cycles = 0
+        self._unanswered.clear()
         self._set_up_backoff.reset()
         self._set_up_at_s = 0.0
         self._may_turn = self.told_motion = False

@@ -207,6 +207,8 @@ class CanLine:
         """The drives do now, all at once, what they were told in this cycle. Raises PortError."""
         for sync in self._syncs:
             self._bus.send(sync)
+        for drive in self._drives:
+            drive.synchronised()
 
     async def _wait_for_cycle(self, due_s: float) -> None:
         """A stop does not wait for the next cycle of a slow line. Always gives the event loop a

@@ -114,6 +114,11 @@ class CanPlan:
             if frame.silence_s and (frame.period_s or frame in self.fast)
         )
         """Frames that are missed when they do not come."""
+        self.answering = {
+            name: tuple(frame for frame in self.watched if name in (frame.answers, frame.ask))
+            for name in self.table.frames
+        }
+        """By the name of what is sent: the watched frames that are to come of it."""
         self.held = tuple(
             signal.name
             for frame in self.setpoint_frames

@@ -53,13 +53,16 @@ def open_counter(encoder: CounterEncoder, joint: str, root: Path = DEVICES) -> E
         _set(folder / "function", FUNCTION, where)
         if (folder / "enable").exists():
             _set(folder / "enable", "1", where)
+        ceiling = _ceiling(folder)
+        if ceiling == 0:
+            raise PortError(f"{where}: its ceiling is 0, so it never counts: write a greater one")
         fd = os.open(folder / "count", os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
         raise PortError(f"{where}: {_why(error)}") from error
     return EncoderConfig(
         kind=EncoderKind.COUNTER,
         fd=fd,
-        ceiling=_ceiling(folder),
+        ceiling=ceiling,
         rad_per_count=encoder.rad_per_count,
     )
 
@@ -76,7 +79,7 @@ def _set(file: Path, value: str, where: str) -> None:
 def _ceiling(folder: Path) -> int:
     """The count before 0; as wide as it can be where the counter does not say."""
     text = _read(folder / "ceiling")
-    return min(int(text), WIDEST) or WIDEST if text.isdecimal() else WIDEST
+    return min(int(text), WIDEST) if text.isdecimal() else WIDEST
 
 
 def _read(file: Path) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from motord_hal.clock import now_ns
-from motord_hal.errors import NoReply
+from motord_hal.errors import BadReply, NoReply
 from motord_hal.i2c.bus import ByteRegisters
 from motord_hal.i2c.imu import ImuChip
 from motord_hal.ports import Mounting
@@ -17,6 +17,8 @@ from motord_hal.rt import Exchange
 
 LATE_NS = 20_000_000
 """A transfer takes some 0.5 ms; nobody knows when what came after so long was true."""
+LATE_MAX = 50
+"""So many late ones in a row are no busy machine: the bus is too slow, or somebody holds it."""
 TRIES = 3
 """Failed reads in a row before the chip is given up."""
 
@@ -45,8 +47,7 @@ class ImuReader:
         self._epoch = 0
         self.samples = 0
         """Handed on so far."""
-        self.late = 0
-        """Thrown away, because they came too late."""
+        self._late = 0
 
     def stop(self) -> None:
         """From any thread: `run` returns after the transfer that is under way."""
@@ -87,8 +88,12 @@ class ImuReader:
         began_ns = now_ns()
         motion = chip.read()
         if now_ns() - began_ns > LATE_NS:
-            self.late += 1
+            self._late += 1
+            if self._late >= LATE_MAX:
+                self._late = 0
+                raise BadReply(f"{LATE_MAX} transfers in a row took more than {LATE_NS / 1e6:g} ms")
             return
+        self._late = 0
         mounting = self._spec.mounting
         self._exchange.put_imu(
             stamp_ns=began_ns,

@@ -80,7 +80,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._port = open_port(self.spec)
         termios.tcflush(self._port.fd, termios.TCIOFLUSH)
         self._thread.start(
-            self._table,
+            self._table | {"imu": self._table["imu"] | {"epoch": self._reopened}},
             fd=self._port.fd,
             event_fd=self._news.event_fd,
             priority=self.spec.priority,
@@ -143,7 +143,11 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
 
 def _wire_bytes(spec: LineSpec, plan: DrivePlan) -> int:
-    return text_bytes(spec) if spec.kind == "ascii" else wire_bytes(max(plan.profile.channels))
+    return (
+        text_bytes(spec)
+        if spec.kind == "ascii"
+        else wire_bytes(max(plan.profile.channels), imu=spec.imu is not None)
+    )
 
 
 def _errors(report: BoardReport) -> Counter[str]:

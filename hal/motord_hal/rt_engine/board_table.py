@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from motord_hal.ascii.dialect import COUNT, CURRENT, VELOCITY, VOLTAGE, texts_of
+from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.errors import ProfileError
 from motord_hal.mcu.board import QUIET_ALLOWANCE_S
@@ -39,6 +39,8 @@ class Layout:
     said: Mapping[str, Plain]
     dialect: Plain
     """What the table needs of the protocol itself."""
+    rate_z: Plain | None = None
+    """Of an inertial sensor in a text; None: there is none."""
 
     def raw(self, register: str, said: bytes) -> int | None:
         """Its value in a word of the board; None: it is not in it."""
@@ -99,7 +101,8 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
         "said_bytes": board_text.NUMBER_BYTES * len(heard.fields),
         "read": board_text.read(heard, registers),
     }
-    return Layout(told, said, dialect)
+    gyro = heard.fields.index(GYRO_Z) if GYRO_Z in heard.fields else None
+    return Layout(told, said, dialect, None if gyro is None else board_text.place_of(gyro))
 
 
 def _fields_of(plan: DrivePlan) -> dict[str, Register]:
@@ -137,8 +140,21 @@ def board_table(spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float
         "setpoint_timeout_ns": round(SETPOINT_TIMEOUT_S * _NS_PER_S),
         "watchdog_ns": round(watchdog_s * _NS_PER_S),
         **layout.dialect,
+        "imu": _imu(spec, layout),
         **parts,
         **{f"{name}_count": len(part) for name, part in parts.items()},
+    }
+
+
+def _imu(spec: LineSpec, layout: Layout) -> Plain:
+    if spec.imu is None:
+        return {}
+    sensor = spec.imu.to_base((1.0, 2.0, 3.0))
+    return {
+        "used": int(spec.kind == "mcu" or layout.rate_z is not None),
+        "axis": [round(abs(along)) - 1 for along in sensor],
+        "backward": [int(along < 0.0) for along in sensor],
+        "rate_z": layout.rate_z or {},
     }
 
 

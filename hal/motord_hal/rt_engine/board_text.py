@@ -8,11 +8,19 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from motord_hal.ascii.dialect import CURRENT, VELOCITY, VOLTAGE, texts_of, why_not_in_c
+from motord_hal.ascii.dialect import (
+    CURRENT,
+    GYRO_Z,
+    VELOCITY,
+    VOLTAGE,
+    texts_of,
+    why_not_in_c,
+)
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
 from motord_hal.drives.profile import Register
 from motord_hal.errors import ProfileError
+from motord_hal.mcu.frames import RATE_UNIT_RAD_S
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine.table import si_per_raw
 
@@ -83,6 +91,7 @@ def read(heard: Text, registers: Mapping[str, Register]) -> Plain:
         del form
         scaled = name == VOLTAGE or name.endswith((VELOCITY, CURRENT))
         factor = 1.0 / si_per_raw(registers[name]) if scaled and name in registers else 1.0
+        factor = 1.0 / RATE_UNIT_RAD_S if name == GYRO_Z else factor
         place = place_of(heard.fields.index(name))
         return {"form": _FORMS["f"], "place": place, "raw_per_number": factor}
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any
 
 from motord_hal.clock import now_s
@@ -43,9 +44,21 @@ class CanRtDrive(RtDrive):
         self._inputs = inputs_of(plan)
         self._silences_s = [silence_s(plan, spec, frame) for frame in self._inputs]
         self._probes = plan.probed if plan.hello is None else (plan.hello,)
+        self._faults = 0
+        """How many of them have been said."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.jobs.unit})"
+
+    def update(self, report: Any, fault_words: Sequence[int]) -> None:
+        """As RtDrive.update. A fault is said also where the stop that C sent for it has made the
+        drive forget it since."""
+        if report.faults > self._faults:
+            for joint in self.jobs.joints:
+                if joint.index == report.last_fault_joint:
+                    self.faults[joint.name].update(report.last_fault)
+        self._faults = report.faults
+        super().update(report, fault_words)
 
     def _why_quiet(self, report: Any) -> str:
         if not report.missing:

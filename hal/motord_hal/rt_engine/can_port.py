@@ -11,11 +11,10 @@ from collections.abc import Iterable
 
 from motord_hal.can.address import split_address
 from motord_hal.can.interface import check_up
+from motord_hal.can.unix_client import SO_TIMESTAMPNS
 from motord_hal.errors import PortError
 from motord_hal.rt_can import EXTENDED, REMOTE
 
-SO_TIMESTAMPNS = 35
-"""asm-generic/socket.h: the kernel's time of arrival with each frame."""
 _FILTER = struct.Struct("=II")
 """struct can_filter: identifier, mask."""
 _CAN_RAW_ERR_FILTER = 2

@@ -9,16 +9,12 @@ import contextlib
 import os
 import select
 import socket
-import struct
 import time
-from typing import Any
 
 import can
 
-_CLASSIC = struct.Struct("=IB3x8s")
-_FD = struct.Struct("=IBB2x64s")
-_EXTENDED, _REMOTE, _ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
-_NUMBER = 0x1FFF_FFFF
+from motord_hal.can.socket_frames import FRAME_BYTES_MAX, packed, unpacked
+
 _LATEST = 128
 """Connections that wait to be taken in."""
 
@@ -77,7 +73,7 @@ class UnixBus(can.BusABC):
 
     def _take(self, client: socket.socket) -> can.Message | None:
         try:
-            frame = client.recv(_FD.size)
+            frame = client.recv(FRAME_BYTES_MAX)
         except (BlockingIOError, ConnectionResetError):
             frame = b""
         if not frame:
@@ -86,34 +82,4 @@ class UnixBus(can.BusABC):
             client.close()
             return None
         self._spread(frame, client)
-        return unpacked(frame)
-
-
-def packed(message: can.Message) -> bytes:
-    """The message as the kernel has it."""
-    identifier = message.arbitration_id | _EXTENDED * message.is_extended_id
-    identifier |= _REMOTE * message.is_remote_frame | _ERROR * message.is_error_frame
-    if message.is_fd:
-        flags = int(message.bitrate_switch)
-        return _FD.pack(identifier, len(message.data), flags, bytes(message.data))
-    return _CLASSIC.pack(identifier, message.dlc, bytes(message.data))
-
-
-def unpacked(frame: bytes) -> can.Message:
-    """And back."""
-    values: dict[str, Any] = {"timestamp": time.time()}
-    if len(frame) == _FD.size:
-        identifier, size, flags, data = _FD.unpack(frame)
-        values |= {"is_fd": True, "bitrate_switch": bool(flags & 1)}
-    else:
-        identifier, size, data = _CLASSIC.unpack(frame)
-    remote = bool(identifier & _REMOTE)
-    return can.Message(
-        arbitration_id=identifier & _NUMBER,
-        is_extended_id=bool(identifier & _EXTENDED),
-        is_remote_frame=remote,
-        is_error_frame=bool(identifier & _ERROR),
-        dlc=size,
-        data=None if remote else data[:size],
-        **values,
-    )
+        return unpacked(frame, time.time())

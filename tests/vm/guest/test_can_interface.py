@@ -17,7 +17,7 @@ import pytest
 import scripted_odrive
 from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
-from scripted_odrive import IDLE, Peer, living
+from scripted_odrive import IDLE, Peer, living, open_bus
 from shell import output
 from test_can_line import spec_of
 
@@ -158,7 +158,7 @@ async def test_an_interface_that_is_taken_away_and_comes_back_brings_its_drives_
 @pytest.mark.parametrize("engine", ENGINES)
 async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, engine):
     own, far = controllers
-    node = Cia402Node(f"socketcan:{far}", NODE)
+    node = Cia402Node(open_bus(f"socketcan:{far}"), NODE)
     joint = JointSpec(index=0, name="wheel0", profile=find_profile("cia402"), unit=NODE)
     peer = SimpleNamespace(address=f"socketcan:{own}", engine=engine, axes={})
     try:

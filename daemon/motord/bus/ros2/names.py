@@ -4,6 +4,8 @@ DDS"; REP-2011 for the hash)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 GRAPH_TOPIC = "ros_discovery_info"
 """Without a prefix: rmw_dds_common."""
 _OF_HUMBLE = "_humble"
@@ -23,6 +25,16 @@ def full_name(namespace: str, node: str, name: str) -> str:
         return name
     below = f"{namespace.rstrip('/')}/"
     return f"{below}{node}/{name[2:]}" if name.startswith("~/") else below + name
+
+
+def remapped(namespace: str, node: str, name: str, rules: Mapping[str, str]) -> str:
+    """The full name, or the one that a rule has for it; both sides of a rule are names as any
+    (design.ros2.org, "Remapping Names")."""
+    full = full_name(namespace, node, name)
+    for old, new in rules.items():
+        if full_name(namespace, node, old) == full:
+            return full_name(namespace, node, new)
+    return full
 
 
 def topic(name: str) -> str:

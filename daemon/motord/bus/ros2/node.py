@@ -8,17 +8,16 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
 
-Distribution = Literal["humble", "jazzy"]
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
     "jazzy": "rmw_dds_common/msg/ParticipantEntitiesInfo",
@@ -69,6 +68,7 @@ class Node:
         """`distribution`: of who reads the graph. Raises DdsError."""
         self.name = name
         self.namespace = namespace
+        self.remap: dict[str, str] = {}
         self._participant = Participant(domain_id, discovery, interface)
         self._readers: list[Reader] = []
         self._writers: list[Writer] = []
@@ -81,8 +81,8 @@ class Node:
         )
 
     def full(self, name: str) -> str:
-        """A name with its namespace."""
-        return names.full_name(self.namespace, self.name, name)
+        """A name with its namespace, as `remap` has it."""
+        return names.remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
         """Of a type of `types.TYPES`. Raises DdsError."""

@@ -27,8 +27,11 @@ class Teller(Protocol):
 class Node(Protocol):
     """Topics and services are made before `run`. Each may raise DdsError."""
 
+    remap: dict[str, str]
+    """Names that are others here: those of the sections that have come so far."""
+
     def full(self, name: str) -> str:
-        """A name with its namespace."""
+        """A name with its namespace, as `remap` has it."""
         ...
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
@@ -73,6 +76,7 @@ def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
     key = (over, section.node_name, section.namespace, section.domain_id)
     if key not in nodes:
         nodes[key] = _made(station, section)
+    nodes[key].remap.update(section.remap)
     return nodes[key]
 
 
@@ -94,4 +98,4 @@ def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
         cert_file=path(section.cert_file),
         key_file=path(section.key_file),
     )
-    return zenoh_node.ZenohNode(*names, router)
+    return zenoh_node.ZenohNode(*names, router, section.distribution)

@@ -4,6 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Distribution = Literal["humble", "jazzy"]
+"""Of ROS 2; Iron and later are as Jazzy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,8 @@ from motord.bus.ros2.types import type_hash
 NODE, PUBLISHER, SUBSCRIPTION, SERVER = "NN", "MP", "MS", "SS"
 _SPACE = "@ros2_lv"
 _DEPTH_DEFAULT = 42
+_NO_HASH = "TypeHashNotSupported"
+"""What rmw_zenoh of Humble says in its place."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
@@ -27,6 +29,8 @@ class NodeNames:
     namespace: str
     """With a slash at its beginning."""
     name: str
+    hashed: bool = True
+    """Types have a hash: Iron and later."""
 
     def token(self) -> str:
         """Of the node itself; it is the session's only one, and its own entity."""
@@ -34,12 +38,15 @@ class NodeNames:
 
     def endpoint_token(self, number: int, what: str, topic: str, kind: str, quality: str) -> str:
         """Of a topic or service by its full name; `number` is the endpoint's in its node."""
-        said = f"{_mangled(topic)}/{dds_type(kind)}/{type_hash(kind)}/{quality}"
+        said = f"{_mangled(topic)}/{dds_type(kind)}/{self._hash(kind)}/{quality}"
         return f"{self._token(number, what)}/{said}"
 
     def key(self, topic: str, kind: str) -> str:
         """Where a topic's messages, or a service's requests, go."""
-        return f"{self.domain_id}/{topic.strip('/')}/{dds_type(kind)}/{type_hash(kind)}"
+        return f"{self.domain_id}/{topic.strip('/')}/{dds_type(kind)}/{self._hash(kind)}"
+
+    def _hash(self, kind: str) -> str:
+        return type_hash(kind) if self.hashed else _NO_HASH
 
     def _token(self, number: int, what: str) -> str:
         head = f"{_SPACE}/{self.domain_id}/{self.session_id}/0/{number}/{what}"

@@ -14,8 +14,8 @@ from typing import Any
 
 import zenoh
 
-from motord.bus.ros2.names import full_name
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.names import remapped
+from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
 
@@ -71,10 +71,19 @@ class Router:
 class ZenohNode:
     """Topics and services are made before `run`."""
 
-    def __init__(self, name: str, namespace: str, domain_id: int, router: Router) -> None:
-        """Raises ValueError for a router that cannot be."""
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        domain_id: int,
+        router: Router,
+        distribution: Distribution = "jazzy",
+    ) -> None:
+        """`distribution`: of the others. Raises ValueError for a router that cannot be."""
+        self._hashed = distribution != "humble"
         self.name = name
         self.namespace = namespace
+        self.remap: dict[str, str] = {}
         self._domain_id = domain_id
         self._router = router
         self._configuration = router.configuration()
@@ -89,8 +98,8 @@ class ZenohNode:
         self._ending = False
 
     def full(self, name: str) -> str:
-        """A name with its namespace."""
-        return full_name(self.namespace, self.name, name)
+        """A name with its namespace, as `remap` has it."""
+        return remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
         """Of a type of `types.TYPES`."""
@@ -165,6 +174,7 @@ class ZenohNode:
             session_id=str(session.zid()),
             namespace=self.namespace,
             name=self.name,
+            hashed=self._hashed,
         )
         with session.liveliness().declare_token(names.token()):
             for number, endpoint in enumerate(self._endpoints, start=1):

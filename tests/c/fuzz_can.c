@@ -1,0 +1,297 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * fuzz_can.c: a bus's machine among drives, jobs, wishes and set-points that do what they like, on a bus that takes what
+ * it likes. Whatever comes: motion is said only to who is armed and only while the core wants it, a stop goes out at
+ * once or with the first look at which the bus takes it, a job that was overtaken by a stop is not sent, and the end
+ * comes. */
+#include "can_wire.h"
+
+#define FUZZ_NAME "fuzz_can"
+enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
+
+static const float SAID_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
+
+static const uint8_t *tape;
+static size_t tape_left;
+static uint32_t modes[DRIVES];
+static int16_t told[DRIVES];    /* the newest speed that each has been told */
+static uint8_t taking;          /* the bus: 0 takes all, 1 nothing, else every so many */
+static uint32_t offered, refused;
+
+static uint8_t next_byte(void)
+{
+    if (tape_left == 0) {
+        return 0;
+    }
+    tape_left--;
+    return *tape++;
+}
+
+static bool may_move(uint32_t drive)
+{
+    const setpoints *from = &w.machine.newest;
+    double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
+    return w.machine.drive[drive].mode == DRIVE_ARMED && w.machine.shut == 0 && from->enabled == 1 && from->stamp_ns > 0 &&
+           w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
+}
+
+/* ---------------------------------------------------------------------------------------------------- the bus */
+static void judge_job(const can_packet *packet, uint32_t drive)
+{
+    uint32_t stops;
+    memcpy(&stops, packet->data + 1, sizeof stops);
+    CHECK(packet->data[0] == 0 || stops == w.machine.drive[drive].stops);
+}
+
+static void judge_packet(const can_packet *packet)
+{
+    uint32_t drive = packet->id & 0x0F;
+    CHECK(w.machine.shut != 3 && packet->bytes <= 8);
+    switch (packet->id & ~0x0FU) {
+    case SPEED:
+        CHECK(drive < DRIVES);
+        told[drive] = speed_in(packet);
+        CHECK(told[drive] == 0 || may_move(drive));
+        break;
+    case CONTROL:
+        CHECK(drive < DRIVES);
+        judge_job(packet, drive);
+        break;
+    default:
+        CHECK(packet->id == SYNC || packet->id == SLOW || packet->id == (CAN_ID_REMOTE | (MOTION + 1)));
+    }
+}
+
+static bool offer(void *sink, const can_packet *packet)
+{
+    (void)sink;
+    offered++;
+    if (taking == 1 || (taking > 1 && offered % taking == 0)) {
+        refused++;
+        return false;
+    }
+    judge_packet(packet);
+    return true;
+}
+
+/* Three kinds: one is told zero when it rests, one must not be and cannot say whether it has power, one has a watchdog,
+ * two frames to a stop, and is quiet until it answers. */
+static void begin(void)
+{
+    begin_with(DRIVES);
+    can_drive *second = &w.table.drive[1], *third = &w.table.drive[2];
+    second->idle_setpoints = second->says_enabled = 0;
+    second->input[0].field_count = 0;
+    second->ask_count = second->slow_count = second->probe_count = 1;
+    second->ask[0] = second->probe[0] = packet_of(CAN_ID_REMOTE | (MOTION + 1), 8);
+    second->slow[0] = packet_of(SLOW, 1);
+    third->watchdog_ns = 50 * MS;
+    third->hello = 1;
+    third->quick_stop_count = third->disarm_count = 2;
+    third->quick_stop[1] = third->quick_stop[0];
+    third->disarm[1] = third->disarm[0];
+    w.table.sync_count = 1;
+    w.table.sync[0] = packet_of(SYNC, 0);
+    CHECK(can_machine_init(&w.machine, &w.table, 7, offer, NULL, w.now_ns) == 0);
+    memset(modes, 0, sizeof modes);
+    memset(told, 0, sizeof told);
+    taking = 0;
+}
+
+/* ----------------------------------------------------------------------------------------------- what happens */
+static void set_points(uint8_t choice)
+{
+    static const double values[] = {0.0, 1.0, -3.0, 1e300, (double)NAN, (double)INFINITY, -0.0, 2.0};
+    setpoints *to = &w.machine.newest;
+    if (choice % 4 != 0) {
+        to->stamp_ns = choice % 16 == 1 ? w.now_ns + 5 * MS : choice % 16 == 2 ? -5 : w.now_ns;
+    }
+    to->enabled = choice >> 4 & 1;
+    to->joint_count = choice % 8 == 7 ? 1 : DRIVES;
+    for (uint32_t i = 0; i < DRIVES; i++) {
+        to->joint[i].velocity_rad_s = values[((choice >> 5) + i) & 7];
+    }
+}
+
+static void put_job(uint32_t drive, uint8_t choice)
+{
+    can_order order = {.write = {.packet = packet_of(CONTROL + drive, 8)}, .drive = drive, .guarded = choice & 1,
+                       .stops = w.machine.drive[drive].stops, .expires_ns = w.now_ns + (choice & 6) * MS};
+    if ((choice & 8) != 0) {   /* the control word of its cyclic frame */
+        order.write = w.table.drive[drive].disarm[0];
+        order.write.packet.data[0] = ENABLE;
+    } else {
+        order.write.packet.data[0] = (uint8_t)order.guarded;
+        memcpy(order.write.packet.data + 1, &order.stops, sizeof order.stops);
+    }
+    (void)can_machine_order(&w.machine, &order);
+}
+
+static void asyncio_side(uint8_t choice)
+{
+    static const uint32_t wishes[] = {DRIVE_OFF, DRIVE_READY, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED, DRIVE_STAND_DOWN};
+    uint32_t drive = choice % DRIVES, what = choice / DRIVES;
+    drive_wish *to = &w.machine.control.drive[drive];
+    if (what < 30) {
+        to->count++;
+        to->mode = wishes[what % 6];
+    } else if (what < 60) {
+        put_job(drive, next_byte());
+    } else if (what < 70) {
+        w.machine.control.listen = what;
+    } else if (what < 80) {
+        to->arming_until_ns = w.now_ns + 20 * MS;
+    } else if (what == 84) {
+        w.machine.control.shut_down = 1;
+    }
+}
+
+static void hear(const can_packet *packet, int64_t stamp_ns)
+{
+    uint32_t who = can_machine_receive(&w.machine, packet, stamp_ns, w.now_ns);
+    bool listening = who < DRIVES && (w.machine.control.listen >> who & 1) != 0;
+    CHECK(who == CAN_FOR_NOBODY || who == CAN_DRIVES_MAX || listening);
+}
+
+static void hear_motion(uint32_t drive, uint8_t choice)
+{
+    const float said[] = {SAID_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
+    float both[2] = {said[choice >> 3 & 7], said[choice & 7]};
+    can_packet packet = packet_of(MOTION + drive, 8);
+    memcpy(packet.data, both, sizeof both);
+    hear(&packet, w.now_ns - (choice >> 6) * MS);
+}
+
+static void hear_state(uint32_t drive, uint8_t choice)
+{
+    can_packet packet = packet_of(STATE + drive, 1);
+    packet.data[0] = choice % 4 == 0 ? 8 : 1;
+    hear(&packet, w.now_ns);
+}
+
+/* What no drive of the table says, or not so. */
+static void hear_noise(uint8_t choice)
+{
+    static const uint32_t ids[] = {STRANGER, CAN_ID_ERROR | 0x40, CAN_ID_REMOTE | MOTION, CAN_ID_EXTENDED | MOTION, MOTION,
+                                   STATE + 1, ANSWER, ANSWER + 2};
+    can_packet packet = packet_of(ids[choice & 7], choice >> 3 & 7);
+    for (uint32_t i = 0; i < packet.bytes; i++) {
+        packet.data[i] = next_byte();
+    }
+    hear(&packet, w.now_ns);
+}
+
+static void drives_side(uint8_t choice)
+{
+    for (uint32_t i = 0; i < DRIVES; i++) {
+        if ((choice >> i & 1) != 0) {
+            hear_motion(i, (choice & 0x80) != 0 ? next_byte() : 0);
+        }
+        if ((choice >> (3 + i) & 1) != 0) {
+            hear_state(i, next_byte());
+        }
+    }
+    if ((choice & 0x40) != 0) {
+        hear_noise(next_byte());
+    }
+}
+
+/* ------------------------------------------------------------------------------------------------- the judge */
+static void judge_modes(void)
+{
+    for (uint32_t i = 0; i < DRIVES; i++) {
+        uint32_t now = w.machine.drive[i].mode;
+        const drive_wish *asked = &w.machine.control.drive[i];
+        if (now != modes[i]) {
+            CHECK(now != DRIVE_ARMED || (modes[i] == DRIVE_READY && asked->mode == DRIVE_ARMED));
+            CHECK(now != DRIVE_READY || modes[i] == DRIVE_ARMED || asked->mode == DRIVE_READY);
+            CHECK(now != DRIVE_BACK || modes[i] == DRIVE_QUIET);
+        }
+        modes[i] = now;
+        double velocity = w.machine.joint[i].feedback.velocity_rad_s;
+        bool its_own = velocity == (double)(SAID_RAD_S + (float)i) || velocity == (double)GREAT_RAD_S || velocity == 0.0;
+        CHECK(isnan(velocity) || its_own);
+    }
+    CHECK((w.machine.feedback_mask & ~7U) == 0);
+}
+
+/* Whoever has been told to move and may not any more has been told so, if the bus takes anything: a quiet one in its
+ * next cycle, by the probe. */
+static void judge_stops(bool cycled)
+{
+    for (uint32_t i = 0; i < DRIVES; i++) {
+        bool waits = w.machine.drive[i].mode == DRIVE_QUIET && !cycled;
+        CHECK(told[i] == 0 || may_move(i) || waits);
+    }
+}
+
+static void look(void)
+{
+    uint64_t cycles = w.machine.cycles;
+    offered = refused = 0;
+    w.wake_ns = can_machine_step(&w.machine, w.now_ns);
+    CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
+    judge_modes();
+    if (refused == 0 && w.machine.shut < 3) {   /* at the end, a bus that takes nothing has had its time */
+        judge_stops(w.machine.cycles != cycles);
+    }
+}
+
+static void wish_all(uint32_t mode)
+{
+    for (uint32_t i = 0; i < DRIVES; i++) {
+        hear_motion(i, 0);
+        hear_state(i, w.machine.drive[i].mode == DRIVE_ARMED ? 0 : 1);
+        w.machine.control.drive[i].count++;
+        w.machine.control.drive[i].mode = mode;
+    }
+    set_points(0x33);   /* enabled, and all are to move */
+    look();
+    w.now_ns = w.wake_ns;
+}
+
+/* Most of what can go wrong goes wrong on the move. */
+static void get_going(uint8_t how_far)
+{
+    if (how_far % 4 > 0) {
+        wish_all(DRIVE_READY);
+    }
+    if (how_far % 4 > 1) {
+        wish_all(DRIVE_ARMED);
+        wish_all(DRIVE_ARMED);
+        CHECK(told[0] != 0 && told[1] != 0 && told[2] != 0);
+    }
+}
+
+static void once(const uint8_t *data, size_t size)
+{
+    tape = data;
+    tape_left = size;
+    begin();
+    get_going(next_byte());
+    while (tape_left > 4) {
+        uint8_t choice = next_byte();
+        if ((choice & 1) != 0) {
+            asyncio_side(next_byte());
+        }
+        if ((choice & 2) != 0) {
+            set_points(next_byte());
+        }
+        if ((choice & 4) != 0) {
+            drives_side(next_byte());
+        }
+        taking = (choice & 0x38) == 0x38 ? next_byte() % 4 : (choice & 0x38) == 0x30 ? 0 : taking;
+        look();
+        w.now_ns = (choice & 0xC0) == 0xC0 ? w.now_ns + (int64_t)next_byte() * MS / 4 : w.wake_ns;
+    }
+    w.machine.control.shut_down = 1;
+    int64_t asked_ns = w.now_ns;
+    while (w.machine.shut != 3) {
+        look();
+        w.now_ns = w.wake_ns;
+        CHECK(w.now_ns <= asked_ns + 600 * MS);
+    }
+    look();
+    CHECK(offered == 0);
+}
+
+#include "fuzz.h"

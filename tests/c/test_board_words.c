@@ -1,0 +1,234 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * What a board says, in frames and in text, in any pieces, with a sensor and with noise. */
+#include "board_wire.h"
+
+/* -------------------------------------------------------------------------------------------------- frames in */
+static void feedback_is_counts_and_si_in_the_board_s_time(void)
+{
+    begin();
+    arm_and_turn();
+    w.velocity_rad_s = 2.0;
+    w.health.faults = 4;   /* a warning: harmless to the core, but the reference board switches off */
+    go_on(40 * MS);
+    const joint_feedback *feedback = &w.machine.joint[1].feedback;
+    CHECK(feedback->voltage_v == 24.0 && isnan(feedback->current_a) && feedback->drive_faults == 0);
+    CHECK(w.machine.joint[0].fault_word == 4 && feedback->epoch == 1);
+    CHECK(feedback->stamp_ns > w.now_ns - 60 * MS && feedback->stamp_ns <= w.now_ns);
+    CHECK((w.machine.feedback_mask & 3) == 3);
+}
+
+/* The same bytes, cut anywhere: the same machine. */
+static void the_stream_may_come_in_any_pieces(void)
+{
+    static uint8_t stream[4096];
+    uint32_t count = 0, state = 1;
+    motord_board board;
+    motord_board_init(&board, MOTORS, 0);
+    for (uint32_t i = 0; i < 60; i++) {
+        count += (uint32_t)motord_board_feedback(&board, 200000 * i, w.measured, &w.health, stream + count);
+        stream[count] = (uint8_t)i;
+        count += i % 7 == 3;
+    }
+    begin();
+    board_machine_hear(&w.machine, stream, count, w.now_ns);
+    board_report whole, pieces;
+    memset(&whole, 0, sizeof whole);
+    memset(&pieces, 0, sizeof pieces);
+    board_machine_report(&w.machine, &whole);
+    CHECK(whole.received == 59 && whole.bad_frames > 5);
+    for (uint32_t round = 0; round < 200; round++) {
+        begin();
+        for (uint32_t at_byte = 0; at_byte < count;) {
+            state = state * 1664525 + 1013904223;
+            uint32_t size = 1 + (state >> 16) % (1 + round);
+            size = size < count - at_byte ? size : count - at_byte;
+            board_machine_hear(&w.machine, stream + at_byte, size, w.now_ns);
+            at_byte += size;
+        }
+        board_machine_report(&w.machine, &pieces);
+        CHECK(memcmp(&whole, &pieces, sizeof whole) == 0);
+    }
+}
+
+static void noise_is_counted_and_changes_nothing(void)
+{
+    begin();
+    arm_and_turn();
+    uint8_t noise[600];
+    memset(noise, 0x55, sizeof noise);
+    noise[sizeof noise - 1] = 0;
+    board_machine_hear(&w.machine, noise, sizeof noise, w.now_ns);
+    CHECK(w.machine.bad_frames == 1);
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
+    uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame);   /* for a board, not for us */
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame);   /* too short */
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.bad_frames == 3 && w.machine.mode == DRIVE_ARMED);
+    go_on(50 * MS);
+    CHECK(w.machine.bad_frames == 3 && w.machine.mode == DRIVE_ARMED);
+}
+
+static void what_was_said_before_a_write_was_heard_is_not_believed(void)
+{
+    begin();
+    arm();
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};   /* restarted, not enabled: of long ago */
+    payload[STATUS] = STATUS_RESTARTED;
+    board_place heard = at(6, 2, 0);
+    board_put(payload, &heard, w.machine.sequence + 1000);
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.mode == DRIVE_ARMED);
+    board_place ago = at(8, 2, 0);
+    board_put(payload, &heard, w.machine.sequence);
+    board_put(payload, &ago, 60000);   /* heard six seconds ago: before it was sent, by an earlier program */
+    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.mode == DRIVE_ARMED);
+    board_put(payload, &ago, 0);
+    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_LOST_SETUP) != 0);
+}
+
+/* ------------------------------------------------------------------------------------------------------- text */
+static board_table text_table(bool answers)
+{
+    board_table table = {.dialect = BOARD_TEXT, .answers = answers, .tries = 3, .payload_bytes = 8, .setpoint_count = 2,
+                         .said_bytes = answers ? 6 : 0, .period_ns = 20 * MS, .silence_ns = 150 * MS,
+                         .setpoint_timeout_ns = 100 * MS, .written = {.part_count = 3, .literal = ",\n"}};
+    for (uint32_t j = 0; j < 2; j++) {
+        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1), .joint = j, .raw_per_si = 1000.0, .raw_min = -1e6,
+                                             .raw_max = 1e6};
+        table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_INTEGER};
+        table.written.part[j].number_per_raw[j] = 0.255;
+    }
+    table.written.part[2].literal_bytes = 1;
+    if (answers) {
+        table.read = (board_text){.part_count = 2, .literal = "v \n"};
+        table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1),
+                                          .raw_per_number = 1000.0};
+        table.read.part[1].literal_bytes = 1;
+        table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
+    }
+    return table;
+}
+
+static bool newest_line_is(const char *line)
+{
+    return w.sent_bytes == strlen(line) && memcmp(w.sent, line, w.sent_bytes) == 0;
+}
+
+static void text_without_feedback_lives_on_its_port(void)
+{
+    begin_with(text_table(false));
+    go_on(50 * MS);
+    CHECK(newest_line_is("0,0\n") && w.machine.heard_ns > 0);
+    wish(DRIVE_READY);
+    wish(DRIVE_ARMED);
+    go_on(50 * MS);
+    CHECK(w.machine.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
+    CHECK(w.machine.feedback_mask == 3 && isnan(w.machine.joint[0].feedback.velocity_rad_s));
+    w.full = true;
+    go_on(200 * MS);
+    CHECK(w.machine.mode == DRIVE_QUIET);
+    w.full = false;
+    go_on(60 * MS);
+    CHECK(w.machine.mode == DRIVE_BACK && newest_line_is("0,0\n"));
+}
+
+static void hear(const char *text)
+{
+    board_machine_hear(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
+}
+
+static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
+{
+    begin_with(text_table(true));
+    wish(DRIVE_READY);
+    hear("v 9\nv 1.5\r\n");   /* the first may have begun anywhere */
+    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 && w.machine.bad_frames == 0);
+    for (uint32_t i = 0; i < 100; i++) {
+        hear("v 123456");
+    }
+    hear("\nv 2;hello;v 1e999\n");
+    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 && w.machine.bad_frames == 2);
+    go_on(200 * MS);
+    CHECK(w.machine.mode == DRIVE_QUIET);
+}
+
+/* -------------------------------------------------------------------------------------------------- its sensor */
+static bool is_near(double is, double wanted)
+{
+    return fabs(is - wanted) < 1e-9;
+}
+
+/* Sensor's y up and z forward, so x is left: docs/imu.md. */
+static board_imu mounted(void)
+{
+    return (board_imu){.used = 1, .epoch = 3, .axis = {2, 0, 1}, .backward = {0, 0, 1}};
+}
+
+static bool say_with_sensor(uint32_t size)
+{
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {16, MOTORS};
+    const int64_t raw[] = {1000000, -2000000, INT32_MIN, 9807, -1000, INT16_MIN, 1};
+    uint32_t byte = 36;
+    for (uint32_t i = 0; i < 7; i++) {
+        board_place place = at(byte, i < 3 ? 4 : 2, i < 6);
+        board_put(payload, &place, raw[i]);
+        byte += place.bytes;
+    }
+    uint64_t before = w.machine.received;
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, size, frame);
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    return w.machine.received > before;
+}
+
+static void a_sensor_speaks_in_the_base_s_axes(void)
+{
+    board_table table = frames_table();
+    table.imu = mounted();
+    begin_with(table);
+    CHECK(say_with_sensor(56) && w.machine.imu_is_new);
+    const imu_sample *imu = &w.machine.imu;
+    CHECK(isnan(imu->angular_rad_s[0]) && is_near(imu->angular_rad_s[1], 1.0) && is_near(imu->angular_rad_s[2], 2.0));
+    CHECK(isnan(imu->acceleration_m_s2[0]) && is_near(imu->acceleration_m_s2[1], 9.807));
+    CHECK(is_near(imu->acceleration_m_s2[2], 1.0) && imu->saturated == 1 && imu->epoch == 3);
+    CHECK(imu->stamp_ns == w.machine.stamp_ns);
+    CHECK(!say_with_sensor(55) && w.machine.bad_frames == 1);   /* it says that it has one, and ends before */
+    table.imu.used = 0;
+    begin_with(table);
+    CHECK(say_with_sensor(56) && !w.machine.imu_is_new);
+    table.imu.axis[1] = 3;
+    char name[FIELD_NAME_BYTES];
+    CHECK(board_table_check(&table, name) != NULL);
+}
+
+static void a_text_has_its_rate_about_z(void)
+{
+    board_table table = text_table(true);
+    table.imu = mounted();
+    table.imu.axis[2] = 2;
+    table.imu.rate_z = at(0, 6, 1);   /* the number that is read, in units of 1e-6 rad/s: times 1000 here */
+    begin_with(table);
+    hear("\nv 500\n");
+    CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) && isnan(w.machine.imu.angular_rad_s[1]));
+    table.imu.rate_z.byte = 1;
+    char name[FIELD_NAME_BYTES];
+    CHECK(board_table_check(&table, name) != NULL);
+}
+
+int main(void)
+{
+    feedback_is_counts_and_si_in_the_board_s_time();
+    the_stream_may_come_in_any_pieces();
+    noise_is_counted_and_changes_nothing();
+    what_was_said_before_a_write_was_heard_is_not_believed();
+    text_without_feedback_lives_on_its_port();
+    half_a_line_is_not_read_and_one_without_end_is_thrown_away();
+    a_sensor_speaks_in_the_base_s_axes();
+    a_text_has_its_rate_about_z();
+    return checks_report("board words");
+}

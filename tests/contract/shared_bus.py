@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CAN bus with room for several drives, each with an end of its own, and a line of any engine."""
+
+import contextlib
+import threading
+
+import can
+from scripted_odrive import new_address
+
+from motord_hal.can.address import bus_arguments, split_address
+from motord_hal.can.unix_client import UnixClient
+from motord_hal.sim.unix_bus import UnixBus
+
+KINDS = [("udp_multicast", "asyncio"), ("unix", "asyncio"), ("unix", "rt")]
+"""Of buses, with the engine of the line on them."""
+
+
+@contextlib.contextmanager
+def shared_bus(kind):
+    """Its address. A socket at a path needs somebody who hands the frames on."""
+    address = new_address(kind)
+    if kind != "unix":
+        yield address
+        return
+    bus, ended = UnixBus(split_address(address)[1]), threading.Event()
+
+    def hand_on():
+        while not ended.is_set():
+            bus.recv(timeout=0.05)
+
+    handing_on = threading.Thread(target=hand_on)
+    handing_on.start()
+    try:
+        yield address
+    finally:
+        ended.set()
+        handing_on.join()
+        bus.shutdown()
+
+
+def end_of(address, bitrate=500_000, data_bitrate=None):
+    """One more on the bus."""
+    interface, channel = split_address(address)
+    if interface == "unix":
+        return UnixClient(channel)
+    return can.Bus(**bus_arguments(address, bitrate, data_bitrate))
