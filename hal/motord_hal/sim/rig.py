@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
-STAMPED_KINDS = ("can", "mcu")
-"""Kinds of lines whose frames are believed to be of the time at which they go out."""
 SIDES = ("left", "right")
 """As the fault "slip" numbers them."""
 REPLUG_RETRY_S = 0.1
@@ -117,7 +115,7 @@ class Rig:
         self.plant = self._make_plant()
         self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
         self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
-        self._stamped = any(line.kind in STAMPED_KINDS for line in spec.lines)
+        self._on_can = any(line.kind == "can" for line in spec.lines)
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
         if spec.tagged:
@@ -186,7 +184,8 @@ class Rig:
             return self._make_can_line(line, drives)
         port = self._make_port(line, link_dir)
         if line.kind == "mcu":
-            talk = FrameTalk(line.joints[0].profile, self._make_gyro(line))
+            profile, gyro = line.joints[0].profile, self._make_gyro(line)
+            talk = FrameTalk(profile, lambda: self.plant.time_s, gyro)
             return SimulatedBoard(line, drives, self.script, port, talk)
         if line.kind == "ascii":
             return SimulatedBoard(
@@ -253,9 +252,9 @@ class Rig:
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus and those of a
-        board carry the time at which they went out, so what they say has to be of that time."""
-        while self._stamped and self.substep_due(clock()):
+        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus carry the time at
+        which they went out, so what they say has to be of that time."""
+        while self._on_can and self.substep_due(clock()):
             self.substep()
         for line in self.lines.values():
             line.work(clock(), clock)
