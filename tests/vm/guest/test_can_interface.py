@@ -173,6 +173,6 @@ async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, 
                 lambda: rig.loop.exchange.take_feedback(0).count == (1 << 32) - 1234, "counts"
             )
             await rig.line.disarm()
-            assert node.status != OPERATION
+            await until(lambda: node.status != OPERATION, "no power")
     finally:
         node.close()
