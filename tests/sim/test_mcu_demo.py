@@ -13,16 +13,6 @@ PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
 """A busy machine is no fault."""
 
 
-def demo(robot):
-    return subprocess.run(
-        [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "6", "--robot", robot],
-        capture_output=True,
-        text=True,
-        timeout=50,
-        cwd=ROOT,
-    )
-
-
 @pytest.mark.parametrize("engine", ["rt", "asyncio"])
 def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path, engine):
     path = tmp_path / "esp32.toml"
@@ -32,9 +22,13 @@ def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path, en
     if engine != "rt":  # which it is where nothing is said
         text = text.replace('kind = "mcu"\n', f'kind = "mcu"\nengine = "{engine}"\n')
     path.write_text(text, encoding="utf-8")
-    run = demo(path)
-    if engine == "asyncio" and run.returncode != 0:
-        run = demo(path)  # an event loop that is late on a busy machine has stopped the robot
+    run = subprocess.run(
+        [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "6", "--robot", path],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        cwd=ROOT,
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)
     assert result["ok"] is True

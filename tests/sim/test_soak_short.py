@@ -44,7 +44,8 @@ def test_a_script_is_made_again_by_its_seed():
         return list(batches(seed, 200, 20))
 
     assert script(5) == script(5) != script(6)
-    assert set(kinds_of([text for batch in script(5) for text in batch]).values()) == {8}
+    often = kinds_of([text for batch in script(5) for text in batch]).values()
+    assert max(often) - min(often) <= 1, "each kind as often as any other"
 
 
 def test_the_limit_is_the_fastest_wheel_s_and_a_tolerance_that_is_small():

@@ -71,7 +71,7 @@ add_project() {
     mkdir -p "$to"
     cp -r "$project/hal/motord_hal" "$to/"
     cp -r "$project/config" "$to/motord_hal/_config"
-    cp "$here"/{test_pins,rig}.py "$here/../guest/pytest.ini" "$project/tests/contract/loop_side.py" "$to/"
+    cp "$here"/{conftest,test_pins,rig}.py "$here/../guest/pytest.ini" "$project/tests/contract/loop_side.py" "$to/"
     compile_core "$1/motord_rt.c" "$to/_motord_rt.abi3.so"
     rm "$1/motord_rt.c"
     (cd "$1" && find project | cpio -o -H newc --quiet | gzip -1)
