@@ -252,6 +252,12 @@ class Rig:
         )
 
     # ------------------------------------------------------------------------------------- running
+    @property
+    def pauses(self) -> bool:
+        """Whether its time has to stand still while nobody works on it. A frame that is late is
+        only late, but a counter that leaps is read in time, and no wheel turns so far."""
+        return any(line.kind == "pwm" for line in self.spec.lines)
+
     def filenos(self, now_s: float) -> list[int]:
         """What to wait for with select."""
         ports = [fd for line in self.lines.values() for fd in line.port.filenos(now_s)]
