@@ -135,7 +135,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
     drive->wish_seen = wish->count;
     m->news = true;
     if (wish->mode == DRIVE_OFF) {
-        if (drive->mode == DRIVE_ARMED || drive->stopping) {
+        if (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion) {
             power_off(m, number);
         }
         drive->mode = DRIVE_OFF;

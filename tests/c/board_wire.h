@@ -176,8 +176,11 @@ static inline void order(uint32_t byte, uint32_t bytes, int64_t raw, uint32_t gu
 {
     board_order one = {.write = {.place = at(byte, bytes, 0), .raw = raw}, .guarded = guarded, .stops = w.machine.stops};
     CHECK(board_machine_order(&w.machine, &one));
-    go_on(30 * MS);
+    for (uint32_t i = 0; i < 300 && w.machine.has_order; i++) {
+        go_on(MS);
+    }
     CHECK(!w.machine.has_order);
+    go_on(20 * MS);
 }
 
 static inline void set_up(void)
@@ -186,7 +189,8 @@ static inline void set_up(void)
     order(CONTROL, 1, CONTROL_RESTART_NOTED, 0);
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     wish(DRIVE_READY);
-    CHECK(w.machine.mode == DRIVE_READY);
+    CHECK(w.machine.mode == DRIVE_READY && w.machine.demoted == 0 && w.machine.enabled == 2);
+    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s));   /* what was heard before was another life */
 }
 
 static inline void arm(void)
@@ -196,7 +200,15 @@ static inline void arm(void)
     order(CONTROL, 1, CONTROL_ENABLE, 1);
     CHECK(w.peer.enabled == 1 && w.machine.enabled == 1);
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.mode == DRIVE_ARMED && w.machine.enabled == 2);
+}
+
+/* What Python would hear of by now; it has heard it then. */
+static inline bool heard_news(void)
+{
+    bool news = w.machine.news;
+    w.machine.news = false;
+    return news;
 }
 
 static inline void arm_and_turn(void)

@@ -55,7 +55,7 @@ static void say_something(void)
     for (uint32_t i = 0; i < size && i < 36; i++) {
         payload[i] = next_byte() % 4 == 0 ? next_byte() : 0;
     }
-    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED;
+    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU;   /* a sensor, too, where it is long enough */
     payload[WATCHDOG] = WATCHDOG_MS;
     board_place heard = at(6, 2, 0);
     board_put(payload, &heard, w.machine.sequence - next_byte() % 4);
@@ -158,7 +158,9 @@ static void once(const uint8_t *data, size_t size)
 {
     tape = data;
     tape_left = size;
-    begin_with(next_byte() % 2 == 0 ? frames_table() : text());
+    board_table table = next_byte() % 2 == 0 ? frames_table() : text();
+    table.imu = (board_imu){.used = next_byte() % 2, .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
+    begin_with(table);
     w.machine.send = judge;
     mode_before = w.machine.mode;
     if (next_byte() % 2 == 0) {

@@ -30,13 +30,18 @@ FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-O1", "-w", f"-I{CSR
 # a mutant may run on beyond an array: the sanitizers see it
 WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 RUN_WITHIN_S = 60.0
-_LINE = ["test_line_stops", "test_line_rates", "fuzz_line 2000"]
+_LINE = ["test_line_stops", "test_line_rates", "test_line_packets", "fuzz_line 2000"]
+_BOARD = ["test_board", "test_board_words", "fuzz_board 3000"]
 TESTS = {
     "rtu.c": ["test_rtu"],
     "arbiter.c": ["test_command"],
     "joints.c": ["test_command"],
     **dict.fromkeys(
         ["line_machine.c", "line_drive.c", "line_quiet.c", "line_end.c", "line_values.c"], _LINE
+    ),
+    **dict.fromkeys(
+        ["board_machine.c", "board_drive.c", "board_values.c", "board_frame.c", "board_imu.c"],
+        _BOARD,
     ),
 }
 """Programs and their arguments, the quickest first."""

@@ -71,9 +71,9 @@ static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
     w.full = false;
     go_on(11 * MS);
     CHECK(!w.machine.has_order && told(CONTROL, 1, 0) == CONTROL_CLEAR);
-    CHECK(board_machine_order(&w.machine, &one));
+    CHECK(heard_news() && board_machine_order(&w.machine, &one));
     go_on(11 * MS);
-    CHECK(told(CONTROL, 1, 0) == 0);
+    CHECK(told(CONTROL, 1, 0) == 0 && heard_news());
 }
 
 static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void)
@@ -161,6 +161,54 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
     CHECK(told(CONTROL, 1, 0) == CONTROL_OFF && told(TARGET, 4, 1) == 0);
 }
 
+static void a_stop_may_be_many_writes(void)
+{
+    board_table table = frames_table();
+    table.quick_stop_count = table.disarm_count = 2;
+    table.quick_stop[1] = (board_write){.place = at(4, 2, 0), .raw = 11};
+    table.disarm[1] = (board_write){.place = at(4, 2, 0), .raw = 12};
+    begin_with(table);
+    go_on(20 * MS);
+    CHECK(told(4, 2, 0) == 12);
+    arm_and_turn();
+    w.stuck = true;
+    w.enabled = 2;
+    go_on(125 * MS);
+    CHECK(told(CONTROL, 1, 0) == CONTROL_BRAKE && told(4, 2, 0) == 11);
+    w.enabled = 1;
+    wish(DRIVE_ARMED);
+    CHECK(w.machine.mode == DRIVE_READY);   /* not while it comes to rest */
+}
+
+static void one_that_is_wished_off_is_off_at_once(void)
+{
+    begin();
+    arm_and_turn();
+    (void)heard_news();
+    wish(DRIVE_OFF);
+    CHECK(w.machine.mode == DRIVE_OFF && w.peer.enabled == 0 && heard_news());
+}
+
+static void armed_again_it_waits_again_for_the_core(void)
+{
+    begin();
+    arm_and_turn();
+    wish(DRIVE_STAND_DOWN);
+    go_on(30 * MS);
+    w.enabled = 0;
+    w.machine.control.wish.arming_until_ns = w.now_ns + 1000 * MS;
+    order(CONTROL, 1, CONTROL_ENABLE, 1);
+    wish(DRIVE_ARMED);
+    go_on(100 * MS);
+    CHECK(w.machine.mode == DRIVE_ARMED && w.peer.enabled == 1);
+    w.enabled = 1;
+    go_on(30 * MS);
+    w.enabled = 0;
+    (void)heard_news();
+    go_on(30 * MS);
+    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && heard_news());
+}
+
 static void standing_down_takes_the_power_with_the_next_frame(void)
 {
     begin();
@@ -218,7 +266,7 @@ static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
     w.moving_count = 0;
     go_on(60 * MS);
     CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_DISABLED_ITSELF) != 0);
-    CHECK(w.peer.enabled == 0);
+    CHECK(w.peer.enabled == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
 static void a_restarted_board_has_lost_its_set_up(void)
@@ -259,7 +307,9 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     w.mute = true;
     go_on(180 * MS);
     CHECK(w.machine.mode == DRIVE_QUIET && w.peer.braking == 1 && w.peer.enabled == 0);
-    CHECK(w.machine.said_bytes == 0);
+    CHECK(w.machine.said_bytes == 0 && heard_news());
+    go_on(1200 * MS);
+    CHECK(w.peer.braking == 1);
     uint32_t before = w.sent_count;
     w.moving_count = 0;
     go_on(200 * MS);
@@ -271,7 +321,7 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
-    CHECK(w.machine.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1);
+    CHECK(w.machine.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1 && heard_news());
     set_up();
 }
 
@@ -306,6 +356,49 @@ static void the_end_is_braked_switched_off_and_silent(void)
     CHECK(w.sent_count == before && w.machine.mode == DRIVE_READY);
 }
 
+static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
+{
+    begin();
+    arm_and_turn();
+    w.stuck = true;
+    w.machine.control.shut_down = 1;
+    int64_t asked_ns = w.now_ns;
+    step();
+    go_on(340 * MS);
+    CHECK(w.peer.braking == 1 && w.machine.shut == 1);
+    (void)heard_news();
+    go_on(20 * MS);
+    CHECK(w.peer.braking == 0 && w.machine.shut >= 2);
+    while (w.machine.shut != 3) {
+        go_on(MS);
+    }
+    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.told_ns + w.table.period_ns && heard_news());
+    board_report report;
+    board_machine_report(&w.machine, &report);
+    CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);
+}
+
+static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(void)
+{
+    board_table table = frames_table();
+    begin_with(table);
+    go_on(1000 * MS);
+    CHECK(w.sent_count >= 98 && w.sent_count <= 101);
+    table.period_ns = 100 * MS;   /* a slow line */
+    begin_with(table);
+    arm();
+    go_on(210 * MS);
+    w.now_ns = w.machine.due_ns;
+    step();   /* the next cycle is 100 ms away */
+    int64_t last_ns = w.machine.newest.stamp_ns;
+    w.enabled = 2;
+    w.velocity_rad_s = 0.0;
+    while (w.machine.mode == DRIVE_ARMED) {
+        go_on(MS);
+    }
+    CHECK(w.machine.demoted == DEMOTED_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
+}
+
 static void the_end_comes_also_where_wheels_turn_and_nothing_goes_out(void)
 {
     begin();
@@ -330,6 +423,9 @@ int main(void)
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
     rest_is_only_what_was_said_after_the_stop_was_heard();
     a_core_that_takes_enabled_back_takes_the_power_at_once();
+    a_stop_may_be_many_writes();
+    one_that_is_wished_off_is_off_at_once();
+    armed_again_it_waits_again_for_the_core();
     standing_down_takes_the_power_with_the_next_frame();
     a_port_that_takes_nothing_is_a_board_left_alone();
     a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does();
@@ -339,6 +435,8 @@ int main(void)
     a_mute_board_is_quiet_braked_and_comes_back_disarmed();
     arming_needs_fresh_set_points_and_no_stop_under_way();
     the_end_is_braked_switched_off_and_silent();
+    the_end_waits_for_the_wheels_and_for_its_last_frame();
+    frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();
     the_end_comes_also_where_wheels_turn_and_nothing_goes_out();
     return checks_report("board");
 }

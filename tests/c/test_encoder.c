@@ -91,9 +91,10 @@ static int file_that_says(const char *text)
     return fd;
 }
 
+/* In one piece, as the kernel's files are; the tail of a longer number stays behind the line's end. */
 static void say(int fd, const char *text)
 {
-    CHECK(ftruncate(fd, 0) == 0 && pwrite(fd, text, strlen(text), 0) == (ssize_t)strlen(text));
+    CHECK(pwrite(fd, text, strlen(text), 0) == (ssize_t)strlen(text));
 }
 
 static void a_counter_is_read_from_its_file(void)

@@ -107,8 +107,27 @@ static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
     CHECK(w.machine.drive[0].mode == DRIVE_BACK && w.power_offs[0] >= 2);
 }
 
+static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    while (!w.machine.drive[0].told_motion) {
+        go_on();
+    }
+    w.dead = 1;
+    wish(0, DRIVE_STAND_DOWN);
+    go_on();
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].told_motion);
+    wish(0, DRIVE_OFF);
+    for (uint32_t i = 0; i < 50; i++) {
+        go_on();
+    }
+    CHECK(w.told_off[0] > 0);
+}
+
 int main(void)
 {
+    one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power();
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
     a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();

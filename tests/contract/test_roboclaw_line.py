@@ -5,6 +5,7 @@ import asyncio
 import os
 import threading
 import tty
+from dataclasses import replace
 
 import pytest
 from loop_side import running, until
@@ -111,6 +112,16 @@ async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer
         free = len(peer.sent(DUTIES))
         await until(lambda: len(peer.sent(DUTIES)) > free + 5)
         assert len(peer.sent(SPEEDS)) == held
+
+
+async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer, engine):
+    spec = spec_of(peer.link, engine)
+    async with running(replace(spec, joints=spec.joints[1:])) as rig:
+        await rig.ready()
+        await until(lambda: len(peer.sent(DUTIES)) > 10)
+        assert not peer.sent(SPEEDS)
+        await rig.arm()
+        await until(lambda: peer.sent(SPEEDS))
 
 
 async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer, engine):

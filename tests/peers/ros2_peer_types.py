@@ -180,6 +180,21 @@ class TriggerReply(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_")
 
 
 @dataclass
+class SetBoolRequest(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Request_"):
+    guid: uint64
+    seq: int64
+    data: bool
+
+
+@dataclass
+class SetBoolReply(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response_"):
+    guid: uint64
+    seq: int64
+    success: bool
+    message: str
+
+
+@dataclass
 class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
     type: uint8 = 0
     bool_value: bool = False
@@ -387,6 +402,7 @@ TOPICS = {
 }
 SERVICES = {
     "Trigger": (TriggerRequest, TriggerReply),
+    "SetBool": (SetBoolRequest, SetBoolReply),
     "SetParameters": (SetRequest, SetReply),
     "GetParameters": (GetRequest, GetReply),
     "GetState": (StateRequest, StateReply),

@@ -110,6 +110,13 @@ def test_services_say_what_the_daemon_says(stage):
     stage.wait_for("idle")
 
 
+def test_a_service_with_a_switch_arms_and_disarms(stage):
+    wait_until(lambda: called("set_armed", "SetBool", data=True)["success"], "armed")
+    stage.wait_for("armed")
+    assert called("set_armed", "SetBool", data=False)["success"]
+    stage.wait_for("idle")
+
+
 def test_a_topic_stops_as_the_service_does(stage):
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close"):
         stage.wait_for("estop")

@@ -5,9 +5,10 @@ import json
 import random
 
 import pytest
-from tests.unit.bus_views import any_body, any_view
+from tests.unit.bus_views import BODY, any_body, any_view, joint, view
 
 from motord.bus import json_direct, json_form
+from motord.bus.ros2 import direct
 from motord.bus.topics import TOPICS
 
 OFFSET_NS = 1_700_000_000_000_000_000
@@ -63,3 +64,15 @@ def test_the_usual_case_builds_one_message_and_no_more(name):
         if encode(one, OFFSET_NS) is not None and len(built) == before:
             usual.append(one)
     assert len(usual) == 20
+
+
+@pytest.mark.usefixtures("_with_and_without_msgspec")
+@pytest.mark.parametrize("form", [json_direct.encoder, direct.encoder])
+def test_joints_that_the_robot_file_does_not_have_are_not_told_under_the_names_of_others(form):
+    """A daemon may have been started with another robot file of the same name."""
+    assert len(BODY.joints) == 2
+    encode = form(TOPICS["joint_states"], BODY)
+    assert encode(view(1), OFFSET_NS)
+    for count in (1, 3):
+        with pytest.raises(ValueError, match=r"zip|JointState"):
+            encode(view(2, joints=(joint(),) * count), OFFSET_NS)

@@ -166,7 +166,7 @@ class _JointStates(_Document):
             positions.append(joint.position_rad)
             velocities.append(joint.velocity_rad_s)
             ages_s.append(joint.feedback_age_s)
-        if not isfinite(hypot(*positions, *ages_s)):
+        if len(positions) != len(self._body.joints) or not isfinite(hypot(*positions, *ages_s)):
             return False
         wall_ns = now.stamp_ns - round(max(ages_s) * _NS) + wall_offset_ns
         stamp, document = self._stamp, self._document

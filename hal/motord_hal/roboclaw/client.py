@@ -80,7 +80,7 @@ class RoboclawClient(GuardedClient):
 
     def _at_rest(self, request: Request) -> Request:
         """Duties of zero for speeds of zero, where nothing is to be held."""
-        idle = request.address == codec.SPEEDS << 8 and not any(request.values)
+        idle = request.address >> 8 == codec.SPEEDS and not any(request.values)
         if request.values and idle and not self._holds(request.unit):
             return replace(request, address=codec.DUTIES << 8, values=(0, 0))
         return request

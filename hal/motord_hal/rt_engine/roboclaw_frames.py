@@ -68,7 +68,7 @@ class RoboclawFrames:
     def idle(self) -> tuple[LineFrame, ...]:
         """Speeds of zero hold the wheels, duties of zero let them go."""
         first = self._plan.cyclic(self._plan.setpoints({}))[0].request
-        if first.address != codec.SPEEDS << 8:
+        if first.address >> 8 != codec.SPEEDS:
             return ()
         return (packet_frame(replace(first, address=codec.DUTIES << 8, values=(0, 0))),)
 

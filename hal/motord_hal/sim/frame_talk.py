@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.mcu.frames import (
@@ -30,8 +30,11 @@ US_PER_S = 1e6
 class FrameTalk:
     """board_line.Talk of a board with motord_mcu.c."""
 
-    def __init__(self, profile: DriveProfile, gyro: SimulatedGyro | None = None) -> None:
-        """`gyro`: a sensor on the board."""
+    def __init__(
+        self, profile: DriveProfile, true_s: Callable[[], float], gyro: SimulatedGyro | None = None
+    ) -> None:
+        """`true_s`: of what time its registers are. `gyro`: a sensor on the board."""
+        self._true_s = true_s
         self._gyro = gyro
         self._registers = tuple(profile.registers.values())
         self._motors = max(profile.channels)
@@ -73,4 +76,5 @@ class FrameTalk:
             payload[0] |= HAS_IMU
             payload += imu_payload(self._gyro.measure())
         self._sequence = self._sequence + 1 & 0xFFFF
-        return build(Frame(Type.FEEDBACK, self._sequence, round(now_s * US_PER_S), bytes(payload)))
+        time_us = round(self._true_s() * US_PER_S)
+        return build(Frame(Type.FEEDBACK, self._sequence, time_us, bytes(payload)))

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
-STAMPED_KINDS = ("can", "mcu", "pwm")
-"""Kinds of lines whose frames (or counters) are believed to be of the time at which they go out."""
+PUNCTUAL_KINDS = ("can", "pwm")
+"""Kinds of lines that are believed at the time at which something is seen on them."""
 OTHER_THAN_CAN = SimulatedLine | SimulatedBoard | SimulatedPins
 SIDES = ("left", "right")
 """As the fault "slip" numbers them."""
@@ -121,7 +121,7 @@ class Rig:
         self.plant = self._make_plant()
         self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
         self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
-        self._stamped = any(line.kind in STAMPED_KINDS for line in spec.lines)
+        self._punctual = any(line.kind in PUNCTUAL_KINDS for line in spec.lines)
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
         if spec.tagged:
@@ -194,7 +194,8 @@ class Rig:
             return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
         if line.kind == "mcu":
-            talk = FrameTalk(line.joints[0].profile, self._make_gyro(line))
+            profile, gyro = line.joints[0].profile, self._make_gyro(line)
+            talk = FrameTalk(profile, lambda: self.plant.time_s, gyro)
             return SimulatedBoard(line, drives, self.script, port, talk)
         if line.kind == "ascii":
             return SimulatedBoard(
@@ -276,9 +277,10 @@ class Rig:
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus and those of a
-        board carry the time at which they went out, so what they say has to be of that time."""
-        while self._stamped and self.substep_due(clock()):
+        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus carry the time at
+        which they went out and counters have that of the look, so what they say has to be of that
+        time."""
+        while self._punctual and self.substep_due(clock()):
             self.substep()
         for line in self.lines.values():
             line.work(clock(), clock)

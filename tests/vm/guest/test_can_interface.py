@@ -106,7 +106,8 @@ async def test_a_queue_that_is_full_loses_frames_counts_them_and_the_newest_arri
     finally:
         output("tc", "qdisc", "del", "dev", OWN, "root")
     rig.loop.velocity_rad_s = {0: 0.5 * TURN}
-    await rig.arm()
+    if rig.states() != {DriveState.ARMED}:  # the queue may have been full for too long
+        await rig.arm()
     await until(lambda: peer.axes[0].velocities()[-1] == pytest.approx(0.5), "the newest")
 
 
@@ -172,6 +173,6 @@ async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, 
                 lambda: rig.loop.exchange.take_feedback(0).count == (1 << 32) - 1234, "counts"
             )
             await rig.line.disarm()
-            assert node.status != OPERATION
+            await until(lambda: node.status != OPERATION, "no power")
     finally:
         node.close()

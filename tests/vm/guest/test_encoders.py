@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quadrature encoders on the kernel's own GPIO: every edge of its simulated lines is counted, and
-what is wrong with them is said."""
+what is wrong with them is said.
+
+Source: kernel, kernel/irq/irq_sim.c (6.1): an interrupt that waits is a bit, not a number.
+"""
 
 import math
 import os
@@ -65,10 +68,10 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
     wheel.turn(begin)
     async with running(with_encoder(rig)) as line:
         await line.ready()
-        for edges in (1, 7, -3, -20, 400, -1):
-            before = wheel.position - begin
-            wheel.turn(edges)
-            await until(count_is(line, before + edges), f"{edges} edges more")
+        for edges in (1, 7, -3, -20, 40, -1):
+            for _ in range(abs(edges)):  # the simulated lines merge edges that are not waited for
+                wheel.turn(1 if edges > 0 else -1)
+                await until(count_is(line, wheel.position - begin), f"edge {wheel.position}")
         assert "encoder_lost" not in line.line.stats().errors
         assert "encoder_illegal" not in line.line.stats().errors
 

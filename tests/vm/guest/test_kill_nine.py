@@ -153,7 +153,11 @@ KINDS = {"modbus": modbus, "can": can, "mcu": board, "pwm": pwm}
 @pytest.mark.parametrize("kind", KINDS)
 def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind):
     name = f"killed-{kind}"
-    with KINDS[kind](name) as (sim, more), prepared(name, more), started(name, sim) as unit:
+    with (
+        KINDS[kind](name) as (sim, more),
+        prepared(name, f"WatchdogSec=90\n{more}"),
+        started(name, sim) as unit,
+    ):
         told_before, pid = unit.said().count("stopped and without power"), unit.main_pid()
         unit.drive_on(0.4)
         killed_s = time.monotonic()

@@ -3,6 +3,7 @@
 
 cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped = false)
 ~/arm, ~/disarm, ~/reset, ...     std_srvs/Trigger
+~/set_armed                       std_srvs/SetBool: arm or disarm
 joint_commands                    sensor_msgs/JointState: velocities by the joints' names
 drive_distance, rotate, calibrate motord_msgs actions
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
@@ -53,6 +54,7 @@ class Ros2Commands:
         )
         for method in TRIGGERS:
             self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
+        self._node.serve("~/set_armed", "std_srvs/srv/SetBool", self._set_armed)
         for method in URGENT:
             self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
         Parameters(station.robot, station.call).serve(self._node)
@@ -88,13 +90,19 @@ class Ros2Commands:
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
         async def answer(_: SimpleNamespace) -> SimpleNamespace:
-            try:
-                result = await self._desk.act(method)
-            except NotTaken as error:
-                return SimpleNamespace(success=False, message=str(error))
-            return SimpleNamespace(success=True, message=result["state"])
+            return await self._acted(method)
 
         return answer
+
+    async def _set_armed(self, request: SimpleNamespace) -> SimpleNamespace:
+        return await self._acted("arm" if request.data else "disarm")
+
+    async def _acted(self, method: str) -> SimpleNamespace:
+        try:
+            result = await self._desk.act(method)
+        except NotTaken as error:
+            return SimpleNamespace(success=False, message=str(error))
+        return SimpleNamespace(success=True, message=result["state"])
 
     def _urgent(self, method: str) -> Callable[[SimpleNamespace], None]:
         voice = Sparing(_log)
