@@ -95,10 +95,13 @@ def table(found: Found) -> str:
 def verdicts(found: Found) -> list[tuple[str, bool, bool]]:
     """In sentences, as the other parts'."""
     part = found["rt, idle"]["cpu_us"] / found["asyncio, idle"]["cpu_us"]
-    wait = found["rt, hog"]["p50_us"] / found["asyncio, hog"]["p50_us"]
+    waits = [found["rt, hog"][key] / found["asyncio, hog"][key] for key in ("p50_us", "p99_us")]
     return [
         (f"a board on rt costs {part:.2f} of its CPU on asyncio", part < 1.0, False),
-        (f"beside a GIL hog its median wait is {wait:.2f} of that on asyncio", wait < 1.0, False),
+        *(
+            (f"beside a GIL hog its {name} is {wait:.2f} of that on asyncio", wait < 1.0, False)
+            for name, wait in zip(("p50", "p99"), waits, strict=True)
+        ),
     ]
 
 

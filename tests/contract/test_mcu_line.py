@@ -111,7 +111,7 @@ async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
 async def test_arming_enables_at_zero_and_feedback_says_so(rig, peer):
     rig.loop.velocity_rad_s = {0: 3.0}  # wished, but the loop has not enabled anything
     await rig.arm()
-    assert peer.now.enabled
+    await until(lambda: peer.now.enabled, "the peer has told it, too")
     assert peer.now.left_mrad_s == 0
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
 
