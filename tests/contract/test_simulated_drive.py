@@ -23,7 +23,7 @@ TURNAROUND_S = 0.002
 
 
 def profiles_that(have_it):
-    """Of the drives that are simulated: bridges on pins are not."""
+    """Of the drives that a line talks to: bridges on pins are in test_simulated_pins.py."""
     found = {name: find_profile(name) for name in list_profiles()}
     return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
 

@@ -114,14 +114,13 @@ def running(
 ):
     """Its name is its own: tests run side by side, and a robot's state page is there once."""
     with contextlib.ExitStack() as cleanup:
-        sim, ports = None, {"rs485": str(folder / "nothing")}
+        sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
         if simulated:
             simulator = cleanup.enter_context(start_simulator(robot, link_dir=folder))
-            sim, ports = simulator.control, simulator.ports
+            sim, places = simulator.control, simulator.settings
         name = f"t{uuid.uuid4().hex[:12]}"
         cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
-        overrides = [f"robot.name={name}", *PATIENT, *settings]
-        overrides += [f"line.{name}.port={json.dumps(port)}" for name, port in ports.items()]
+        overrides = [f"robot.name={name}", *PATIENT, *settings, *places]
         log, socket = folder / "daemon.log", folder / "daemon.sock"
         with log.open("wb") as sink:
             daemon = subprocess.Popen(

@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import json
 import secrets
+import shlex
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,7 @@ from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
+from motord_hal.sim.pin_line import channels_of
 from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import SPIN_S, run, set_pace
 
@@ -163,17 +168,21 @@ def simulate(
     )
     with _rig(spec, link_dir, control) as rig:
         _set_pace(priority)
-        _say_where(rig, robot_file, as_json=as_json)
+        _say_where(rig, robot, robot_file, as_json=as_json)
         until_fd_ends = sys.stdin.fileno() if stop_on_eof else None
         run(rig, stopped.is_set, until_fd_ends, spin_s=SPIN_S if priority else 0.0)
 
 
 def check_simulated(robot: Robot) -> None:
-    """Pins are the kernel's: nothing of ours can stand for them."""
-    for name, line in robot.line.items():
-        if line.kind == "pwm":
-            text = f'line {name}: kind "pwm" is not simulated; docs/pwm.md says what to try instead'
-            raise Failure(text, Exit.USAGE)
+    """Of pins, only PWM channels are files that something of ours can stand for."""
+    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    for spec in line_specs(robot, profiles):
+        for number, joint in enumerate(spec.joints if spec.kind == "pwm" else ()):
+            try:
+                channels_of(number, joint)
+            except ValueError as error:
+                text = f"line {spec.name}: joint {joint.name}: {error}; docs/pwm.md says what to do"
+                raise Failure(text, Exit.USAGE) from error
 
 
 def _set_pace(priority: int) -> None:
@@ -236,9 +245,9 @@ def _say_faults(*, as_json: bool) -> None:
             click.echo(f"    {key}= {limits.low:g} to {limits.high:g}{default}{needed}")
 
 
-def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:
+def _say_where(rig: Rig, robot: Robot, robot_file: Path, *, as_json: bool) -> None:
     ports, control, seed = rig.ports(), str(rig.server.path), rig.script.seed
-    settings = [setting for line in rig.lines.values() for setting in _settings(line)]
+    settings = [setting for line in rig.lines.values() for setting in _settings(line, robot)]
     if as_json:
         where = {"robot": rig.spec.robot, "ports": ports, "settings": settings}
         print_json({**where, "control": control, "seed": seed})
@@ -246,18 +255,39 @@ def _say_where(rig: Rig, robot_file: Path, *, as_json: bool) -> None:
     click.echo(f"{rig.spec.robot} is here: seed {seed}, control socket {control}")
     for name, port in ports.items():
         click.echo(f"  line {name}: {port}")
-    options = " ".join(f"--set {setting}" for setting in settings)
+    options = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
     click.echo(f"Drive it from another terminal: motord run {robot_file} {options}")
     click.echo("Ctrl-C ends it.")
 
 
-def _settings(line: AnySimulatedLine) -> tuple[str, ...]:
+def _settings(line: AnySimulatedLine, robot: Robot) -> tuple[str, ...]:
     """What makes a robot file find the line here."""
     name, address = line.spec.name, line.port.address
     if line.spec.kind == "can":
         interface, _, channel = address.partition(":")
         return f"line.{name}.interface={interface}", f"line.{name}.channel={channel}"
+    if line.spec.kind == "pwm":
+        return (f"line.{name}.pwm_chip={json.dumps(address)}", *_pin_settings(line, robot))
     if line.spec.kind not in TCP_KINDS:
         return (f"line.{name}.port={address}",)
     host, _, port = address.rpartition(":")
     return f"line.{name}.host={host}", f"line.{name}.tcp_port={port}"
+
+
+def _pin_settings(line: AnySimulatedLine, robot: Robot) -> Iterator[str]:
+    """The pins that are channels, and each encoder as a counter beside them."""
+    counters = itertools.count()
+    for number, joint in enumerate(line.spec.joints):
+        channels = [place.pin for place in channels_of(number, joint)]
+        pins = ", ".join(f"{pin} = {json.dumps(joint.pins[pin])}" for pin in channels)
+        yield f"joint.{joint.name}.pins={{ {pins} }}"
+        encoder = robot.joint[joint.name].encoder
+        if encoder is not None:
+            keys = [
+                'kind = "counter"',
+                f"counter = {json.dumps(line.port.address)}",
+                f"count = {next(counters)}",
+                f"counts_per_turn = {encoder.counts_per_turn}",
+                f"reversed = {json.dumps(encoder.reversed)}",
+            ]
+            yield f"joint.{joint.name}.encoder={{ {', '.join(keys)} }}"

@@ -69,7 +69,7 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
         known = ", ".join((*bridge.levels, FAULT, PUMP))
         raise ValueError(f"{joint.profile.name} has no pin {min(unknown)} (there are {known})")
     for pin in bridge.levels:
-        if pin not in joint.pins and not _may_be_left_out(bridge, pin):
+        if pin not in joint.pins and not may_be_left_out(bridge, pin):
             raise ValueError(f"pin {pin} of {joint.profile.name} is not given")
     places = [place_of(number, joint, pin, where) for pin, where in joint.pins.items()]
     for place in places:
@@ -85,7 +85,7 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
     return places
 
 
-def _may_be_left_out(bridge: Bridge, pin: str) -> bool:
+def may_be_left_out(bridge: Bridge, pin: str) -> bool:
     """Pins that only say whether the bridge has power may be wired to it for ever."""
     driven = [bridge.levels[pin][mode] for mode in ("brake", "forward", "reverse")]
     return all(level == (1.0, 0.0) for level in driven)

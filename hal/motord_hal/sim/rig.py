@@ -22,6 +22,7 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.board_line import SimulatedBoard
+from motord_hal.sim.bridge import SimulatedBridge
 from motord_hal.sim.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.fault_kinds import FaultError
@@ -30,6 +31,8 @@ from motord_hal.sim.frame_talk import FrameTalk
 from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.gyro import SimulatedGyro
 from motord_hal.sim.line import SimulatedLine
+from motord_hal.sim.pin_folder import PinFolder
+from motord_hal.sim.pin_line import SimulatedPins, channels_of
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
 from motord_hal.sim.port import Port, PtyPort
 from motord_hal.sim.server import ControlServer
@@ -40,9 +43,12 @@ from motord_hal.sim.wire import Clock
 if TYPE_CHECKING:
     from motord_hal.sim.can_line import SimulatedCanLine
 
-AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedCanLine"
+AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
+PUNCTUAL_KINDS = ("can", "pwm")
+"""Kinds of lines that are believed at the time at which something is seen on them."""
+OTHER_THAN_CAN = SimulatedLine | SimulatedBoard | SimulatedPins
 SIDES = ("left", "right")
 """As the fault "slip" numbers them."""
 REPLUG_RETRY_S = 0.1
@@ -115,7 +121,7 @@ class Rig:
         self.plant = self._make_plant()
         self.lines = {line.name: self._make_line(line, link_dir) for line in spec.lines}
         self._drives = [drive for line in self.lines.values() for drive in line.drives.values()]
-        self._on_can = any(line.kind == "can" for line in spec.lines)
+        self._punctual = any(line.kind in PUNCTUAL_KINDS for line in spec.lines)
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
         if spec.tagged:
@@ -139,6 +145,8 @@ class Rig:
         self.server.close()
         for line in self.lines.values():
             line.pull()
+            if isinstance(line, SimulatedPins):
+                line.port.remove()
         if self._own_dir is not None:
             self._own_dir.cleanup()
 
@@ -182,6 +190,8 @@ class Rig:
             drives[unit] = new_drive(profile, unit, axes, watchdog_s=watchdog_s)
         if line.kind == "can":
             return self._make_can_line(line, drives)
+        if line.kind == "pwm":
+            return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
         if line.kind == "mcu":
             profile, gyro = line.joints[0].profile, self._make_gyro(line)
@@ -206,6 +216,15 @@ class Rig:
         settings = BusSettings(line.baudrate, line.data_baudrate)
         port = CanPort(self.spec.can or free_address(), settings)
         return SimulatedCanLine(line, drives, self.script, port)
+
+    def _make_pins(
+        self, line: LineSpec, drives: Mapping[int, SimulatedDrive], link_dir: Path
+    ) -> SimulatedPins:
+        bridges = {u: each for u, each in drives.items() if isinstance(each, SimulatedBridge)}
+        places = [place for n, joint in enumerate(line.joints) for place in channels_of(n, joint)]
+        channels = [place.channel for place in places if place.channel is not None]
+        counters = sum(joint.encoder is not None for joint in line.joints)
+        return SimulatedPins(line, bridges, PinFolder(link_dir / line.name, channels, counters))
 
     def _make_port(self, line: LineSpec, link_dir: Path) -> Port:
         wanted = self.spec.ports.get(line.name)
@@ -234,6 +253,12 @@ class Rig:
         )
 
     # ------------------------------------------------------------------------------------- running
+    @property
+    def pauses(self) -> bool:
+        """Whether its time has to stand still while nobody works on it. A frame that is late is
+        only late, but a counter that leaps is read in time, and no wheel turns so far."""
+        return any(line.kind == "pwm" for line in self.spec.lines)
+
     def filenos(self, now_s: float) -> list[int]:
         """What to wait for with select."""
         ports = [fd for line in self.lines.values() for fd in line.port.filenos(now_s)]
@@ -253,8 +278,9 @@ class Rig:
 
     def work_lines(self, clock: Clock) -> None:
         """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus carry the time at
-        which they went out, so what they say has to be of that time."""
-        while self._on_can and self.substep_due(clock()):
+        which they went out and counters have that of the look, so what they say has to be of that
+        time."""
+        while self._punctual and self.substep_due(clock()):
             self.substep()
         for line in self.lines.values():
             line.work(clock(), clock)
@@ -315,7 +341,7 @@ class Rig:
             self.pull()
             self._replug_s = dict.fromkeys(self.lines, now_s + fault.values["for_s"])
         for line in self.lines.values():
-            if fault.kind == "bus-off" and not isinstance(line, SimulatedLine | SimulatedBoard):
+            if fault.kind == "bus-off" and not isinstance(line, OTHER_THAN_CAN):
                 line.go_off(now_s + fault.values["for_s"])
             elif fault.kind == "tcp-stall":
                 line.port.stall(now_s + fault.values["for_s"])
@@ -405,6 +431,7 @@ def new_drive(
 ) -> SimulatedDrive:
     """A drive of the kind that the profile describes."""
     kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
+    kind = SimulatedBridge if profile.bridge is not None else kind
     return kind(profile, unit, axes, watchdog_s=watchdog_s)
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from motord_hal.sim.rig import Rig
+from motord_hal.sim.wire import Clock
 
 WAIT_MAX_S = 0.02
 """Longest sleep: bounds how much physics has to be caught up at once."""
@@ -26,6 +27,9 @@ PHYSICS_SPARE_S = 0.0005
 """The physics waits where something is due on a wire within this time."""
 PHYSICS_LAG_MAX_S = 0.01
 """But no longer than so."""
+HELD_UP_S = 0.002
+"""Of a longer time for which the process got no CPU, a robot that pauses has lived through this
+much: in the 5 ms between two looks of a line the wheel still turns no further than it can."""
 NICE = -15
 TIMER_SLACK = Path("/proc/self/timerslack_ns")
 
@@ -57,13 +61,28 @@ def run(
     over this time before something is due."""
     rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
     began_s = rig.began_ns * 1e-9
-    _Runner(rig, lambda: time.monotonic() - began_s, until_fd_ends, spin_s).run(stopped)
+    clock = PausingClock(began_s) if rig.pauses else lambda: time.monotonic() - began_s
+    _Runner(rig, clock, until_fd_ends, spin_s).run(stopped)
+
+
+class PausingClock:
+    """Seconds since `began_s`, without those for which nobody could ask."""
+
+    def __init__(self, began_s: float, now_s: Clock = time.monotonic) -> None:
+        self._began_s = began_s
+        self._now_s = now_s
+        self._last_s = now_s() - began_s
+
+    def __call__(self) -> float:
+        at_s = self._now_s() - self._began_s
+        paused_s = max(0.0, at_s - self._last_s - HELD_UP_S)
+        self._began_s += paused_s
+        self._last_s = at_s - paused_s
+        return self._last_s
 
 
 class _Runner:
-    def __init__(
-        self, rig: Rig, clock: Callable[[], float], until_fd_ends: int | None, spin_s: float
-    ) -> None:
+    def __init__(self, rig: Rig, clock: Clock, until_fd_ends: int | None, spin_s: float) -> None:
         self._rig = rig
         self._clock = clock
         self._watched = [] if until_fd_ends is None else [until_fd_ends]

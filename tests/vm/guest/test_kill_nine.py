@@ -138,6 +138,10 @@ def pwm(name):
             ('"GPIO6"', f'"{LINES[1]}"'),
             ('"GPIO16"', f'"{LINES[2]}"'),
             ('"GPIO26"', f'"{LINES[3]}"'),
+            ('"GPIO17"', f'"{LINES[4]}"'),
+            ('"GPIO27"', f'"{LINES[5]}"'),
+            ('"GPIO23"', f'"{LINES[6]}"'),
+            ('"GPIO24"', f'"{LINES[7]}"'),
         )
         yield Pins(rig), "ProtectKernelTunables=no\n"
     robot.unlink()

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder with the files of a PWM chip and of a counter: what /sys has for a robot on pins.
+
+Source of names and contents: kernel, Documentation/ABI/testing/sysfs-class-pwm and
+sysfs-bus-counter. Plain files keep the tail of a longer number, and are empty while they are
+written anew: what is no number leaves the one before it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+COUNTER_BITS = 16
+"""As wide as those of many timers: a run of some minutes goes across the wrap."""
+COUNT_DIGITS = 7
+"""With the newline eight bytes, which are written as one: nobody reads half a number."""
+NUMBER_BYTES = 24
+_CHANNEL = {"period": "0", "duty_cycle": "0", "enable": "0", "polarity": "normal"}
+_COUNT = {
+    "function": "quadrature x4",
+    "enable": "1",
+    "ceiling": str((1 << COUNTER_BITS) - 1),
+    "count": "0".zfill(COUNT_DIGITS),
+}
+
+
+@dataclass(slots=True)
+class _Number:
+    """What somebody else writes into a file."""
+
+    fd: int
+    value: int = 0
+
+    def read(self) -> int:
+        text = os.pread(self.fd, NUMBER_BYTES, 0).partition(b"\n")[0]
+        if text.isdigit():
+            self.value = int(text)
+        return self.value
+
+
+class PinFolder:
+    """`pwmN` for each channel and `countN` for each counter. Pulled: the pins are not connected to
+    the bridges; the files stay, as in life."""
+
+    def __init__(self, folder: Path, channels: Iterable[int], counters: int) -> None:
+        self.folder = folder
+        self._numbers: dict[int, tuple[_Number, _Number, _Number]] = {}
+        self._counts: list[int] = []
+        self._told = [-1] * counters
+        self._plugged = False
+        self._channels = tuple(channels)
+
+    @property
+    def address(self) -> str:
+        """What a robot file would name as its pwm_chip, and as the counter of an encoder."""
+        return str(self.folder)
+
+    @property
+    def plugged(self) -> bool:
+        return self._plugged
+
+    def plug(self) -> None:
+        """Connect the bridges; the first time, make the files. Raises OSError."""
+        if not self._numbers:
+            for channel in self._channels:
+                folder = _made(self.folder / f"pwm{channel}", _CHANNEL)
+                period, duty, enable = (
+                    _Number(os.open(folder / name, os.O_RDONLY | os.O_CLOEXEC))
+                    for name in ("period", "duty_cycle", "enable")
+                )
+                self._numbers[channel] = period, duty, enable
+            for number in range(len(self._told)):
+                folder = _made(self.folder / f"count{number}", _COUNT)
+                self._counts.append(os.open(folder / "count", os.O_WRONLY | os.O_CLOEXEC))
+        self._plugged = True
+
+    def pull(self) -> None:
+        self._plugged = False
+
+    def remove(self) -> None:
+        """The files are gone for those that come; who has one open keeps it."""
+        self.pull()
+        for numbers in self._numbers.values():
+            for number in numbers:
+                os.close(number.fd)
+        for fd in self._counts:
+            os.close(fd)
+        self._numbers.clear()
+        self._counts.clear()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def level(self, channel: int) -> float | None:
+        """The part of its period for which a channel is high; None: it makes no pulses."""
+        period, duty, enable = (number.read() for number in self._numbers[channel])
+        return min(duty / period, 1.0) if enable and period else None
+
+    def put_count(self, number: int, count: int) -> None:
+        if count != self._told[number]:
+            self._told[number] = count
+            os.pwrite(self._counts[number], b"%0*d\n" % (COUNT_DIGITS, count), 0)
+
+    def filenos(self, now_s: float) -> list[int]:
+        """Nothing tells when a file is written."""
+        del now_s
+        return []
+
+    def stall(self, until_s: float) -> None:
+        """Pins do not stall."""
+
+    def forget(self) -> None:
+        """Pins have no connections."""
+
+
+def _made(folder: Path, files: dict[str, str]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, value in files.items():
+        (folder / name).write_text(f"{value}\n", encoding="ascii")
+    return folder
