@@ -77,6 +77,8 @@ async def armed(rig):
 
 
 REST = [0, 0, 0, PERIOD_NS]
+ON_AT_REST = [0, 0, 0, 1]
+"""A channel that is disabled is low on most chips: on the active-low pin that would be power."""
 
 
 async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(chip):
@@ -141,7 +143,7 @@ async def test_cancelling_the_line_leaves_no_pulses(chip):
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 0.5}
         await until(lambda: chip.duties()[0] == 25_000)
     assert chip.duties() == REST
-    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+    assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
 
 
 async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
@@ -177,7 +179,7 @@ async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
         (chip.folder / f"pwm{number}/enable").write_text("1\n")
     assert await halt_line(spec) == []
     assert chip.duties() == REST
-    assert [chip.read(number, "enable") for number in range(4)] == [0, 0, 0, 0]
+    assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
 
 
 async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):

@@ -32,10 +32,14 @@ class Channel:
 
     folder: Path
     duty_fd: int
+    rests_low: bool = True
 
     def close(self) -> None:
-        """No pulses, then let it go. What the channel was told last is the caller's care."""
+        """No pulses, then let it go. What the channel was told last is the caller's care. One that
+        rests high stays enabled: disabled it would be low, and an active-low pin have power."""
         os.close(self.duty_fd)
+        if not self.rests_low:
+            return
         try:
             (self.folder / "enable").write_text("0")
         except OSError:
@@ -85,7 +89,7 @@ async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) ->
     except OSError as error:
         what = f"PWM channel {number} of {chip} ({_device(chip)})"
         raise PortError(f"{what}: {_why(error, chip)}") from error
-    return Channel(folder, fd)
+    return Channel(folder, fd, rests_low=rest_ns == 0)
 
 
 def _export(chip: Path, number: int, folder: Path) -> None:
@@ -103,8 +107,12 @@ async def _until_writable(folder: Path) -> None:
 
 
 def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
-    """A channel may be running still, as its last user left it: first its pulses end."""
-    if int((folder / "period").read_text()) > 0:
+    """A channel may be running still, as its last user left it: first its pulses end. One that
+    rests high stays as high meanwhile as the old and the new period let it be."""
+    old_ns = int((folder / "period").read_text())
+    if old_ns > 0 and rest_ns > 0:
+        (folder / "duty_cycle").write_text(str(min(old_ns, period_ns)))
+    elif old_ns > 0:
         (folder / "duty_cycle").write_text("0")
         if (folder / "enable").read_text().strip() != "0":
             (folder / "enable").write_text("0")
