@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "params": ("motord.cli.talk:params", "List, get and set limits of the running robot."),
     "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),
     "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
+    "unit": ("motord.cli.unit:unit", "What systemd need allow a robot: its devices."),
     "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
     "replay": ("motord.cli.replay:replay", "A recording through the core again, bit for bit."),
     "latency": ("motord.cli.latency:latency", "Measure the loop and its handovers."),

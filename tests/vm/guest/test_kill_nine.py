@@ -79,7 +79,7 @@ def modbus(name):
         start_simulator(ROBOT, timeout_s=DEADLINE_S) as simulator,
         behind(simulator, adapter()) as sim,
     ):
-        yield sim, ""
+        yield sim, robot
     for path in (robot, ETC / "zlac8015d.toml"):
         path.unlink()
 
@@ -101,7 +101,7 @@ def can(name):
     )
     options = ("--can", "socketcan:vxcan1")
     with start_simulator(robot, options=options, timeout_s=DEADLINE_S) as simulator:
-        yield simulator.control, ""
+        yield simulator.control, robot
     robot.unlink()
     profile.unlink()
     output("ip", "link", "del", "vxcan0")
@@ -120,7 +120,7 @@ def board(name):
     with start_simulator(robot, timeout_s=DEADLINE_S) as simulator:
         control = SimControl(simulator.control_path, timeout_s=DEADLINE_S)
         with Bridge(simulator.ports["board"], adapter()), contextlib.closing(control):
-            yield control, ""
+            yield control, robot
     robot.unlink()
 
 
@@ -143,7 +143,7 @@ def pwm(name):
             ('"GPIO23"', f'"{LINES[6]}"'),
             ('"GPIO24"', f'"{LINES[7]}"'),
         )
-        yield Pins(rig), "ProtectKernelTunables=no\n"
+        yield Pins(rig), robot
     robot.unlink()
 
 
@@ -154,8 +154,8 @@ KINDS = {"modbus": modbus, "can": can, "mcu": board, "pwm": pwm}
 def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind):
     name = f"killed-{kind}"
     with (
-        KINDS[kind](name) as (sim, more),
-        prepared(name, f"WatchdogSec=90\n{more}"),
+        KINDS[kind](name) as (sim, robot),
+        prepared(name, f"WatchdogSec=90\n{output('motord', 'unit', str(robot))}"),
         started(name, sim) as unit,
     ):
         told_before, pid = unit.said().count("stopped and without power"), unit.main_pid()

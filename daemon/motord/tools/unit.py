@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drop-in that narrows motord@ROBOT.service to the devices of one robot file.
+
+Source: systemd.resource-control(5), DeviceAllow, with the names of device groups in /proc/devices.
+"""
+
+from __future__ import annotations
+
+import re
+
+from motord.config import Robot
+from motord.config.encoder_section import GpioEncoder, KernelEncoder
+from motord.config.line_sections import CanLine, PwmLine, SerialLine
+
+_ALWAYS = "/dev/cpu_dma_latency"
+_GROUPS = re.compile(r"/dev/(ttyUSB|ttyACM|ttyAMA|ttyTHS|ttyS)\d+")
+_PLUGGED = ("char-ttyUSB", "char-ttyACM")
+"""An adapter by its serial number, or by a link of udev's: which of them it is, it decides."""
+
+
+def drop_in(robot: Robot) -> str:
+    """What `systemctl edit` takes. CPUs are not in it: each thread keeps to those of the file."""
+    rows = ["[Service]", "DeviceAllow="]
+    rows += [f"DeviceAllow={device} rw" for device in devices(robot)]
+    if _writes_sysfs(robot):
+        rows += ["# it writes /sys/class/pwm or /sys/bus/counter", "ProtectKernelTunables=no"]
+    return "\n".join(rows) + "\n"
+
+
+def devices(robot: Robot) -> list[str]:
+    """What the daemon opens, as DeviceAllow names it."""
+    found = [_ALWAYS]
+    for line in robot.line.values():
+        if isinstance(line, CanLine):
+            found += _of_can(line)
+        elif port := getattr(line, "port", None):
+            found += _of_port(port)
+    if _uses_gpio(robot):
+        found.append("char-gpiochip")
+    if any(hasattr(part, "bus") for part in (robot.imu, robot.battery)):
+        found.append("char-i2c")
+    return list(dict.fromkeys(found))
+
+
+def _of_port(port: str) -> tuple[str, ...]:
+    group = _GROUPS.fullmatch(port)
+    if group is not None:
+        return (f"char-{group[1]}",)
+    if port.startswith(("usb:", "/dev/serial/")):
+        return _PLUGGED
+    return (port,)
+
+
+def _of_can(line: CanLine) -> tuple[str, ...]:
+    """A network interface is no device."""
+    if line.interface in ("slcan", "robotell", "seeedstudio"):
+        return _of_port(line.channel.partition("@")[0])
+    return ("char-usb_device",) if line.interface == "gs_usb" else ()
+
+
+def _uses_gpio(robot: Robot) -> bool:
+    lines = robot.line.values()
+    turned = any(isinstance(one, SerialLine) and one.direction_gpio_chip for one in lines)
+    pins = any(isinstance(one, PwmLine) and one.gpio_chip for one in lines)
+    edges = any(isinstance(one.encoder, GpioEncoder) for one in robot.joint.values())
+    return turned or pins or edges or bool(robot.safety.estop or robot.safety.watchdog)
+
+
+def _writes_sysfs(robot: Robot) -> bool:
+    channels = any(isinstance(one, PwmLine) for one in robot.line.values())
+    return channels or any(isinstance(j.encoder, KernelEncoder) for j in robot.joint.values())
