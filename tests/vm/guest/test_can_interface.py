@@ -111,7 +111,7 @@ async def test_a_queue_that_is_full_loses_frames_counts_them_and_the_newest_arri
     await until(lambda: peer.axes[0].velocities()[-1] == pytest.approx(0.5), "the newest")
 
 
-async def test_a_set_point_reaches_the_other_end_of_the_cable(rig, peer):
+async def test_a_set_point_reaches_the_other_end_of_the_cable(rig, peer, capsys):
     await drive(rig, peer)
     took_ms = []
     for number in range(1, CHANGES + 1):
@@ -121,10 +121,11 @@ async def test_a_set_point_reaches_the_other_end_of_the_cable(rig, peer):
         rig.loop.put()
         await until(lambda want=turns_s: peer.axes[0].velocities()[-1] == pytest.approx(want))
         took_ms.append((time.monotonic() - began_s) * 1e3)
-    print(
-        f"\n{rig.line.engine}: set-point to the other end, cycle 50 ms: "
-        f"{statistics.median(took_ms):.1f} ms p50, {max(took_ms):.1f} ms at most of {CHANGES}"
-    )
+    with capsys.disabled():
+        print(
+            f"\n{rig.line.engine}: set-point to the other end, cycle 50 ms: "
+            f"{statistics.median(took_ms):.1f} ms p50, {max(took_ms):.1f} ms at most of {CHANGES}"
+        )
 
 
 def make(interface):

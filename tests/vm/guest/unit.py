@@ -63,6 +63,7 @@ def prepared(name, more=""):
     finally:
         output("systemctl", "stop", unit)
         drop_in.unlink()
+        drop_in.parent.rmdir()
         output("systemctl", "daemon-reload")
 
 
