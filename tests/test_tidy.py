@@ -143,6 +143,11 @@ def test_no_error_is_swallowed():
     )  # fmt: skip
 
 
+def test_an_error_without_words_is_said_in_others():
+    rows = matching(PYTHON, r"\berror or [\"']")
+    report(rows, "an exception is always true: str(error) or ...")
+
+
 def test_nothing_is_left_for_later():
     report(matching(TEXT, r"\b(TODO|FIXME|XXX|NotImplementedError)\b"), "build it or leave it out")
 

@@ -101,7 +101,9 @@ async def _read(line: Line, joint: str, register: str) -> float:
     except LookupError as error:
         raise RpcError(str(error.args[0]), INVALID_PARAMS) from error
     except (HalError, TimeoutError) as error:
-        raise Refused(f"{joint}: {register} was not read: {error or 'it took too long'}") from error
+        raise Refused(
+            f"{joint}: {register} was not read: {str(error) or 'it took too long'}"
+        ) from error
 
 
 async def _write(line: Line, joint: str, register: str, value: float) -> float:
@@ -111,5 +113,5 @@ async def _write(line: Line, joint: str, register: str, value: float) -> float:
     except (LookupError, ValueError) as error:
         raise RpcError(str(error.args[0]), INVALID_PARAMS) from error
     except (HalError, TimeoutError) as error:
-        why = error or "it took too long"
+        why = str(error) or "it took too long"
         raise Refused(f"{joint}: {register} was not written: {why}") from error

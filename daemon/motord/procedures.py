@@ -45,7 +45,7 @@ async def arm(operation: Operation) -> State:
         except (HalError, TimeoutError, Refused) as error:
             operation.set_armed(False)
             await _power_off(operation)
-            raise Refused(f"not armed: {error or 'a drive took too long'}") from error
+            raise Refused(f"not armed: {str(error) or 'a drive took too long'}") from error
 
 
 async def _arm_core(operation: Operation) -> None:
@@ -93,7 +93,7 @@ async def reset(operation: Operation) -> State:
                 async with asyncio.timeout(LINES_WITHIN_S):
                     await line.clear_faults()
         except (HalError, TimeoutError) as error:
-            raise Refused(f"not reset: {error or 'a drive took too long'}") from error
+            raise Refused(f"not reset: {str(error) or 'a drive took too long'}") from error
         await operation.until(lambda: not operation.facts().drive_faults, CORE_WITHIN_S)
         if left := operation.facts().drive_faults:
             raise Refused(f"not reset, still there: {'; '.join(left)}")
@@ -188,6 +188,6 @@ async def _disarm_line(line: Line, problems: list[str]) -> None:
             await line.disarm()
     except (HalError, TimeoutError) as error:
         problems.append(
-            f"{line.spec.name} could not be disarmed ({error or 'it took too long'}): "
+            f"{line.spec.name} could not be disarmed ({str(error) or 'it took too long'}): "
             "its drives stop by their own watchdog"
         )

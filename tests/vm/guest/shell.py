@@ -20,6 +20,13 @@ def wait_until(condition, what, said=str):
     return found
 
 
+def status_of(*command):
+    """Its exit status."""
+    return subprocess.run(
+        command, capture_output=True, timeout=2 * DEADLINE_S, check=False
+    ).returncode
+
+
 def output(*command):
     """What it prints; a failure is the test's."""
     done = subprocess.run(

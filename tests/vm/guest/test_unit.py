@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from cable import UART, adapter, behind, plug, robot_file
-from shell import journal, output, properties, wait_until
+from shell import journal, output, properties, status_of, wait_until
 from stage import granted
 from unit import ETC, prepared, started
 
@@ -65,7 +65,9 @@ def test_members_of_its_group_command_it_and_nobody_else(unit):
     output("useradd", "--groups", "motord", "driver")
     output("useradd", "visitor")
     try:
-        output("runuser", "-u", "driver", "--", "motord", "arm")
+        arm = ("runuser", "-u", "driver", "--", "motord", "arm")
+        # an emulated drive may take longer than the daemon waits
+        wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.said)
         assert unit.state() == "armed"
         output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
         assert unit.state() == "armed"

@@ -47,7 +47,7 @@ class UdpPublisher:
                 family, _, _, _, address = found[0]
                 return family, address
             except (OSError, TimeoutError) as error:
-                self._say(f"{self._host} has no address: {error or 'no answer'}")
+                self._say(f"{self._host} has no address: {str(error) or 'no answer'}")
             await asyncio.sleep(RESOLVE_AGAIN_S)
 
     def _send(self, sender: socket.socket, sample: bytes, address: Address) -> None:
