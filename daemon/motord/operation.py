@@ -300,6 +300,13 @@ class Operation:
         _log.log(level, "%s", event.text, extra=said_of)
         if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
             self.fault(event.text)
+        elif event.kind is EventKind.DRIVE_FAULT and self.state is State.FAULT:
+            self._name_also(event.text)
+
+    def _name_also(self, why: str) -> None:
+        """A drive that switches itself off may say why only later."""
+        if why not in self.why:
+            self.why = (*self.why, why)
 
     def beat(self) -> None:
         """What has to be looked at now and then, though nobody reports it; and a heartbeat."""

@@ -211,9 +211,11 @@ def test_a_drive_fault_on_the_way_is_latched_named_and_cleared_by_reset(stage):
         stage.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
         stage.wait_for("fault")
     at_rest(stage)
-    found = stage.robot.status()
-    assert found["faults"]
-    assert any("left" in reason for reason in found["why"])
+    assert stage.robot.status()["faults"]
+    wait_until(
+        lambda: any("left" in reason for reason in stage.robot.status()["why"]),
+        "the drive is named, also when it was seen to be off before it said why",
+    )
     with pytest.raises(Refused, match="motord reset"):
         stage.robot.arm()
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
