@@ -265,7 +265,7 @@ async def left_turning(peer, spec):
     stream.open()
     for raw in ({"control": 8}, {"control": 1}, {"control": 1, "target_velocity_1": 5000}):
         assert stream.send(dialect.setpoints({"watchdog": 2000, **raw}, now_ns()))
-    await until(lambda: peer.now.left_mrad_s == 5000, "it turns")
+    await until(lambda: peer.told and peer.now.left_mrad_s == 5000, "it turns")
     stream.close()
 
 
