@@ -26,8 +26,8 @@ from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.sparing import Sparing
 from motord.config import Ros2Input, ZenohInput
+from motord.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
