@@ -245,6 +245,32 @@ def test_trouble_in_it_costs_the_armed_robot_nothing(tmp_path, what, said):
         assert stage.said().count("no figures") <= 1
 
 
+FAILING = """
+class Adapter:
+    def __init__(self, name, section, station):
+        self.lives = 0
+
+    async def run(self):
+        self.lives += 1
+        raise RuntimeError(f"no camera for the {self.lives}th time")
+"""
+
+
+def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
+    port = free_port()
+    settings, environ = planted(tmp_path, "failing", FAILING)
+    settings += ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
+    with running(tmp_path, *settings, environ=environ) as stage:
+        pid = living(stage)
+        failures = lambda: bus(stage).get("failures", {}).get("publish.failing", 0)  # noqa: E731
+        wait_until(lambda: failures() >= 2, "a second failure")
+        full(port)
+        assert bus(stage)["restarts"] == 0
+        assert bus(stage)["pid"] == pid
+        assert stage.said().count("publish.failing failed") == 1
+        assert "no camera for the 1th time" in stage.said()
+
+
 def test_it_ends_with_its_daemon(tmp_path):
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={free_port()}")
     with running(tmp_path, *settings) as stage:

@@ -117,3 +117,32 @@ def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(
     (row,) = errors(tmp_path, text)
     assert row.startswith("input.ros.trust_network: all of the domain could move the robot")
     assert not load_robot(robot_file(tmp_path, text + "trust_network = true\n")).has_bus
+
+
+KINDS_WITH_HOST = ("udp", "mqtt", "prometheus", "rosbridge", "foxglove")
+
+
+@pytest.mark.parametrize("kind", KINDS_WITH_HOST)
+@pytest.mark.parametrize(
+    "host",
+    ["", "broker..example", ".example", "a b", "a/b", "[::1]", "x" * 64, "::1..2", "a." * 130],
+)
+def test_a_host_that_can_be_none_is_refused(tmp_path, kind, host):
+    (row,) = errors(tmp_path, f'[publish.net]\nkind = "{kind}"\nhost = "{host}"\n')
+    assert row.startswith("publish.net.host: ")
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["localhost", "127.0.0.1", "0.0.0.0", "::", "::1", "fe80::1%eth0", "::ffff:10.0.0.1",
+     "broker.example", "broker.example.", "xn--bcher-kva.example", "my_broker-2", "x" * 63],
+)  # fmt: skip
+def test_a_host_that_can_be_one_is_taken(tmp_path, host):
+    text = f'[publish.net]\nkind = "udp"\nhost = "{host}"\n'
+    assert load_robot(robot_file(tmp_path, text)).publish["net"].host == host
+
+
+@pytest.mark.parametrize("router", ["tcp/a..b:7447", "tls/.b:7447", "tcp/:7447"])
+def test_a_router_that_can_be_none_is_refused(tmp_path, router):
+    (row,) = errors(tmp_path, f'[publish.net]\nkind = "ros2-zenoh"\nrouter = "{router}"\n')
+    assert row.startswith("publish.net.router: ")

@@ -13,6 +13,7 @@ from typing import Any
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
+from motord.bus.guard import keep
 from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
@@ -49,6 +50,8 @@ class Station:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Feed] = {}
         self.sources: dict[str, Source] = {}
+        self._failures: dict[str, int] = {}
+        """How often the adapter of a section has failed, where it has."""
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
@@ -85,30 +88,33 @@ class Station:
             }
             for name, source in self.sources.items()
         }
-        return {"publishers": told, "inputs": commanding}
+        return {"publishers": told, "inputs": commanding, "failures": self._failures}
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
         """Until cancelled."""
         adapters = self._adapters()
         async with asyncio.TaskGroup() as tasks:
-            for adapter in adapters:
-                tasks.create_task(adapter.run())
+            for where, adapter in adapters.items():
+                tasks.create_task(keep(where, adapter, self._failures))
             tasks.create_task(self._look())
             tasks.create_task(self._ask())
 
-    def _adapters(self) -> list[Adapter]:
-        made = [
-            self._adapter(f"publish.{name}", section, PUBLISHERS, PUBLISHER_POINTS)
+    def _adapters(self) -> dict[str, Adapter]:
+        """By their sections."""
+        publishers, inputs = (PUBLISHERS, PUBLISHER_POINTS), (INPUTS, INPUT_POINTS)
+        sections: list[tuple[str, Any, tuple[Mapping[str, str], str]]] = [
+            (f"publish.{name}", section, publishers)
             for name, section in self.robot.publish.items()
             if not isinstance(section, StdoutPublish | UdpPublish)
         ]
-        made += [
-            self._adapter(f"input.{name}", section, INPUTS, INPUT_POINTS)
+        sections += [
+            (f"input.{name}", section, inputs)
             for name, section in self.robot.input.items()
             if isinstance(section, BusInput) and not isinstance(section, RclpyInput)
         ]
-        return [adapter for adapter in made if adapter is not None]
+        made = {where: self._adapter(where, section, *kinds) for where, section, kinds in sections}
+        return {where: adapter for where, adapter in made.items() if adapter is not None}
 
     def _adapter(
         self, where: str, section: Any, table: Mapping[str, str], group: str

@@ -229,6 +229,8 @@ class Participant:
     async def run(self) -> None:
         """Deliver what arrives, until cancelled. Raises DdsError when the library fails."""
         loop = asyncio.get_running_loop()
+        self._ending, self._broken = False, None
+        self._guard.set(False)
         waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
         waiting.start()
         try:

@@ -60,7 +60,8 @@ class Node(Protocol):
         ...
 
     async def run(self) -> None:
-        """Until cancelled. Of several who share the node, the first one does it for all."""
+        """Until cancelled. Of several who share the node one does it for all, and the next one
+        when that one fails."""
         ...
 
 
