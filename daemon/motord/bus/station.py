@@ -14,6 +14,7 @@ from typing import Any
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
 from motord.bus.guard import keep
+from motord.bus.inputs.gap import Gap
 from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
@@ -50,6 +51,7 @@ class Station:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Feed] = {}
         self.sources: dict[str, Source] = {}
+        self._gaps: list[Gap] = []
         self._failures: dict[str, int] = {}
         """How often the adapter of a section has failed, where it has."""
         self._asked = asyncio.Event()
@@ -64,6 +66,11 @@ class Station:
         """The right to command of [input.NAME]; the adapter runs it."""
         self.sources[name] = Source(self.path, name)
         return self.sources[name]
+
+    def gap(self, longest_s: float) -> Gap:
+        """Tells whether this process has just stood still for longer than that."""
+        self._gaps.append(Gap(longest_s))
+        return self._gaps[-1]
 
     async def call(self, method: str, **params: Any) -> Any:
         """Ask the daemon. Raises Refused and ClientError."""
@@ -97,6 +104,8 @@ class Station:
         async with asyncio.TaskGroup() as tasks:
             for where, adapter in adapters.items():
                 tasks.create_task(keep(where, adapter, self._failures))
+            for gap in self._gaps:
+                tasks.create_task(gap.watch())
             tasks.create_task(self._look())
             tasks.create_task(self._ask())
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from motord.bus.inputs.gap import Gap
 from motord.bus.link import Source
 from motord.bus.secret import Token
 from motord.client import ClientError
@@ -51,6 +52,7 @@ class Desk:
         self._calls = 0
         self._said_s = -SAY_AGAIN_S
         self.source: Source = station.source(name)
+        self._gap: Gap = station.gap(section.lease_s)
 
     def admit(self, shown: object) -> None:
         """Raises NotTaken for who does not show the token."""
@@ -60,6 +62,7 @@ class Desk:
     def drive(self, message: object) -> None:
         """Pass a Twist or a TwistStamped on. Raises NotTaken."""
         linear_m_s, angular_rad_s, age_s = self._twist(message)
+        self._refuse_what_waited()
         stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
             raise self._no(_NO_LEASE)
@@ -68,9 +71,15 @@ class Desk:
         """Pass the velocities of a JointState on; wheels that it does not name are to rest. Raises
         NotTaken."""
         velocity_rad_s, age_s = self._wheels(message)
+        self._refuse_what_waited()
         stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
         if not self.source.drive_joints(velocity_rad_s, stamp_ns):
             raise self._no(_NO_LEASE)
+
+    def _refuse_what_waited(self) -> None:
+        """Where a command need not say when it was given. Raises NotTaken."""
+        if not self._stamped and self._gap.just_over():
+            raise self._no("motord-bus stood still: it may have waited for that to end")
 
     def _wheels(self, message: object) -> tuple[list[float], float]:
         """rad/s in the order of the robot file, and the command's age in s."""
