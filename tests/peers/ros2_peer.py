@@ -4,7 +4,8 @@ library itself. It shares nothing with motord.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
-    ros2_peer.py DOMAIN twist NAME V W           20 Twist a second
+    ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
+                                                 line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
     ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
@@ -90,8 +91,15 @@ def _twist(linear_m_s, angular_rad_s):
     return Twist(Vector3(float(linear_m_s), 0.0, 0.0), Vector3(0.0, 0.0, float(angular_rad_s)))
 
 
-def twist(participant, name, linear_m_s, angular_rad_s):
-    _publish(participant, name, Twist, lambda: _twist(linear_m_s, angular_rad_s))
+def twist(participant, name, linear_m_s, angular_rad_s, ahead_s="0"):
+    writer = DataWriter(participant, Topic(participant, name, Twist), Qos(*RELIABLE))
+    held, held_s = threading.Event(), 3.0
+    threading.Thread(target=lambda: sys.stdin.readline() and held.set(), daemon=True).start()
+    while True:
+        late_s = held_s if held.is_set() else 0.0
+        sent_ns = time.time_ns() + round((float(ahead_s) - late_s) * 1e9)
+        writer.write(_twist(linear_m_s, angular_rad_s), timestamp=sent_ns)
+        time.sleep(0.05)
 
 
 def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):

@@ -92,3 +92,16 @@ def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
         stage.wait_for("moving")
     nobody_commands(stage)
     stage.robot.disarm()
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
+def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_says(stage, ahead_s):
+    wait_until(lambda: stage.robot.arm(), "armed")
+    with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
+        stage.wait_for("moving")
+        sender.say("held")
+        nobody_commands(stage)
+        sent = inputs(stage)["ros2"]["sent"]
+        wait_until(lambda: inputs(stage).get("ros2", {}).get("sent", 0) > sent, "more of them")
+        assert not stage.robot.status()["leases"]
+    stage.robot.disarm()

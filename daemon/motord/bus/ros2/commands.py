@@ -75,17 +75,17 @@ class Ros2Commands:
             for method in URGENT:
                 tasks.create_task(self._act(method))
 
-    def _drive(self, message: SimpleNamespace) -> None:
+    def _drive(self, message: SimpleNamespace, waited_s: float) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
-            self._desk.drive(_as_mapping(message))
+            self._desk.drive(_as_mapping(message), waited_s)
             self._mover.driven()
 
-    def _drive_joints(self, message: SimpleNamespace) -> None:
+    def _drive_joints(self, message: SimpleNamespace, waited_s: float) -> None:
         with contextlib.suppress(NotTaken):
             command = _as_mapping(message)
             if not self._stamped:
                 del command["header"]
-            self._desk.drive_joints(command)
+            self._desk.drive_joints(command, waited_s)
             self._mover.driven()
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
@@ -104,10 +104,10 @@ class Ros2Commands:
             return SimpleNamespace(success=False, message=str(error))
         return SimpleNamespace(success=True, message=result["state"])
 
-    def _urgent(self, method: str) -> Callable[[SimpleNamespace], None]:
+    def _urgent(self, method: str) -> Callable[[SimpleNamespace, float], None]:
         voice = Sparing(_log)
 
-        def ask(message: SimpleNamespace) -> None:
+        def ask(message: SimpleNamespace, _: float) -> None:
             voice.say(f"input.{self._name}: {method} by topic: {message.data[:200]!r}")
             self._asked[method].set()
 

@@ -13,6 +13,7 @@ from typing import Any
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
+from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.types import type_hash
@@ -95,20 +96,21 @@ class Node:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace], None],
+        take: Callable[[SimpleNamespace, float], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message. Raises DdsError."""
+        """`take` is called for each message, and told how long in s it waited on its way. Raises
+        DdsError."""
         topic = names.topic(self.full(name))
-        voice = Sparing(_log)
+        voice, delays = Sparing(_log), Delays()
 
-        def taken(raw: bytes, _: Any) -> None:
+        def taken(raw: bytes, info: Any) -> None:
             try:
                 message = decode(kind, raw)
             except ValueError as error:
                 voice.say(f"{topic}: not understood: {error}")
                 return
-            take(message)
+            take(message, delays.waited_s(info.publication_handle, info.source_timestamp))
 
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
         self._readers.append(reader)

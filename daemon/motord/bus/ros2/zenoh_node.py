@@ -111,10 +111,11 @@ class ZenohNode:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace], None],
+        take: Callable[[SimpleNamespace, float], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, in the event loop."""
+        """`take` is called for each message, in the event loop, and told how long in s it waited on
+        its way."""
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(
