@@ -12,12 +12,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import Desk, NotTaken, tag
+from motord.bus.inputs.desk import URGENT, Desk, NotTaken, tag
 from motord.bus.mqtt_connection import MqttConnection
 from motord.config import MqttInput
 
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from motord.bus.station import Station
 
 PAYLOAD_BYTES_MAX = 4096
-TASKS_MAX = 16
+CALLS_MAX, ANSWERS_MAX = 16, 64
+"""Calls under way, and answers that the broker has not taken yet. What is urgent passes both."""
 
 _log = logging.getLogger(__name__)
 
@@ -63,10 +64,21 @@ class MqttCommands:
         self._desk.admit(request.get("token"))
         if str(message.topic) == self._drive_topic:
             self._desk.drive(request)
-        elif len(self._calls) < TASKS_MAX:
-            call = tasks.create_task(self._act(client, request))
+        else:
+            call = tasks.create_task(self._call(client, request))
             self._calls.add(call)
             call.add_done_callback(self._calls.discard)
+
+    def _call(
+        self, client: aiomqtt.Client, request: Mapping[str, Any]
+    ) -> Coroutine[Any, Any, None]:
+        """What is to be done for it. Raises NotTaken where not even an answer is possible."""
+        if len(self._calls) < CALLS_MAX or request.get("method") in URGENT:
+            return self._act(client, request)
+        busy = self._desk.busy()
+        if len(self._calls) >= ANSWERS_MAX:
+            raise busy
+        return self._answer(client, request, error=str(busy))
 
     def _request(self, payload: Any) -> Mapping[str, Any]:
         """Nothing that could have a token: an empty one."""
@@ -79,10 +91,16 @@ class MqttCommands:
         return request if isinstance(request, Mapping) else {}
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
-        number, method = tag(request.get("id")), tag(request.get("method"))
-        answer: dict[str, Any] = {"id": number, "method": method}
         try:
-            answer["result"] = await self._desk.act(method)
+            said = {"result": await self._desk.act(tag(request.get("method")))}
         except NotTaken as error:
-            answer["error"] = str(error)
-        await client.publish(self._answer_topic, self._connection.encode(answer), 1)
+            said = {"error": str(error)}
+        if len(self._calls) <= ANSWERS_MAX:
+            await self._answer(client, request, **said)
+
+    async def _answer(
+        self, client: aiomqtt.Client, request: Mapping[str, Any], **said: object
+    ) -> None:
+        answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | said
+        with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
+            await client.publish(self._answer_topic, self._connection.encode(answer), 1)
