@@ -2,6 +2,7 @@
 """Pins of motor bridges: what a robot file may name, how chips are found, what is said."""
 
 import asyncio
+import errno
 import os
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import pytest
 from motord.config import ConfigError, load_robot
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import PortError, ProfileError
-from motord_hal.gpio.lines import Wanted, request_outputs
+from motord_hal.gpio.chip import Chip
+from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
 from motord_hal.ports import JointSpec
 from motord_hal.pwm.pins import places_of
-from motord_hal.pwm.sysfs import find_chip, open_channel, overlay_hint
+from motord_hal.pwm.sysfs import _why, find_chip, open_channel, overlay_hint
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
@@ -108,6 +110,23 @@ def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
     with pytest.raises(PortError, match=r"PWM channel 5 of .*pwmchip0 \(1f00098000.pwm\)"):
         asyncio.run(open_channel(chip, 5, 50_000, 0))
     assert not os.path.lexists(chip / "pwm5")
+
+
+def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_path):
+    chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
+    no_device = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+    assert _why(no_device, chip) == "the chip has 2 channels, from 0 on"
+    (chip / "npwm").unlink()
+    assert _why(no_device, chip) == "the chip is gone"
+
+
+def test_a_gpio_chip_that_says_no_owner_any_more_is_named_with_its_lines(tmp_path):
+    nowhere = os.open(tmp_path, os.O_RDONLY)
+    os.close(nowhere)
+    chip = Chip(nowhere, Path("/dev/gpiochip0"), "pinctrl-rp1", 54)
+    taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    said = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
+    assert '/dev/gpiochip0 "pinctrl-rp1", lines GPIO5' in said
 
 
 def test_an_absent_gpio_chip_is_said(tmp_path):

@@ -137,9 +137,17 @@ def _check_twice(offsets: Sequence[int], wanted: Sequence[Wanted]) -> None:
 def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error: OSError) -> str:
     if error.errno == errno.EBUSY:
         for line, offset in zip(wanted, offsets, strict=True):
-            name, owner = chip.info(offset)
+            name, owner = _name_and_owner(chip, offset)
             if owner:
                 where = f'line {offset} ("{name}") of {chip.path} "{chip.label}"'
                 return f'{line.purpose}: {where} is in use by "{owner}": end it, or free the pin'
     names = ", ".join(line.line for line in wanted)
     return f'{chip.path} "{chip.label}", lines {names}: {why(error)}'
+
+
+def _name_and_owner(chip: Chip, offset: int) -> tuple[str, str]:
+    """Empty where the chip does not say it any more."""
+    try:
+        return chip.info(offset)
+    except OSError:
+        return "", ""

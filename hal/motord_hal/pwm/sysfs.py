@@ -131,9 +131,16 @@ def _why(error: OSError, chip: Path) -> str:
     if error.errno == errno.EBUSY:
         return "a driver of the kernel has it (a fan, a backlight): take it out of the device tree"
     if error.errno == errno.ENODEV:
-        return f"the chip has {(chip / 'npwm').read_text().strip()} channels, from 0 on"
+        return _how_many(chip)
     if error.errno == errno.EINVAL:
         return "this chip cannot make pulses at that frequency (line's pwm_hz)"
     if error.errno in (errno.EACCES, errno.EPERM):
         return "no permission: put this user into the group gpio, or see the udev rules"
     return error.strerror or str(error)
+
+
+def _how_many(chip: Path) -> str:
+    try:
+        return f"the chip has {(chip / 'npwm').read_text().strip()} channels, from 0 on"
+    except OSError:
+        return "the chip is gone"
