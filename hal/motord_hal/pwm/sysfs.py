@@ -11,6 +11,7 @@ the write to `export` has returned.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from pathlib import Path
 
 from motord_hal.clock import now_s
 from motord_hal.errors import PortError
+from motord_hal.pwm.claim import claim
 
 CLASS = Path("/sys/class/pwm")
 MODEL = Path("/proc/device-tree/model")
@@ -28,7 +30,8 @@ LOOK_EVERY_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel that is set up. The descriptor of `duty_cycle` is this object's."""
+    """A channel that is set up. The descriptor of `duty_cycle` is this object's, and keeps others
+    from the channel."""
 
     folder: Path
     duty_fd: int
@@ -37,13 +40,13 @@ class Channel:
     def close(self) -> None:
         """No pulses, then let it go. What the channel was told last is the caller's care. One that
         rests high stays enabled: disabled it would be low, and an active-low pin have power."""
-        os.close(self.duty_fd)
-        if not self.rests_low:
-            return
         try:
-            (self.folder / "enable").write_text("0")
+            if self.rests_low:
+                (self.folder / "enable").write_text("0")
         except OSError:
             return  # the chip is gone, and its pulses with it
+        finally:
+            os.close(self.duty_fd)
 
 
 def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
@@ -79,16 +82,21 @@ def overlay_hint(model: Path = MODEL) -> str:
 
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:
-    """Export it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises PortError."""
+    """Export it, claim it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises
+    PortError; a channel that somebody else drives is not touched."""
     folder = chip / f"pwm{number}"
-    try:
-        _export(chip, number, folder)
-        await _until_writable(folder)
-        _set_up(folder, period_ns, rest_ns)
-        fd = os.open(folder / "duty_cycle", os.O_WRONLY | os.O_CLOEXEC)
-    except OSError as error:
-        what = f"PWM channel {number} of {chip} ({_device(chip)})"
-        raise PortError(f"{what}: {_why(error, chip)}") from error
+    with contextlib.ExitStack() as undo:
+        try:
+            _export(chip, number, folder)
+            await _until_writable(folder)
+            fd = os.open(folder / "duty_cycle", os.O_WRONLY | os.O_CLOEXEC)
+            undo.callback(os.close, fd)
+            claim(fd)
+            _set_up(folder, period_ns, rest_ns)
+        except OSError as error:
+            what = f"PWM channel {number} of {chip} ({_device(chip)})"
+            raise PortError(f"{what}: {_why(error, chip)}") from error
+        undo.pop_all()
     return Channel(folder, fd, rests_low=rest_ns == 0)
 
 
