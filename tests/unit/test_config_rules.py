@@ -384,4 +384,4 @@ def test_the_level_that_stops_follows_from_the_wiring(tmp_path, contact, switche
 
 def test_one_line_cannot_be_both_pins_of_safety(tmp_path):
     path = with_pins(tmp_path, ESTOP + WATCHDOG.replace('"W"', '"E"'))
-    assert "safety.watchdog.gpio_line: is the emergency stop's line" in errors(path)
+    assert "safety.watchdog.gpio_line: E is taken already (safety.estop)" in errors(path)

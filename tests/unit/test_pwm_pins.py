@@ -21,6 +21,14 @@ ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
 LEFT = 'pins = { rpwm = "pwm0", lpwm = "pwm1", r_en = "GPIO5", l_en = "GPIO6" }'
 
+RS485 = """[line.rs485]
+kind = "modbus-rtu"
+port = "/dev/ttyAMA0"
+direction = "gpio"
+direction_gpio_chip = "pinctrl-rp1"
+direction_gpio_line = "GPIO24"
+"""
+
 
 def joint(drive, **pins):
     return JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=pins)
@@ -154,11 +162,45 @@ def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
 
 
 # -------------------------------------------------------------------------------------- robot files
+def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
+    chip = 'pwm_chip = "1f00098000.pwm"'
+    other = f'[line.more]\nkind = "pwm"\n{chip}\ngpio_chip = "other"\n'
+    left, right = ROBOT.split("[joint.right]")
+    right = right.replace('line = "pins"', 'line = "more"').replace('"pwm2"', '"pwm0"')
+    path = tmp_path / "robot.toml"
+    path.write_text(f"{left}{other}[joint.right]{right}", encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    assert [problem.text for problem in caught.value.problems] == [
+        "pin rpwm: pwm0 is taken already (joint left, pin rpwm)"
+    ]
+
+
 @pytest.mark.parametrize(
     ("right", "wrong", "row"),
     [
         (LEFT, 'pins = { rpwm = "pwm0" }', "joint.left.pins: pin lpwm of bts7960 is not given"),
         ('r_en = "GPIO16"', 'r_en = "GPIO5"', "joint.right.pins: pin r_en: GPIO5 is taken already"),
+        (
+            "[publish.console]",
+            '[safety.estop]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO5"\n[publish.console]',
+            "safety.estop.gpio_line: GPIO5 is taken already (joint left, pin r_en)",
+        ),
+        (
+            "[publish.console]",
+            '[safety.watchdog]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO17"\n[publish.console]',
+            "safety.watchdog.gpio_line: GPIO17 is taken already (joint left, encoder's a)",
+        ),
+        (
+            'a = "GPIO23"',
+            'a = "GPIO6"',
+            "joint.right.encoder: a: GPIO6 is taken already (joint left, pin l_en)",
+        ),
+        (
+            "[publish.console]",
+            f"{RS485}[publish.console]",
+            "line.rs485.direction_gpio_line: GPIO24 is taken already (joint right, encoder's b)",
+        ),
         ('pwm_chip = "1f00098000.pwm"\n', "", "line.pins.pwm_chip: is missing: joint left, pin"),
         ('kind = "pwm"', 'kind = "pwm"\npwm_hz = 90000', "line.pins.pwm_hz: 90000 Hz is out of"),
         ('drive = "bts7960"', 'drive = "zlac8015d"', "joint.left.drive: drive"),
