@@ -13,9 +13,10 @@ from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.chip import Chip
 from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
-from motord_hal.ports import JointSpec
-from motord_hal.pwm.pins import places_of
-from motord_hal.pwm.sysfs import _why, find_chip, open_channel, overlay_hint
+from motord_hal.pinmux import freeing_step, pwm_step
+from motord_hal.ports import JointSpec, LineSpec, PinsSpec
+from motord_hal.pwm.pins import open_pins, places_of
+from motord_hal.pwm.sysfs import _why, find_chip, open_channel
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
@@ -96,19 +97,24 @@ def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
         find_chip("fe20c000.pwm", root)
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        ("Raspberry Pi 5 Model B Rev 1.0\0", "dtoverlay=pwm-2chan"),
-        ("NVIDIA Jetson Orin Nano\0", "jetson-io"),
-        ("", "device tree"),
-    ],
-)
-def test_the_step_that_gives_pins_to_pwm_is_that_of_the_machine(tmp_path, model, words):
-    path = tmp_path / "model"
-    path.write_text(model)
-    assert words in overlay_hint(path)
-    assert "device tree" in overlay_hint(tmp_path / "none")
+def test_a_chip_that_is_not_there_is_said_with_joint_pin_and_step():
+    robot_joint = joint("drv8871", in1="pwm0", in2="pwm1")
+    spec = LineSpec(
+        index=0, name="pins", kind="pwm", port="", baudrate=115200, parity="none", stop_bits=1,
+        cycle_hz=200.0, gap_s=None, engine="auto", joints=(robot_joint,), watchdog_s=0.5,
+        pins=PinsSpec(pwm_chip="no-such.pwm"),
+    )  # fmt: skip
+    with pytest.raises(PortError) as caught:
+        asyncio.run(open_pins(spec))
+    assert str(caught.value).startswith('joint left, pin in1: no PWM chip "no-such.pwm"; there: ')
+    assert str(caught.value).endswith(pwm_step("no-such.pwm", [0, 1]))
+
+
+def test_a_channel_that_the_kernel_has_is_said_with_what_frees_it(tmp_path):
+    chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
+    busy = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    assert _why(busy, chip, 0).startswith("a driver of the kernel has it (a fan, a backlight): ")
+    assert _why(busy, chip, 0).endswith(freeing_step(""))
 
 
 def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
@@ -123,9 +129,9 @@ def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
 def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_path):
     chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
     no_device = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
-    assert _why(no_device, chip) == "the chip has 2 channels, from 0 on"
+    assert _why(no_device, chip, 5) == "the chip has 2 channels, from 0 on"
     (chip / "npwm").unlink()
-    assert _why(no_device, chip) == "the chip is gone"
+    assert _why(no_device, chip, 5) == "the chip is gone"
 
 
 def test_a_gpio_chip_that_says_no_owner_any_more_is_named_with_its_lines(tmp_path):

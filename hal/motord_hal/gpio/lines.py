@@ -22,6 +22,7 @@ from motord_hal.gpio.chip import (
     read_levels,
     why,
 )
+from motord_hal.pinmux import freeing_step, mux_owner
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,14 +141,16 @@ def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error
             name, owner = _name_and_owner(chip, offset)
             if owner:
                 where = f'line {offset} ("{name}") of {chip.path} "{chip.label}"'
-                return f'{line.purpose}: {where} is in use by "{owner}": end it, or free the pin'
+                way = f"end it, or free the pin: {freeing_step(owner)}"
+                return f'{line.purpose}: {where} is in use by "{owner}": {way}'
     names = ", ".join(line.line for line in wanted)
     return f'{chip.path} "{chip.label}", lines {names}: {why(error)}'
 
 
 def _name_and_owner(chip: Chip, offset: int) -> tuple[str, str]:
-    """Empty where the chip does not say it any more."""
+    """The owner of the line, else of the pin that it is; empty where the chip does not say."""
     try:
-        return chip.info(offset)
+        name, owner = chip.info(offset)
     except OSError:
         return "", ""
+    return name, owner or mux_owner(chip.label, offset)

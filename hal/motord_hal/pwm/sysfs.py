@@ -19,10 +19,10 @@ from pathlib import Path
 
 from motord_hal.clock import now_s
 from motord_hal.errors import PortError
+from motord_hal.pinmux import freeing_step, pwm_owner
 from motord_hal.pwm.claim import claim
 
 CLASS = Path("/sys/class/pwm")
-MODEL = Path("/proc/device-tree/model")
 WRITABLE_WITHIN_S = 2.0
 """Until udev has given the files of a new channel to their group."""
 LOOK_EVERY_S = 0.01
@@ -49,9 +49,14 @@ class Channel:
             os.close(self.duty_fd)
 
 
-def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
+class ChipAbsent(PortError):
+    """There is no such chip."""
+
+
+def find_chip(wanted: str, root: Path = CLASS) -> Path:
     """The chip whose device has `wanted` in its path (the numbers of chips change from boot to
-    boot), or pwmchipN by its number, or a folder by its whole path. Raises PortError."""
+    boot), or pwmchipN by its number, or a folder by its whole path. Raises ChipAbsent, or PortError
+    where several fit."""
     if wanted.startswith("/"):
         return Path(wanted)
     chips = {path.name: path.resolve() for path in sorted(root.glob("pwmchip*"))}
@@ -62,23 +67,9 @@ def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
     if len(found) == 1:
         return chips[found[0]]
     there = ", ".join(f"{name} ({Path(device).name})" for name, device in devices.items())
-    what = f"{len(found)} PWM chips fit" if found else "no PWM chip"
-    text = f'{what} "{wanted}"; there: {there or "none"}'
-    raise PortError(text if found else f"{text}. {overlay_hint(model)}")
-
-
-def overlay_hint(model: Path = MODEL) -> str:
-    """What makes the pins of this machine carry PWM."""
-    try:
-        name = model.read_text(errors="replace").rstrip("\0")
-    except OSError:
-        name = ""
-    if "Raspberry Pi" in name:
-        overlay = "dtoverlay=pwm-2chan,pin=12,func=4,pin2=13,func2=4"
-        return f"Add {overlay} to /boot/firmware/config.txt and start again"
-    if "Jetson" in name or "NVIDIA" in name:
-        return "Give the pins to PWM with: sudo /opt/nvidia/jetson-io/jetson-io.py"
-    return "The board's device tree must give a pin to PWM"
+    if found:
+        raise PortError(f'{len(found)} PWM chips fit "{wanted}"; there: {there}')
+    raise ChipAbsent(f'no PWM chip "{wanted}"; there: {there or "none"}')
 
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:
@@ -94,8 +85,8 @@ async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) ->
             claim(fd)
             _set_up(folder, period_ns, rest_ns)
         except OSError as error:
-            what = f"PWM channel {number} of {chip} ({_device(chip)})"
-            raise PortError(f"{what}: {_why(error, chip)}") from error
+            what = f"PWM channel {number} of {chip} ({device_of(chip)})"
+            raise PortError(f"{what}: {_why(error, chip, number)}") from error
         undo.pop_all()
     return Channel(folder, fd, rests_low=rest_ns == 0)
 
@@ -131,13 +122,16 @@ def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
     (folder / "enable").write_text("1")
 
 
-def _device(chip: Path) -> str:
+def device_of(chip: Path) -> str:
+    """The name of a chip's device."""
     return Path(os.path.realpath(chip / "device")).name
 
 
-def _why(error: OSError, chip: Path) -> str:
+def _why(error: OSError, chip: Path, number: int) -> str:
     if error.errno == errno.EBUSY:
-        return "a driver of the kernel has it (a fan, a backlight): take it out of the device tree"
+        owner = pwm_owner(device_of(chip), number)
+        who = owner or "a fan, a backlight"
+        return f"a driver of the kernel has it ({who}): {freeing_step(owner)}"
     if error.errno == errno.ENODEV:
         return _how_many(chip)
     if error.errno == errno.EINVAL:
