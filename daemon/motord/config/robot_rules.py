@@ -69,6 +69,13 @@ def _battery(robot: Robot) -> Iterator[Finding]:
     for name in battery.joints if isinstance(battery, DrivesBattery) else ():
         if name not in robot.joint:
             yield Finding((("battery", "joints"), ("joint",)), f'there is no joint "{name}"')
+    if isinstance(battery, DrivesBattery) and battery.voltage_from and battery.joints:
+        paths = (("battery", "joints"), ("battery", "voltage_from"))
+        yield Finding(paths, "the voltage is that of voltage_from")
+    for key, where in battery.readings.items() if isinstance(battery, DrivesBattery) else ():
+        name = where.partition(".")[0]
+        if name not in robot.joint:
+            yield Finding((("battery", key), ("joint",)), f'there is no joint "{name}"')
 
 
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
