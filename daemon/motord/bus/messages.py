@@ -154,7 +154,10 @@ def joint_state(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> JointSta
     )
 
 
-_NOT_MEASURED = (-1.0, *[0.0] * 8)
+NOT_MEASURED = (-1.0, *[0.0] * 8)
+"""As the covariance of what an Imu does not say."""
+NOT_TOLD = ("stale", "reversed")
+"""States of a sensor that nobody should believe."""
 _ERROR_UNKNOWN = (0.0,) * 9
 
 
@@ -163,11 +166,7 @@ def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
     measured has the variance UNMEASURED. None: no sensor, one that turns
     against the wheels, or its last good sample is old."""
     found = snapshot.imu
-    if (
-        found is None
-        or found.state in ("stale", "reversed")
-        or not math.isfinite(found.angular_rad_s[2])
-    ):
+    if found is None or found.state in NOT_TOLD or not math.isfinite(found.angular_rad_s[2]):
         return None
     variances = (*[math.nan] * 2, found.rate_variance_rad2_s2 + found.bias_variance_rad2_s2)
     felt = found.acceleration_m_s2
@@ -175,11 +174,11 @@ def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
     return Imu(
         header=Header(wall_time(found.stamp_ns, wall_offset_ns), body.base_frame),
         orientation=Quaternion(),
-        orientation_covariance=_NOT_MEASURED,
+        orientation_covariance=NOT_MEASURED,
         angular_velocity=Vector3(*(_or_zero(rate) for rate in found.angular_rad_s)),
         angular_velocity_covariance=_rate_covariance(found.angular_rad_s, variances),
         linear_acceleration=Vector3(*felt) if feels else Vector3(),
-        linear_acceleration_covariance=_ERROR_UNKNOWN if feels else _NOT_MEASURED,
+        linear_acceleration_covariance=_ERROR_UNKNOWN if feels else NOT_MEASURED,
     )
 
 
