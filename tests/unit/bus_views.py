@@ -97,7 +97,8 @@ def any_loop(rng):
     return {
         "rate_hz": any_number(rng), "policy": rng.choice(("SCHED_FIFO", "SCHED_OTHER", "")),
         **{key: rng.getrandbits(63) for key in ("ticks", "overruns", "page_faults")},
-        **{key: {name: any_number(rng) for name in percentiles} for key in ("lateness_us", "step_ns")},
+        "lateness_us": {name: any_number(rng) for name in percentiles},
+        "step_ns": {name: any_number(rng) for name in percentiles},
     }  # fmt: skip
 
 

@@ -229,6 +229,13 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
+def power_supply_status(current_a: float | None) -> PowerSupply:
+    """By the current into the battery."""
+    if current_a is None or current_a == 0.0 or not math.isfinite(current_a):
+        return PowerSupply.UNKNOWN
+    return PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
+
+
 def _battery_message(
     stamp: Time,
     voltage_v: float,
@@ -239,9 +246,6 @@ def _battery_message(
     cells: int = 0,
 ) -> BatteryState:
     """Cells that nobody measures one by one are NaN each, as the message's definition has it."""
-    status = PowerSupply.UNKNOWN
-    if math.isfinite(current_a) and current_a != 0.0:
-        status = PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
     return BatteryState(
         header=Header(stamp, ""),
         voltage=voltage_v,
@@ -251,7 +255,7 @@ def _battery_message(
         capacity=math.nan,
         design_capacity=capacity_ah,
         percentage=math.nan,
-        power_supply_status=status,
+        power_supply_status=power_supply_status(current_a),
         power_supply_health=PowerSupply.UNKNOWN,
         power_supply_technology=PowerSupply.UNKNOWN,
         present=True,

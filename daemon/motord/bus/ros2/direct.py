@@ -10,10 +10,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from math import cos, inf, isfinite, sin
+from math import cos, inf, isfinite, nan, sin
 from typing import Any
 
-from motord.bus.messages import NOT_MEASURED, NOT_TOLD, UNMEASURED, Body, state_name
+from motord.bus.messages import (
+    NOT_MEASURED,
+    NOT_TOLD,
+    UNMEASURED,
+    Body,
+    power_supply_status,
+    state_name,
+)
 from motord.bus.ros2.cdr import HEADER, encode
 from motord.bus.topics import Topic, View
 
@@ -233,6 +240,81 @@ def _imu(topic: Topic, body: Body, long_way: Encoder) -> Encoder:
     return encoded
 
 
+def _battery_state(topic: Topic, _body: Body, long_way: Encoder) -> Encoder:
+    """Of a [battery]; its number of cells does not change."""
+    before = _Constant(_AFTER_STAMP).string("").align(4).raw
+    unknown = struct.pack("<2f", nan, nan)
+    after_status = _AFTER_STAMP + len(before) + 7 * 4 + 1
+    pack = struct.Struct("<4siI8s3f8sf4sB").pack
+    cells, tail = 0, _battery_tail(after_status, 0)
+
+    def encoded(view: View, wall_offset_ns: int) -> bytes | None:
+        nonlocal cells, tail
+        battery = view.battery()
+        if battery is None:
+            return long_way(view, wall_offset_ns)
+        voltage_v, current_a = battery["voltage_v"], battery["current_a"]
+        if voltage_v is None:
+            return None
+        temperature_c, capacity_ah = battery["temperature_c"], battery["capacity_ah"]
+        if battery["cells"] != cells:
+            cells = battery["cells"]
+            tail = _battery_tail(after_status, cells or 0)
+        wall_ns = view.snapshot.stamp_ns + wall_offset_ns
+        sec = wall_ns // _NS
+        try:
+            return pack(
+                HEADER, sec, wall_ns - sec * _NS, before, voltage_v,
+                nan if temperature_c is None else temperature_c,
+                nan if current_a is None else current_a,
+                unknown, nan if capacity_ah is None else capacity_ah, unknown,
+                power_supply_status(current_a),
+            ) + tail  # fmt: skip
+        except (struct.error, OverflowError) as error:
+            raise ValueError(f"{topic.type_name}: {error}") from error
+
+    return encoded
+
+
+def _battery_tail(at: int, cells: int) -> bytes:
+    """Health and technology unknown, present, so many cells that nobody measures, no name."""
+    tail = (
+        _Constant(at).number("3B", 0, 0, 1).number("I", cells).number(f"{cells}f", *[nan] * cells)
+    )
+    return tail.number("I", 0).string("").string("").align(4).raw
+
+
+def _loop_statistics(topic: Topic, _body: Body, _long_way: Encoder) -> Encoder:
+    before = _Constant(_AFTER_STAMP).string("").align(_ALIGNMENT).raw
+    policy, words = "", b""
+    pack = struct.Struct("").pack
+
+    def encoded(view: View, wall_offset_ns: int) -> bytes | None:
+        nonlocal policy, words, pack
+        if view.status is None:
+            return None
+        loop = view.status["loop"]
+        late, step = loop["lateness_us"], loop["step_ns"]
+        if loop["policy"] != policy or not words:
+            policy = loop["policy"]
+            at = _AFTER_STAMP + len(before) + 8
+            words = _Constant(at).string(policy).align(_ALIGNMENT).raw
+            pack = struct.Struct(f"<4siI{len(before)}sd{len(words)}s3Q8d").pack
+        wall_ns = view.status_ns + wall_offset_ns
+        sec = wall_ns // _NS
+        try:
+            return pack(
+                HEADER, sec, wall_ns - sec * _NS, before, loop["rate_hz"], words,
+                loop["ticks"], loop["overruns"], loop["page_faults"],
+                late["p50"], late["p99"], late["p99_9"], late["max"],
+                step["p50"], step["p99"], step["p99_9"], step["max"],
+            )  # fmt: skip
+        except struct.error as error:
+            raise ValueError(f"{topic.type_name}: {error}") from error
+
+    return encoded
+
+
 class _MotorStatus:
     """Its words are laid out anew when one of them is another."""
 
@@ -312,4 +394,6 @@ _DIRECT = {
     "joint_states": _joint_states,
     "motor_status": _motor_status,
     "imu": _imu,
+    "battery_state": _battery_state,
+    "loop_statistics": _loop_statistics,
 }
