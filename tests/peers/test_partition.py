@@ -14,7 +14,7 @@ import time
 import pytest
 from tests.peers.mosquitto import BROKER, certified, needs_mosquitto, stamp
 from tests.peers.namespaces import THERE, cable, inside, why_not
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
 
 from motord.client import Refused
 
@@ -33,17 +33,6 @@ MISSED_TICKS = 2000
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
 """Of the pace before, that of loop and lines without a network; a busy machine has its part."""
-ROUTER = f"""
-import signal, struct, zenoh
-said = '{{mode: "router", listen: {{endpoints: ["tcp/{THERE}:{ZENOH}"]}},'
-said += "scouting: {{multicast: {{enabled: false}}}}}}"
-with zenoh.open(zenoh.Config.from_json5(said)) as it:
-    def take(sample):
-        print("%d.%09d" % struct.unpack_from("<iI", sample.payload.to_bytes(), 4), flush=True)
-    kept = it.declare_subscriber("*/zenoh/odom/**", take)
-    signal.pause()
-"""
-"""Listens, and prints the stamp of each odometry that comes."""
 QUEUED_S = 1.0
 """Of samples that may reach the broker late: what was under way when the cable was plugged."""
 
@@ -70,7 +59,8 @@ class Lines:
         self._thread.join()
         self.process.stdout.close()
         if self.process.stdin:
-            self.process.stdin.close()
+            with contextlib.suppress(BrokenPipeError):  # a line that was not read any more
+                self.process.stdin.close()
 
 
 class Network:
@@ -82,17 +72,24 @@ class Network:
         self._broker = self.router = None
 
     def start(self):
+        self.close()
         there = inside(self.wire.there)
         self._broker = subprocess.Popen(
             [*there, BROKER, "-c", str(self.folder / "mosquitto.conf")], stderr=subprocess.DEVNULL
         )
-        self.router = Lines([*there, sys.executable, "-c", ROUTER])
+        router = (sys.executable, "-m", "tests.peers.zenoh_far", f"{THERE}:{ZENOH}", self.folder)
+        self.router = Lines([*there, *router], stdin=subprocess.PIPE, cwd=ROOT)
         wait_until(self._listens, "mosquitto")
 
     def kill(self):
         self._broker.kill()
-        self._broker.wait()
-        self.router.close()
+        self.router.process.kill()
+
+    def close(self):
+        if self.router is not None:
+            self.kill()
+            self._broker.wait()
+            self.router.close()
 
     def command(self, program, *words):
         return (*inside(self.wire.there), program, *self._options, *words)
@@ -125,7 +122,7 @@ def network(tmp_path_factory):
             made.start()
             yield made
         finally:
-            made.kill()
+            made.close()
 
 
 @pytest.fixture(scope="module")
@@ -136,12 +133,14 @@ def stage(tmp_path_factory, network):
     token.chmod(0o600)
     broker = ("kind=mqtt", f"host={THERE}", f"port={PORT}", "tls=true", "topic_prefix=r2",
               f"ca_file={network.folder}/ca.pem")  # fmt: skip
+    zenoh = ("kind=ros2-zenoh", "namespace=/zenoh", f"router=tls/{THERE}:{ZENOH}",
+             f"ca_file={network.folder}/ca.pem")  # fmt: skip
     settings = (
         *(f"{section}.fleet.{one}" for section in ("publish", "input") for one in broker),
         f"publish.fleet.rate_hz={RATE_HZ}", f"input.fleet.lease_s={LEASE_S}",
         f"input.fleet.token_file={token}", f"safety.command_timeout_s={LEASE_S}",
-        "publish.z.kind=ros2-zenoh", "publish.z.namespace=/zenoh",
-        f"publish.z.router=tcp/{THERE}:{ZENOH}", f"publish.z.rate_hz={RATE_HZ}",
+        *(f"{section}.z.{one}" for section in ("publish", "input") for one in zenoh),
+        f"publish.z.rate_hz={RATE_HZ}", f"input.z.lease_s={LEASE_S}", "input.z.trust_router=true",
         "joint.left.tries=10", "joint.right.tries=10",
     )  # fmt: skip
     with running(folder, *settings, options=("--no-bus",)) as stage:
@@ -201,24 +200,31 @@ class Pace:
 
 
 class Driving:
-    """Commands given at the broker's side, cable or not, as long as it lasts."""
+    """Commands given on the other side by MQTT and by Zenoh, cable or not, as long as it lasts."""
 
     def __init__(self, network):
+        self._other = network.router.process.stdin
         self._command = network.command("mosquitto_pub", "-t", "r2/cmd_vel", "-l")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self.linear_m_s = 0.0
 
     def _run(self):
-        with (
-            contextlib.suppress(BrokenPipeError),  # the broker is killed, too
-            subprocess.Popen(self._command, stdin=subprocess.PIPE, text=True) as writer,
-        ):
-            while not self._end.wait(0.1):
-                twist = {"linear": {"x": self.linear_m_s}, "angular": {"z": 0.0}}
-                row = {"token": TOKEN, "header": stamp(), "twist": twist}
-                writer.stdin.write(json.dumps(row) + "\n")
-                writer.stdin.flush()
+        with subprocess.Popen(self._command, stdin=subprocess.PIPE, text=True) as writer:
+            try:
+                while not self._end.wait(0.1):
+                    self._say(writer.stdin)
+            except BrokenPipeError:
+                pass  # they are killed, too
+            finally:
+                writer.kill()
+
+    def _say(self, broker):
+        twist = {"linear": {"x": self.linear_m_s}, "angular": {"z": 0.0}}
+        row = json.dumps({"token": TOKEN, "header": stamp(), "twist": twist})
+        for pipe, line in ((broker, row), (self._other, self.linear_m_s)):
+            pipe.write(f"{line}\n")
+            pipe.flush()
 
     def __enter__(self):
         self._thread.start()
@@ -252,11 +258,19 @@ def at_rest(stage):
 
 
 def calm_per_s(stage, network, odometry):
-    """The pace while all is well, and both of the other side hear of the robot."""
+    """The pace while all is well: both of the other side hear of the robot."""
     pace, heard, told = Pace(stage), len(odometry.heard), len(network.router.heard)
     wait_until(lambda: len(odometry.heard) > heard + CALM_SAMPLES, "odometry by MQTT")
     wait_until(lambda: len(network.router.heard) > told + CALM_SAMPLES, "odometry by Zenoh")
     return pace.per_s()
+
+
+def both_command(bus):
+    def sent():
+        return {name: one["sent"] for name, one in figures(bus)["inputs"].items()}
+
+    before = sent()
+    wait_until(lambda: all(sent()[name] > before[name] for name in ("fleet", "z")), "commands")
 
 
 def at_rest_and_free(stage):
@@ -273,6 +287,7 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
         try:
             with Driving(network) as driving:
                 set_off(stage, driving)
+                both_command(bus)
                 calm = calm_per_s(stage, network, odometry)
                 lost_before, cut, cut_s = lost(bus), Pace(stage), time.time()
                 network.wire.pull()
@@ -300,13 +315,16 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
 def test_a_broker_and_a_router_that_were_killed_and_started_again_are_found_again(
     stage, network, bus
 ):
-    with Driving(network) as driving:
-        set_off(stage, driving)
-        network.kill()
-        at_rest_and_free(stage)
-    accepted, gone = stage.robot.status()["commands"]["accepted"], Pace(stage)
-    wait_until(lambda: gone.ticks() > MISSED_TICKS, "a loop that goes on")
-    network.start()
+    try:
+        with Driving(network) as driving:
+            set_off(stage, driving)
+            both_command(bus)
+            network.kill()
+            at_rest_and_free(stage)
+        accepted, gone = stage.robot.status()["commands"]["accepted"], Pace(stage)
+        wait_until(lambda: gone.ticks() > MISSED_TICKS, "a loop that goes on")
+    finally:
+        network.start()
     with closing(Lines(network.command("mosquitto_sub", "-t", "r2/odom"))) as odometry:
         calm = calm_per_s(stage, network, odometry)
         assert gone.kept(calm)
