@@ -70,13 +70,19 @@ def status(
 
 
 def latency(loop: Loop) -> dict[str, Any]:
-    """The loop's histograms since its start, in microseconds, and how many samples they hold."""
+    """The loop's histograms since its start: percentiles in microseconds, how many samples they
+    hold, and each bucket that holds some as low_ns, high_ns, samples. They only grow: what two
+    answers differ by came between them."""
     found = {kind: loop.percentiles(kind) for kind in HistogramKind}
     return {
         "lateness_us": _percentiles(found[HistogramKind.LATENESS], 1e3),
         "step_us": _percentiles(found[HistogramKind.STEP], 1e3),
         "command_to_core_us": _percentiles(found[HistogramKind.COMMAND], 1e3),
         "samples": {kind.name.lower(): found[kind].samples for kind in HistogramKind},
+        "buckets": {
+            kind.name.lower(): [[b.low_ns, b.high_ns, b.samples] for b in loop.buckets(kind)]
+            for kind in HistogramKind
+        },
     }
 
 
