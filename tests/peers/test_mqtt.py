@@ -196,6 +196,28 @@ def test_who_shows_the_token_drives_and_is_named(stage, peer):
     stage.wait_for("armed")
 
 
+def test_who_shows_the_token_commands_the_wheels_by_the_joints_names(stage, peer):
+    armed(stage, peer)
+
+    def moving():
+        wheels = {"name": ["left", "right"], "velocity": [2.0, 2.0]}
+        command = {"token": TOKEN, "header": stamp()} | wheels
+        peer.pub("site/r2/joint_commands", command)
+        return stage.state() == "moving"
+
+    wait_until(moving, "the wheels turn")
+    stage.wait_for("armed")
+
+
+def test_wheels_without_the_token_are_refused(stage, peer):
+    armed(stage, peer)
+    refused = inputs(stage)["fleet"]["refused"]
+    command = {"header": stamp(), "name": ["left"], "velocity": [2.0]}
+    peer.pub("site/r2/joint_commands", command)
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > refused, "a refusal")
+    assert stage.state() == "armed"
+
+
 @pytest.mark.parametrize(
     "command",
     [
