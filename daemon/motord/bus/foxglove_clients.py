@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections import deque
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -87,8 +86,8 @@ class Commands(Looks):
         self._tunable = Tunable(station.robot, station.call)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
         self._crossing = Crossing()
-        self._admitted: deque[int] = deque(maxlen=ADMITTED_MAX)
-        """Connections; a number is never used again."""
+        self._admitted: tuple[int, ...] = ()
+        """Connections; a number is never used again. Threads read it: it is only replaced."""
         self._topics: dict[tuple[int, int], str] = {}
         """By connection and its channel."""
         self._advertising = threading.Lock()
@@ -186,7 +185,7 @@ class Commands(Looks):
         request = _request(raw)
         if method == AUTHORIZE:
             self._desk.admit(request.get("token"))
-            self._admitted.append(client)
+            self._admitted = (*self._admitted, client)[-ADMITTED_MAX:]
             return "this connection may command until it ends"
         self._admit(client, request)
         return str((await self._desk.act(method))["state"])

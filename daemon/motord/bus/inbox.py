@@ -56,11 +56,11 @@ class Crossing:
     async def run(self) -> None:
         """Until cancelled: who waits then, and who comes later, is told that it ends."""
         self._asked.open()
-        try:
-            async with asyncio.TaskGroup() as self._tasks:
+        async with asyncio.TaskGroup() as self._tasks:
+            try:
                 await asyncio.Event().wait()
-        finally:
-            self._tasks = None
+            finally:
+                self._tasks = None
 
     def ask(self, make: Callable[[], Awaitable[_T]], within_s: float) -> _T:
         """From any thread but the loop's own. Raises NotTaken, also where there is no answer."""
