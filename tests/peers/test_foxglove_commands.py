@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from tests.peers.foxglove_wire import wired
 from tests.peers.mosquitto import free_port
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
-TOKEN = "a-token-of-sixteen-and-more"
 TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
 WHEELS = {"name": ["left", "right"], "velocity": [2.0, 2.0], "position": [], "effort": []}
 MODULES = ROOT / "build/node/node_modules"
@@ -29,12 +29,10 @@ def port():
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
     folder = tmp_path_factory.mktemp("foxglove")
-    token = folder / "token"
-    token.write_text(TOKEN, encoding="ascii")
-    token.chmod(0o600)
     settings = (
         "input.fox.kind=foxglove", f"input.fox.port={port}", "input.fox.stamped=false",
-        f"input.fox.token_file={token}", "input.fox.rate_hz=50", "input.fox.lease_s=1.0",
+        f"input.fox.token_file={token_file(folder)}", "input.fox.rate_hz=50",
+        "input.fox.lease_s=1.0",
         "safety.command_timeout_s=1.0",
     )  # fmt: skip
     with running(folder, *settings) as stage:

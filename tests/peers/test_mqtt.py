@@ -13,6 +13,7 @@ import time
 import cbor2
 import pytest
 from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import running, wait_until
 
 from motord.bus.topics import TOPICS
@@ -20,14 +21,6 @@ from motord.bus.topics import TOPICS
 pytestmark = needs_mosquitto
 LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
-TOKEN = "a token of sixteen and more"
-
-
-def token_file(folder):
-    path = folder / "token"
-    path.write_text(TOKEN + "\n", encoding="utf-8")
-    path.chmod(0o600)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import signal
 import cbor2
 import pytest
 from tests.peers.mosquitto import broker, needs_mosquitto, stamp
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import running, wait_until
 
 pytestmark = needs_mosquitto
-TOKEN = "a token of sixteen and more"
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +23,12 @@ def peer(tmp_path_factory):
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, peer):
     folder = tmp_path_factory.mktemp("sparkplug")
-    token = folder / "token"
-    token.write_text(TOKEN, encoding="ascii")
-    token.chmod(0o600)
     common = ("kind=mqtt", f"port={peer.port}", "topic_scheme=sparkplug", "group=site")
     settings = [f"{table}.fleet.{said}" for table in ("publish", "input") for said in common]
     settings += [f"publish.short.{said}" for said in (*common, "encoding=cbor", 'topics=["tf"]')]
     more = (
         "publish.short.topic_prefix=cbor", "publish.fleet.rate_hz=20",
-        f"input.fleet.token_file={token}", "input.fleet.lease_s=1.0",
+        f"input.fleet.token_file={token_file(folder)}", "input.fleet.lease_s=1.0",
         "safety.command_timeout_s=1.0",
     )  # fmt: skip
     with running(folder, *settings, *more) as stage:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 from tests.peers.mosquitto import certified, free_port
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from motord.client import Refused
 
-TOKEN = "a-token-of-sixteen-and-more"
 CLIENT = Path(__file__).with_name("ros_client.py")
 ROSLIBJS = ROOT / "build/node/node_modules/roslib/dist/RosLib.js"
 
@@ -32,12 +32,10 @@ def ports():
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, ports):
     folder = tmp_path_factory.mktemp("rosbridge")
-    token = folder / "token"
-    token.write_text(TOKEN, encoding="ascii")
-    token.chmod(0o600)
     settings = (
         "input.web.kind=rosbridge", f"input.web.port={ports[0]}", "input.web.stamped=false",
-        f"input.web.token_file={token}", "input.web.rate_hz=50", "input.web.lease_s=1.0",
+        f"input.web.token_file={token_file(folder)}", "input.web.rate_hz=50",
+        "input.web.lease_s=1.0",
         "safety.command_timeout_s=1.0",
         "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=1000",
     )  # fmt: skip

@@ -28,7 +28,7 @@ from foxglove.websocket import (
 
 from motord.bus import json_form
 from motord.bus.inbox import Crossing, Inbox
-from motord.bus.inputs.desk import COMMANDS, TRIGGERS, Desk, NotTaken, short
+from motord.bus.inputs.desk import COMMANDS, TRIGGERS, Desk, NotTaken, request_of, short
 from motord.bus.link import CALL_WITHIN_S
 from motord.bus.tunable import Tunable, value_of
 from motord.config import FoxgloveInput
@@ -45,6 +45,7 @@ CHANGE_WITHIN_S = 2.0
 """So long a change of parameters may hold up a thread that serves others, too."""
 LOOK_EVERY_S = 1.0
 COMPLAIN_AGAIN_S = 0.5
+REQUEST_BYTES_MAX = 4096
 WAITING_MAX = 32
 ADMITTED_MAX = 64
 CHANNELS_MAX = 256
@@ -151,7 +152,7 @@ class Commands(Looks):
     def _take(self, said: tuple[int, str, bytes]) -> None:
         client, topic, raw = said
         try:
-            request = _request(raw)
+            request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
             self._admit(client, request)
             self._desk.take(topic, request)
         except NotTaken as error:
@@ -182,7 +183,7 @@ class Commands(Looks):
 
     async def _answer(self, method: str, client: int, raw: bytes) -> str:
         """Raises NotTaken."""
-        request = _request(raw)
+        request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
         if method == AUTHORIZE:
             self._desk.admit(request.get("token"))
             self._admitted = (*self._admitted, client)[-ADMITTED_MAX:]
@@ -241,15 +242,6 @@ class Commands(Looks):
     async def _look(self) -> None:
         known = await self._tunable.known()
         self._parameters = {name: _shown(about) for name, about in known.items()}
-
-
-def _request(raw: bytes) -> Mapping[str, Any]:
-    """Nothing that could have a token: an empty one."""
-    try:
-        request = json_form.decode(raw)
-    except ValueError:
-        return {}
-    return request if isinstance(request, Mapping) else {}
 
 
 def _wanted(parameter: Parameter) -> float:

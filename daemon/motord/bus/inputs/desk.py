@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.link import Source
@@ -169,6 +169,18 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{short(value)} is no number")
     return float(value)
+
+
+def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> Mapping[str, Any]:
+    """What a stranger sent; nothing that could have a token: an empty one. `decode` raises
+    ValueError."""
+    if not isinstance(raw, bytes) or len(raw) > bytes_max:
+        return {}
+    try:
+        request = decode(raw)
+    except ValueError:
+        return {}
+    return request if isinstance(request, Mapping) else {}
 
 
 def short(value: object) -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import COMMANDS, Desk, NotTaken, tag
+from motord.bus.inputs.desk import COMMANDS, Desk, NotTaken, request_of, tag
 from motord.bus.mqtt_connection import MqttConnection
 from motord.bus.mqtt_names import CALL
 from motord.config import MqttInput
@@ -63,7 +63,7 @@ class MqttCommands:
     def _take(
         self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: asyncio.TaskGroup
     ) -> None:
-        request = self._request(message.payload)
+        request = request_of(self._connection.decode, message.payload, PAYLOAD_BYTES_MAX)
         self._desk.admit(request.get("token"))
         if (topic := self._commands.get(str(message.topic))) is not None:
             self._desk.take(topic, request)
@@ -71,16 +71,6 @@ class MqttCommands:
             call = tasks.create_task(self._act(client, request))
             self._calls.add(call)
             call.add_done_callback(self._calls.discard)
-
-    def _request(self, payload: Any) -> Mapping[str, Any]:
-        """Nothing that could have a token: an empty one."""
-        if not isinstance(payload, bytes) or len(payload) > PAYLOAD_BYTES_MAX:
-            return {}
-        try:
-            request = self._connection.decode(payload)
-        except ValueError:
-            return {}
-        return request if isinstance(request, Mapping) else {}
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
         number, method = tag(request.get("id")), tag(request.get("method"))
