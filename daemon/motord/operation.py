@@ -307,6 +307,7 @@ class Operation:
         """A drive that switches itself off may say why only later."""
         if why not in self.why:
             self.why = (*self.why, why)
+            _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
         """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
