@@ -36,6 +36,12 @@ class Wire:
             if message["op"] == op and fits(message):
                 return message
 
+    async def advertised(self, count):
+        """By topic, when there are so many."""
+        while len(self.channels) < count:
+            await self.said("advertise")
+        return self.channels
+
     async def send(self, op, **more):
         await self._socket.send(json.dumps({"op": op} | more))
 
@@ -73,12 +79,15 @@ class Wire:
 
 
 @contextlib.asynccontextmanager
-async def wired(port):
-    """Again until it listens."""
+async def wired(port, tls=None):
+    """Again until it listens. `tls`: a context, for a server with a certificate."""
     while True:
         try:
             socket = await connect(
-                f"ws://127.0.0.1:{port}", subprotocols=[SUBPROTOCOL], max_size=1 << 22
+                f"ws{'s' if tls else ''}://localhost:{port}",
+                ssl=tls,
+                subprotocols=[SUBPROTOCOL],
+                max_size=1 << 22,
             )
             break
         except OSError:

@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 import json
 import shutil
+import ssl
 import subprocess
 from pathlib import Path
 
 import pytest
 from tests.peers.foxglove_wire import wired
-from tests.peers.mosquitto import free_port
+from tests.peers.mosquitto import certified, free_port
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
@@ -130,6 +131,27 @@ async def test_a_message_without_the_token_is_refused_counted_and_said(stage, po
     assert stage.robot.status()["commands"]["accepted"] == before
 
 
+async def test_a_complaint_is_taken_back_when_its_cause_is_gone(stage, port):
+    zero = {"linear": {"x": 0.0}, "angular": {"z": 0.0}, "token": TOKEN}
+    async with asyncio.timeout(DEADLINE_S), wired(port) as client:
+        channel = await client.advertise("/cmd_vel")
+        await complaint(client, "cmd_vel", lambda: client.publish(channel, TWIST))
+        await client.publish(channel, zero)
+        said = await client.said("removeStatus")
+        assert said["statusIds"] == ["cmd_vel"]
+
+
+async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
+    accepted = stage.robot.status()["commands"]["accepted"]
+    async with asyncio.timeout(DEADLINE_S), wired(port) as client:
+        await let_in(client)
+        channel = await client.advertise("/cmd_vel")
+        await client.send("unadvertise", channelIds=[channel])
+        await client.publish(channel, TWIST)
+        await client.said("status", lambda said: "nknown channel" in said["message"])
+    assert stage.robot.status()["commands"]["accepted"] == accepted
+
+
 @pytest.mark.parametrize(("topic", "encoding"), [("/odom", "json"), ("/cmd_vel", "cdr")])
 async def test_what_cannot_be_published_is_said(stage, port, topic, encoding):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
@@ -199,6 +221,22 @@ async def test_a_stranger_changes_no_limit(stage, port):
         values = await client.parameters("setParameters", parameters=change)
     assert values == {LIMIT: before[LIMIT]}
     assert stage.robot.call("params.get") == before
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
+async def test_by_tls_with_the_certificate_of_the_robot_file(tmp_path):
+    certified(tmp_path)
+    port = free_port()
+    settings = ("input.fox.kind=foxglove", f"input.fox.port={port}",
+                f"input.fox.token_file={token_file(tmp_path)}",
+                f"input.fox.cert_file={tmp_path}/host.pem",
+                f"input.fox.key_file={tmp_path}/host.key")  # fmt: skip
+    context = ssl.create_default_context(cafile=tmp_path / "ca.pem")
+    with running(tmp_path, *settings, simulated=False) as stage:
+        async with asyncio.timeout(DEADLINE_S), wired(port, context) as client:
+            await let_in(client)
+            assert (await client.call("estop")) == {"success": True, "message": "estop"}
+        assert stage.state() == "estop"
 
 
 @pytest.mark.skipif(
