@@ -18,6 +18,7 @@ from pydantic import Field, PrivateAttr
 from motord.config.battery_section import DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
+    FoxgloveInput,
     FoxglovePublish,
     JoystickInput,
     McapPublish,
@@ -306,6 +307,7 @@ Input = (
     | RtInput
     | MqttInput
     | RosbridgeInput
+    | FoxgloveInput
     | JoystickInput
     | Ros2Input
     | ZenohInput
