@@ -63,7 +63,7 @@ static board_report wait_for(uint32_t mode)
         CHECK(clock_now_ns() < until_ns);
         (void)poll(NULL, 0, 1);
         CHECK(board_read_report(0, &report) == 0);
-    } while (report.running != 0 && report.mode != mode);
+    } while (report.life.running != 0 && report.mode != mode);
     return report;
 }
 
@@ -76,7 +76,7 @@ static void write_out(uint32_t byte, uint32_t bytes, int64_t raw)
     CHECK(board_put_order(0, &order) == 0);
     do {
         (void)poll(NULL, 0, 1);
-        CHECK(board_read_report(0, &report) == 0 && report.running != 0);
+        CHECK(board_read_report(0, &report) == 0 && report.life.running != 0);
     } while (report.orders_sent == before || report.knows_ns < report.written_ns);
 }
 
@@ -116,7 +116,7 @@ int main(void)
     table.setpoint_timeout_ns = 5000 * MS;
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends) == 0);
-    board_config config = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
+    board_config config = {.at = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared}};
     CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, sketch, &turned) == 0);
     CHECK(board_start(0, &config, &table) == 0 && board_start(0, &config, &table) == -EBUSY);
     a_line_is_set_up_armed_and_stopped();
@@ -125,7 +125,7 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(turned > 0);
     CHECK(close(ends[1]) == 0);
-    int32_t error = wait_for(DRIVE_ARMED).error;
+    int32_t error = wait_for(DRIVE_ARMED).life.error;
     CHECK(error == EIO || error == EPIPE);   /* the other end has gone: the thread says so, and ends */
     CHECK(board_stop(0) == 0);
     return checks_report("board thread");

@@ -57,7 +57,7 @@ static can_report wait_for(uint32_t mode)
         CHECK(clock_now_ns() < until_ns);
         (void)poll(NULL, 0, 1);
         CHECK(can_read_report(0, &report) == 0);
-    } while (report.running != 0 && report.drive[0].mode != mode);
+    } while (report.life.running != 0 && report.drive[0].mode != mode);
     return report;
 }
 
@@ -97,7 +97,7 @@ int main(void)
     begin_with(1);
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
-    can_config config = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
+    can_config config = {.at = {.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared}};
     CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, drive, &heard) == 0);
     CHECK(can_start(0, &config, &w.table) == 0 && can_start(0, &config, &w.table) == -EBUSY);
     a_line_is_set_up_armed_ordered_and_stopped();
@@ -106,7 +106,7 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(heard > 200);
     CHECK(close(ends[1]) == 0);
-    CHECK(wait_for(DRIVE_ARMED).error == ENODEV);   /* the other end has gone: the thread says so, and ends */
+    CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV);   /* the other end has gone: the thread says so, and ends */
     CHECK(can_stop(0) == 0);
     return checks_report("can thread");
 }
