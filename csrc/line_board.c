@@ -90,7 +90,7 @@ static void hand_on(board_thread *t, int64_t now_ns)
         exchange_put_imu(t->life.at.exchange, &m->imu);
     }
     m->imu_is_new = false;
-    bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
+    bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
     if (m->news || due || m->received != t->received_reported) {
         t->received_reported = m->received;
         put_report(t, true, 0);
@@ -145,7 +145,7 @@ static void *run(void *arg)
         count = error == 0 ? wait_for_news(t, wake_ns, bytes, sizeof bytes) : 0;
         error = count < 0 ? count : error;
     }
-    line_thread_count_page_faults(&t->life, t->machine.cycles > 0);
+    line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);
     put_report(t, false, -error);
     line_thread_end(&t->life);
     return NULL;

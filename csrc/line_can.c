@@ -167,7 +167,7 @@ static void hand_on(can_thread *t, int64_t now_ns)
     can_machine *m = &t->machine;
     line_thread_put_feedback(&t->life, m->feedback_mask, m->joint, sizeof m->joint[0]);
     m->feedback_mask = 0;
-    bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
+    bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
     if (m->news || due) {
         put_report(t, true, 0);
     }
@@ -224,7 +224,7 @@ static void *run(void *arg)
         error = go_round(t, &wake_ns);
         error = error != 0 ? error : wait_for_news(t, wake_ns);
     }
-    line_thread_count_page_faults(&t->life, t->machine.cycles > 0);
+    line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);
     put_report(t, false, -error);
     line_thread_end(&t->life);
     return NULL;
