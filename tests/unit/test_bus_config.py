@@ -169,3 +169,19 @@ def test_a_foxglove_server_that_obeys_other_machines_needs_a_certificate(tmp_pat
 def test_a_foxglove_server_that_obeys_needs_a_token(tmp_path):
     (row,) = errors(tmp_path, '[input.view]\nkind = "foxglove"\n')
     assert row.startswith("input.view.token_file")
+
+
+FLIGHT = '[publish.tape]\nkind = "mcap"\nmode = "fault"\nfolder = "tape"\n'
+
+
+@pytest.mark.parametrize(
+    ("more", "warned"),
+    [("", 0), ("before_s = 600\n", 0), ("before_s = 600\nrate_hz = 500\n", 1),
+     ("before_s = 600\nrate_hz = 60\n", 0),
+     ("before_s = 600\njournal = true\nrate_hz = 60\n", 1)],
+)  # fmt: skip
+def test_a_flight_recorder_that_memory_does_not_hold_is_warned_of(tmp_path, more, warned):
+    found = load_robot(robot_file(tmp_path, FLIGHT + more)).warnings
+    rows = [row.text for row in found if row.key == "publish.tape.before_s"]
+    assert len(rows) == warned
+    assert all("memory holds" in row for row in rows)
