@@ -7,7 +7,7 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
-    ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
+    ros2_peer.py DOMAIN say NAME TEXT [best]     one String, again and again; best: best effort
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
                                                  a line on standard input: cancel it
@@ -80,8 +80,8 @@ def topic(participant, name, kind, late=""):
             say(dataclasses.asdict(sample))
 
 
-def _publish(participant, name, kind, make):
-    writer = DataWriter(participant, Topic(participant, name, kind), Qos(*RELIABLE))
+def _publish(participant, name, kind, make, qos=RELIABLE):
+    writer = DataWriter(participant, Topic(participant, name, kind), Qos(*qos))
     while True:
         writer.write(make())
         time.sleep(0.05)
@@ -123,8 +123,9 @@ def joints(participant, name, *words):
     _publish(participant, name, JointState, make)
 
 
-def _say_text(participant, name, text):
-    _publish(participant, name, String, lambda: String(text))
+def _say_text(participant, name, text, best=""):
+    qos = (Policy.Reliability.BestEffort, *RELIABLE[1:]) if best else RELIABLE
+    _publish(participant, name, String, lambda: String(text), qos)
 
 
 def _built(kind, values):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The second process: what it tells, and that whatever becomes of it costs the robot nothing."""
 
+import contextlib
 import json
 import os
 import signal
@@ -15,6 +16,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
 from tests.sim.planted import offered
+
+from motord.client import Refused
 
 FORK_FAULTS = 600
 """What one fork of the daemon would cost the loop: docs/architecture.md."""
@@ -163,9 +166,9 @@ class Adapter:
                 time.sleep(0.001)
 """
 TICKS = 1500
-LATE_PART = 0.05
-"""Of the ticks: so many more are late at most than without the trouble, on a machine that is busy
-with other things, too."""
+MORE_PART = 0.05
+"""Of the ticks, and of the exchanges: so many more are late or fail at most than without the
+trouble, on a machine that is busy with other things, too."""
 
 
 class Watch:
@@ -175,21 +178,33 @@ class Watch:
         self._stage = stage
         self._before = stage.robot.status()
 
-    def overruns(self):
-        """In so many ticks. No exchange failed meanwhile, no heart stopped; it is armed as ever."""
+    def parts(self):
+        """Of the ticks that were late, and of the exchanges that failed. No heart stopped
+        meanwhile, and it is armed as ever."""
         before = self._before
         now = wait_until(lambda: self._after(TICKS), "the loop and its line go on")
         assert now["state"] == "armed", self._stage.said()
         assert now["stalls"] == before["stalls"]
-        assert now["lines"]["rs485"]["errors"] == before["lines"]["rs485"]["errors"]
-        part = TICKS / (now["loop"]["ticks"] - before["loop"]["ticks"])
-        return part * (now["loop"]["overruns"] - before["loop"]["overruns"])
+        late = now["loop"]["overruns"] - before["loop"]["overruns"]
+        ticks = now["loop"]["ticks"] - before["loop"]["ticks"]
+        then, line = before["lines"]["rs485"], now["lines"]["rs485"]
+        failed = sum(line["errors"].values()) - sum(then["errors"].values())
+        return late / ticks, failed / (line["exchanges"] - then["exchanges"])
 
     def _after(self, ticks):
         now, before = self._stage.robot.status(), self._before
         exchanges = [status["lines"]["rs485"]["exchanges"] for status in (before, now)]
         enough = now["loop"]["ticks"] - before["loop"]["ticks"] >= ticks
         return now if enough and exchanges[1] > exchanges[0] else None
+
+
+def armed(stage):
+    """A machine that is too busy for the drives to answer in time is asked again."""
+    with contextlib.suppress(Refused):
+        if stage.state() == "fault":
+            stage.robot.reset()
+        stage.robot.arm()
+    return stage.state() == "armed"
 
 
 TROUBLES = {"chatter": "trouble begins", "flood": "no figures"}
@@ -201,17 +216,19 @@ def test_trouble_in_it_costs_the_armed_robot_nothing(tmp_path, what, said):
     environ = offered(tmp_path, "motord.publishers", "troubled", TROUBLED, "Adapter")
     when = tmp_path / "now"
     settings = ("publish.troubled.kind=other", "publish.troubled.adapter=troubled",
+                "joint.left.tries=10", "joint.right.tries=10",
                 f"publish.troubled.options.what={what}",
                 f"publish.troubled.options.when={json.dumps(str(when))}")  # fmt: skip
     with running(tmp_path, *settings, environ=environ) as stage:
         stage.wait_for("idle")
         living(stage)
-        stage.robot.arm()
-        calm = Watch(stage).overruns()
+        wait_until(lambda: armed(stage), "armed")
+        calm = Watch(stage).parts()
         watch = Watch(stage)
         when.touch()
         wait_until(lambda: said in stage.said(), said)
-        assert watch.overruns() <= calm + LATE_PART * TICKS
+        for part, without in zip(watch.parts(), calm, strict=True):
+            assert part <= without + MORE_PART
         assert stage.said().count("no figures") <= 1
 
 

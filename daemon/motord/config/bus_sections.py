@@ -232,6 +232,8 @@ class JoystickInput(BusInput):
     """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
     dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
     """Button to be held, by the kernel's name."""
+    estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button that is an emergency stop, whoever commands and whatever else is held."""
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
