@@ -2,10 +2,14 @@
 """An adapter that fails: run again, counted, said once, and nobody else's trouble."""
 
 import asyncio
+from pathlib import Path
 
 import pytest
+from tests.sim.planted import offered
 
 from motord.bus import guard
+from motord.bus.station import Station
+from motord.config import load_robot
 
 DEADLINE_S = 30.0
 
@@ -85,3 +89,26 @@ async def test_a_cancellation_that_it_answers_with_an_error_is_one_all_the_same(
         await asyncio.sleep(0)
         task.cancel()
     assert task.cancelled()
+
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+NEVER_MADE = {
+    "import": "raise NameError('pi')",
+    "syntax": "class Adapter",
+    "make": "class Adapter:\n    def __init__(self, name): pass",
+    "open": "class Adapter:\n    def __init__(self, *_): raise RuntimeError('no camera')",
+    "values": "class Adapter:\n    def __init__(self, *_): raise ValueError('no colour')",
+}
+
+
+@pytest.mark.parametrize("what", NEVER_MADE)
+def test_one_that_cannot_be_made_is_off_and_the_others_are_there(
+    tmp_path, monkeypatch, caplog, what
+):
+    offered(tmp_path, "motord.publishers", f"bad_{what}", NEVER_MADE[what], "Adapter")
+    monkeypatch.syspath_prepend(tmp_path)
+    settings = ("publish.bad.kind=other", f"publish.bad.adapter=bad_{what}",
+                "publish.prom.kind=prometheus")  # fmt: skip
+    station = Station(load_robot(DEMO, settings), tmp_path / "no.sock")
+    assert list(station._adapters()) == ["publish.prom"]
+    assert "publish.bad is off" in caplog.text

@@ -139,6 +139,11 @@ class Station:
             _log.error("%s is off: %s: pip install 'motord[%s]'", where, error, kind)
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
+        except MemoryError:
+            raise
+        except Exception as error:  # noqa: BLE001  somebody else's code may raise anything
+            text = "%s is off: it cannot be made: %s: %s"
+            _log.error(text, where, type(error).__name__, error, exc_info=error)
         else:
             return adapter
         return None
