@@ -36,6 +36,12 @@ STATUS_EVERY_S = 1.0
 LOOK_MIN_S, LOOK_MAX_S = 0.001, 0.1
 LOOKS_PER_SAMPLE = 2
 
+BROKEN = (
+    *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
+    *(SyntaxError, TypeError),
+)
+"""How code of another package fails that was never tried."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -139,9 +145,7 @@ class Station:
             _log.error("%s is off: %s: pip install 'motord[%s]'", where, error, kind)
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
-        except MemoryError:
-            raise
-        except Exception as error:  # noqa: BLE001  somebody else's code may raise anything
+        except BROKEN as error:
             text = "%s is off: it cannot be made: %s: %s"
             _log.error(text, where, type(error).__name__, error, exc_info=error)
         else:
