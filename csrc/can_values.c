@@ -53,6 +53,14 @@ static double number_of(const can_place *place, int64_t raw)
 }
 
 /* ------------------------------------------------------------------------------------------------ set-points */
+static double of_kind(const joint_setpoint *joint, uint32_t kind)
+{
+    if (kind == SETPOINT_TORQUE) {
+        return joint->torque_n_m;
+    }
+    return kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
+}
+
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static double wanted(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
@@ -60,8 +68,7 @@ static double wanted(const can_machine *m, uint32_t drive, const can_setpoint *s
     if (m->drive[drive].mode != DRIVE_ARMED || from->enabled != 1 || setpoint->joint >= from->joint_count) {
         return 0.0;
     }
-    const joint_setpoint *joint = &from->joint[setpoint->joint];
-    double value = setpoint->kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
+    double value = of_kind(&from->joint[setpoint->joint], setpoint->kind);
     return isfinite(value) ? value : 0.0;
 }
 

@@ -18,7 +18,8 @@ from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, sign
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Step
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_can import EXTENDED, REMOTE
-from motord_hal.rt_table import FieldKind, SetpointKind
+from motord_hal.rt_engine.table import setpoint_kind
+from motord_hal.rt_table import FieldKind
 
 SAMPLE_PART = 0.5
 """As of the asyncio engine: measurements that the bus has bunched are told apart by this part of
@@ -144,15 +145,13 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
         signal = plan.signal(channel.setpoint)
         if plan.frame_of(signal.name) is not frame:
             continue
-        gear = joint.gear_ratio if channel.velocity_setpoint else 1.0
         sign = -1.0 if joint.inverted else 1.0
-        kind = SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
         low, high = _raw_limits(signal)
         yield {
             "place": _place(signal),
             "joint": joint.index,
-            "kind": int(kind),
-            "raw_per_si": sign * gear / _si_per_raw(signal),
+            "kind": int(setpoint_kind(channel)),
+            "raw_per_si": sign * channel.to_motor(joint.gear_ratio) / _si_per_raw(signal),
             "raw_min": low,
             "raw_max": high,
         }
