@@ -106,6 +106,22 @@ def line_that_says(path, text):
             ),
         ),
         (
+            "cia402-torque",
+            [("velocity_max_rad_s = 15.0\n", "")],
+            (
+                'joint.left.velocity_max_rad_s: is missing: drive "cia402-torque" takes a torque, '
+                "and knows no speed at most"
+            ),
+        ),
+        (
+            "cia402-torque",
+            [("torque_max_n_m = 8.0", "torque_max_n_m = 31.0")],
+            (
+                'joint.left.speed_loop.torque_max_n_m: is more than drive "cia402-torque" takes '
+                "(at most 30 N·m at the wheel)"
+            ),
+        ),
+        (
             "forward-only",
             [("full_duty_rad_s = 18.0\n", "")],
             (
@@ -225,6 +241,16 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
 @pytest.mark.parametrize(
     ("robot", "edits", "row"),
     [
+        (
+            "cia402-torque",
+            [('drive = "cia402-torque"\nunit = 1', 'drive = "cia402"\nunit = 1')],
+            'joint.left.speed_loop: is not used: drive "cia402" holds the speed by itself',
+        ),
+        (
+            "cia402-torque",
+            [("unit = 2", "unit = 2\nduty_max = 0.5")],
+            'joint.right.duty_max: is not used: drive "cia402-torque" takes a torque',
+        ),
         (
             "demo",
             [("linear_m_s = 1.0", "linear_m_s = 1.3")],

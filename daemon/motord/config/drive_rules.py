@@ -120,7 +120,7 @@ def _torque(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         elif joint.speed_loop.torque_max_n_m > (most := torque_max_n_m(joint, profile)) * (
             1 + _ROUNDING
         ):
-            text = f"is more than {takes} of (at most {most:.4g} N·m at the wheel)"
+            text = f'is more than drive "{joint.drive}" takes (at most {most:.4g} N·m at the wheel)'
             yield Finding(((*loop, "torque_max_n_m"), drive), text)
 
 
@@ -139,7 +139,8 @@ def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             continue
         for key in keys:
             if key in joint.model_fields_set:
-                text = f'is not used: drive "{joint.drive}" takes a velocity'
+                what = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
+                text = f'is not used: drive "{joint.drive}" takes {what}'
                 yield Finding((("joint", name, key), drive), text, warning=True)
 
 
