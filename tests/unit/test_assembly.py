@@ -73,7 +73,7 @@ def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
         assert joint["speed_loop"] == {
             "gain_n_m_s_per_rad": 1.0,
             "integral_n_m_per_rad": 4.0,
-            "torque_max_n_m": 8.0,
+            "torque_max_n_m": 3.0,
         }
     _, _, demo = assembled("demo")
     assert {joint["speed_loop"]["torque_max_n_m"] for joint in demo["joint"]} == {0.0}

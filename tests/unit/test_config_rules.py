@@ -115,7 +115,7 @@ def line_that_says(path, text):
         ),
         (
             "cia402-torque",
-            [("torque_max_n_m = 8.0", "torque_max_n_m = 31.0")],
+            [("torque_max_n_m = 3.0", "torque_max_n_m = 31.0")],
             (
                 'joint.left.speed_loop.torque_max_n_m: is more than drive "cia402-torque" takes '
                 "(at most 30 N·m at the wheel)"
@@ -215,6 +215,15 @@ def test_a_watchdog_time_that_the_drive_cannot_hold_is_an_error(tmp_path):
     (row,) = errors(path)
     assert row.startswith('safety.drive_watchdog_s: 0.5 s is out of range for drive "./dog.toml" (')
     assert row.endswith(" to 0.4 s)")
+
+
+def test_a_torque_drive_needs_a_speed_loop(tmp_path):
+    text = (ROBOTS / "cia402-torque.toml").read_text(encoding="utf-8")
+    loop = text[text.index("[joint.left.speed_loop]") : text.index("[joint.right]")]
+    assert errors(edited(tmp_path, "cia402-torque", (loop, ""))) == [
+        'joint.left.speed_loop: is missing: drive "cia402-torque" takes a torque, and motord holds '
+        "the speed"
+    ]
 
 
 def test_a_broken_profile_is_said_with_its_own_first_problem(tmp_path):
