@@ -220,10 +220,8 @@ def test_a_watchdog_time_that_the_drive_cannot_hold_is_an_error(tmp_path):
 def test_a_torque_drive_needs_a_speed_loop(tmp_path):
     text = (ROBOTS / "cia402-torque.toml").read_text(encoding="utf-8")
     loop = text[text.index("[joint.left.speed_loop]") : text.index("[joint.right]")]
-    assert errors(edited(tmp_path, "cia402-torque", (loop, ""))) == [
-        'joint.left.speed_loop: is missing: drive "cia402-torque" takes a torque, and motord holds '
-        "the speed"
-    ]
+    (row,) = errors(edited(tmp_path, "cia402-torque", (loop, "")))
+    assert row.startswith("joint.left.speed_loop: is missing: drive")
 
 
 def test_a_broken_profile_is_said_with_its_own_first_problem(tmp_path):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from motord_hal.can.job_step import merged_writes
@@ -58,7 +59,7 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
         "ask": list(_questions(plan, plan.asked_fast)),
         "slow": list(_questions(plan, plan.asked_slow)),
         "probe": list(_questions(plan, probes)),
-        "match": [_match(plan, frame, inputs) for frame in plan.table.frames_from(Sender.DRIVE)],
+        "match": list(_matches(plan, inputs)),
         "input": [_input(plan, spec, frame) for frame in inputs],
         "quick_stop": _step_writes(plan, plan.profile.quick_stop),
         "disarm": _step_writes(plan, plan.profile.disarm),
@@ -165,6 +166,17 @@ def _raw_limits(signal: Signal) -> tuple[float, float]:
 
 
 # --------------------------------------------------------------------------------------- frames in
+def _matches(plan: CanPlan, inputs: Sequence[Frame]) -> Iterator[Plain]:
+    """How each frame is known. Replies about objects that the cycle does not live on are Python's,
+    which sees what each of them is: one match stands for all, behind those of their identifier."""
+    reply = plan.table.frames.get(plan.table.abort)
+    for frame in plan.table.frames_from(Sender.DRIVE):
+        if reply is None or frame in inputs or frame.base != reply.base:
+            yield _match(plan, frame, inputs)
+    if reply is not None:
+        yield _match(plan, replace(reply, begins=b""), inputs)
+
+
 def _match(plan: CanPlan, frame: Frame, inputs: Sequence[Frame]) -> Plain:
     return {
         "id": frame.identifier(plan.node) | EXTENDED * frame.is_extended(plan.node),
