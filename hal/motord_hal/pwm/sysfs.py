@@ -21,6 +21,7 @@ from motord_hal.errors import PortError
 
 CLASS = Path("/sys/class/pwm")
 MODEL = Path("/proc/device-tree/model")
+SOFTWARE_DRIVER = "pwm-gpio"
 WRITABLE_WITHIN_S = 2.0
 """Until udev has given the files of a new channel to their group."""
 LOOK_EVERY_S = 0.01
@@ -62,6 +63,12 @@ def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
     what = f"{len(found)} PWM chips fit" if found else "no PWM chip"
     text = f'{what} "{wanted}"; there: {there or "none"}'
     raise PortError(text if found else f"{text}. {overlay_hint(model)}")
+
+
+def made_in_software(chip: Path) -> bool:
+    """Whether timer interrupts of the kernel make the chip's pulses on a GPIO line
+    (drivers/pwm/pwm-gpio.c, Linux 6.11)."""
+    return Path(os.path.realpath(chip / "device" / "driver")).name == SOFTWARE_DRIVER
 
 
 def overlay_hint(model: Path = MODEL) -> str:
