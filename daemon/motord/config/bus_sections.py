@@ -76,6 +76,9 @@ class BusInput(Section):
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
 
 
 class StampedInput(BusInput):
