@@ -117,9 +117,11 @@ def test_a_service_with_a_switch_arms_and_disarms(stage):
     stage.wait_for("idle")
 
 
-def test_a_topic_stops_as_the_service_does(stage):
-    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close"):
+@pytest.mark.parametrize("how", [(), ("best",)], ids=["reliable", "best effort"])
+def test_a_topic_stops_as_the_service_does(stage, how):
+    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", *how):
         stage.wait_for("estop")
+    assert "estop: a writer is not served" not in stage.said()
     assert called("reset")["success"]
     stage.wait_for("idle")
 

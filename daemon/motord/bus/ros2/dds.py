@@ -42,7 +42,7 @@ from cyclonedds.util import duration
 from motord.bus.ros2.cyclone_types import cyclone_type
 from motord.bus.ros2.other_types import Side, other_type_said
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.sparing import Sparing
+from motord.sparing import Sparing
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
@@ -132,20 +132,24 @@ class Writer:
 
 class Reader:
     def __init__(
-        self, entity: DataReader[Any], name: str, depth: int, take: Callable[[bytes, Any], None]
+        self,
+        entity: DataReader[Any],
+        name: str,
+        quality: Quality,
+        take: Callable[[bytes, Any], None],
     ) -> None:
         self.entity = entity
         self.name = name
         self.gid = entity.guid.bytes
         self.condition = ReadCondition(entity, _ANY)
         self._handle = entity._ref  # noqa: SLF001  the binding's take would decode, too
-        self._depth = depth
+        self._quality = quality
         self._take = take
         self._said = 0
 
     def deliver(self) -> None:
         """All that has arrived."""
-        taken = ddspy_take(self._handle, _ANY, self._depth)
+        taken = ddspy_take(self._handle, _ANY, self._quality.depth)
         if isinstance(taken, int):
             return
         for raw, info in taken:
@@ -154,6 +158,8 @@ class Reader:
 
     def say_mismatch(self) -> None:
         """A writer that offers less than this reader asks for is not heard: said once for each."""
+        if not self._quality.alone:
+            return
         entity: Any = self.entity
         status = entity.get_requested_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
@@ -279,7 +285,7 @@ class Participant:
             self._requests.add(topic)
         else:
             self._read[topic] = kind
-        self.readers.append(Reader(entity, topic, quality.depth, take))
+        self.readers.append(Reader(entity, topic, quality, take))
         return self.readers[-1]
 
     def _topic(self, name: str, kind: str, service: bool) -> Topic[Any]:
@@ -290,6 +296,8 @@ class Participant:
     async def run(self) -> None:
         """Deliver what arrives, until cancelled. Raises DdsError when the library fails."""
         loop = asyncio.get_running_loop()
+        self._ending, self._broken = False, None
+        self._guard.set(False)
         waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
         waiting.start()
         try:

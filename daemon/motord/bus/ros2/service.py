@@ -19,8 +19,8 @@ from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant, client_of
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
+from motord.sparing import Sparing
 
 WAITING_MAX = 32
 """Requests; more are not answered."""
