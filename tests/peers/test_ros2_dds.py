@@ -300,6 +300,21 @@ def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
     assert "durability" in stage.said()
 
 
+def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
+    said = (
+        f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not heard:"
+        " we want geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+    )
+    with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        wait_until(lambda: said in stage.said(), "a word on its type")
+
+
+def test_a_reader_of_another_type_is_named(stage):
+    with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
+        said = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState hears nothing"
+        wait_until(lambda: said in stage.said(), "a word on its type")
+
+
 def test_a_reader_that_hangs_costs_the_others_nothing(stage):
     topic = ("topic", f"rt{NAMESPACE}/odom", "Odometry")
     with peer(*topic) as hung, peer(*topic) as ear:

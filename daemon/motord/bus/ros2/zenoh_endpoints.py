@@ -18,6 +18,7 @@ import zenoh.ext
 from motord.bus.inbox import Inbox
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
+from motord.bus.ros2.other_types import other_type_said
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh_names import (
     PUBLISHER,
@@ -27,6 +28,7 @@ from motord.bus.ros2.zenoh_names import (
     NodeNames,
     gid,
     quality_said,
+    type_of,
 )
 from motord.sparing import Sparing
 
@@ -124,6 +126,7 @@ class Subscription:
         self._tell = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
         self._delays, self._voice = Delays(), Sparing(_log)
+        self._publishers: Inbox[str] = Inbox(WAITING_MAX, self._look_at)
         self._kept: tuple[Any, ...] = ()
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
@@ -132,12 +135,25 @@ class Subscription:
         key = names.key(self._topic, self._kind)
         said = (SUBSCRIPTION, self._topic, self._kind, self._quality)
         subscriber = session.declare_subscriber(key, self._arrived)
-        self._kept = (subscriber, *_token(session, names, number, said))
+        self._publishers.open()
+        others = session.liveliness().declare_subscriber(
+            names.any_publisher(self._topic), self._announced, history=True
+        )
+        self._kept = (subscriber, others, *_token(session, names, number, said))
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
             said = b"" if sample.attachment is None else sample.attachment.to_bytes()
             self._inbox.put((sample.payload.to_bytes(), said))
+
+    def _announced(self, token: zenoh.Sample) -> None:
+        if token.kind == zenoh.SampleKind.PUT:
+            self._publishers.put(str(token.key_expr))
+
+    def _look_at(self, token: str) -> None:
+        said = other_type_said(self._topic, "writer", self._kind, type_of(token))
+        if said is not None:
+            self._voice.say(said)
 
     def _take(self, arrived: tuple[bytes, bytes]) -> None:
         raw, said = arrived
