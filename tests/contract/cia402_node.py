@@ -64,6 +64,8 @@ class Cia402Node:
     def __init__(self, bus, node):
         self.node_id = node
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
+        self.operational_at = []
+        """Of each control word: whether it was operational when it came."""
         self.error_code = 0
         self.position, self.velocity = 0, 0
         self.stuck = False
@@ -105,7 +107,9 @@ class Cia402Node:
         self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
 
     def _written(self, *, index, od, data, **_):
-        if index == 0x6060:
+        if index == 0x6040:
+            self.control(od.decode_raw(data))
+        elif index == 0x6060:
             self.put(0x6061, od.decode_raw(data))
 
     def _mapping(self, index):
@@ -149,6 +153,7 @@ class Cia402Node:
         """CiA 402-2, 8.3: one transition a command; a fault is reset by a rising edge of bit 7."""
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
+        self.operational_at.append(self.operational)
         if self.stuck:
             return
         rising = word & 0x80 and not before & 0x80
@@ -168,6 +173,8 @@ class Cia402Node:
             self.status = OPERATION
         elif word & 0x07 == 0x06 and self.status in (SWITCHED_ON, OPERATION):
             self.status = READY
+        if self.status != OPERATION:
+            self.velocity = 0
 
     def _send_pdos(self):
         while not self._stopped.wait(0.01):

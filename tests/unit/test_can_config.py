@@ -155,9 +155,12 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
         ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
         ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
+        ('"status_object"\nso', '"status_objekt"\nso', 'did you mean "status_object"?'),
+        ('"status_object"\nso', '"control_word"\nso', '"control_word" is nothing that can be read'),
+        ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
-def test_a_mistake_about_sync_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_about_sync_or_an_object_is_said(tmp_path, right, wrong, said):
     assert right in CSV
     path = tmp_path / "cia402-csv.toml"
     path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")
