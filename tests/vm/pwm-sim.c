@@ -19,7 +19,7 @@ static int take(struct pwm_chip *chip, struct pwm_device *channel, const struct 
 }
 
 static const struct pwm_ops operations = {.apply = take, .owner = THIS_MODULE};
-static struct pwm_chip channels = {.npwm = 4, .ops = &operations};
+static struct pwm_chip channels = {.npwm = 12, .ops = &operations};
 
 static int __init begin(void)
 {
