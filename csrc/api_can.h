@@ -186,6 +186,8 @@ typedef struct {
     uint32_t faults;            /* how often a joint's fault word became one that stops, */
     uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
+    uint32_t may_turn;          /* armed since it was last set up, also before the bus was opened */
+    uint32_t reserved;
 } can_drive_report;
 
 typedef struct {
@@ -209,12 +211,19 @@ typedef struct {
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
+/* What is known of the drives from before the bus was opened; zeros: nothing. */
+typedef struct {
+    uint32_t epoch;             /* of their feedback */
+    uint32_t may_turn;          /* bit n: drive n does, so it is told to stop until it is heard and set up */
+} can_before;
+
 /* The descriptors stay the caller's. */
 typedef struct {
     int32_t fd;                 /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; not blocking */
     int32_t event_fd;           /* eventfd, written on frames for Python, changes of a mode and at the end; -1 */
     int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
-    uint32_t epoch;             /* of the feedback before this start; 0: there was none */
+    uint32_t reserved;
+    can_before before;
     uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
     exchange *exchange;         /* NULL: the loop's */
 } can_config;

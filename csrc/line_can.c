@@ -249,7 +249,7 @@ static void *run(void *arg)
 /* ---------------------------------------------------------------------------------------------------- its life */
 static int prepare(can_thread *t, const can_config *config, const can_table *table)
 {
-    int error = can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns());
+    int error = can_machine_init(&t->machine, table, &config->before, send_packet, t, clock_now_ns());
     if (error != 0) {
         return error;
     }

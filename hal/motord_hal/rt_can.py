@@ -40,6 +40,8 @@ class CanDriveReport:
     faults: int
     last_fault: int
     last_fault_joint: int
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +97,12 @@ class CanThread:
         self._heard = ffi.new("can_received *")
         self._report = ffi.new("can_report *")
 
-    def start(self, table: Plain, **config: int) -> None:
-        """`config` as in can_config; the descriptors stay the caller's: he closes them after
-        `stop`. Raises HalError."""
+    def start(self, table: Plain, *, before: Mapping[str, int], **config: int) -> None:
+        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
+        he closes them after `stop`. Raises HalError."""
         raw = ffi.new("can_table *", table)
-        raw_config = ffi.new("can_config *", config | {"exchange": self._exchange.handle})
+        own = {"before": before, "exchange": self._exchange.handle}
+        raw_config = ffi.new("can_config *", config | own)
         ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
         _check(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
         self._drives = raw.drive_count
@@ -200,6 +203,7 @@ def _drive_report(raw: Any) -> CanDriveReport:
         faults=raw.faults,
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
+        may_turn=raw.may_turn != 0,
     )
 
 

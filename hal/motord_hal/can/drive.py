@@ -341,8 +341,9 @@ class CanDrive:
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The bus is there: the drive may speak."""
-        self._waits_since_s = now_s()
+        """The bus is there: the drive may speak. One that may turn is told to stop, as one that
+        has just fallen silent."""
+        self._waits_since_s = self._quiet_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 

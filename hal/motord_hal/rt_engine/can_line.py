@@ -61,8 +61,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         """The controller has left the bus, and nobody has restarted it since."""
         self._errors: Counter[str] = Counter()
         self._frames = self._cycles = self._reopened = 0
-        self._epoch = 0
-        """What comes after a reopening is new, though its counters may look alike."""
+        self._before = {"epoch": 0, "may_turn": 0}
+        """What comes after a reopening is new, though its counters may look alike; and who was
+        armed may turn still."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
@@ -97,7 +98,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             fd=self._bus.fileno(),
             event_fd=self._news.event_fd,
             priority=self.spec.priority,
-            epoch=self._epoch,
+            before=self._before,
             cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
         )
         self._report = self._thread.report()
@@ -116,7 +117,10 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             last = self._thread.report()
             self._frames += last.received
             self._cycles += last.cycles
-            self._epoch = max(drive.epoch for drive in last.drives)
+            self._before = {
+                "epoch": max(drive.epoch for drive in last.drives),
+                "may_turn": sum(one.may_turn << n for n, one in enumerate(last.drives)),
+            }
             self._errors += _errors(last)
         if self._bus is not None:
             self._bus.close()
