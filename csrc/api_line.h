@@ -221,7 +221,7 @@ typedef struct {
     uint32_t failures;          /* in a row */
     uint32_t last_failure;      /* answer_kind */
     uint32_t last_exception;
-    uint32_t reserved;
+    uint32_t may_turn;          /* armed since it was last set up, also before the port was opened */
     uint64_t cycles;            /* whole ones */
     uint64_t exchanges;
     uint64_t no_reply;
@@ -260,7 +260,7 @@ typedef struct {
     int64_t de_before_ns;       /* from the edge to the first bit */
     int64_t de_after_ns;        /* from the last bit to the edge back */
     uint32_t de_active_high;
-    uint32_t reserved;
+    uint32_t may_turn;          /* bit n: drive n, since before the port was opened: it is told to stop first */
     exchange *exchange;         /* NULL: the loop's */
 } line_config;
 

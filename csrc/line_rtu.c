@@ -245,7 +245,7 @@ static uint32_t last_epoch(const line_machine *m)
 static int prepare(rtu_thread *t, const line_config *config, const line_table *table)
 {
     uint32_t epoch = last_epoch(&t->machine);
-    int error = line_machine_init(&t->machine, table, clock_now_ns());
+    int error = line_machine_init(&t->machine, table, config->may_turn, clock_now_ns());
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
         t->machine.drive[i].epoch = epoch;
     }
