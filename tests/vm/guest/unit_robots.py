@@ -81,8 +81,8 @@ def modbus(name):
 
 @contextlib.contextmanager
 def can(name):
-    output("ip", "link", "add", "vxcan0", "type", "vxcan", "peer", "name", "vxcan1")
-    for interface in ("vxcan0", "vxcan1"):
+    output("ip", "link", "add", "vxcan8", "type", "vxcan", "peer", "name", "vxcan9")
+    for interface in ("vxcan8", "vxcan9"):
         output("ip", "link", "set", interface, "up")
     text = (CONFIG.parent / "drives/odrive-0.6.toml").read_text(encoding="utf-8")
     profile = ETC / "odrive-0.6.toml"
@@ -91,15 +91,15 @@ def can(name):
         "odrive-two.toml",
         name,
         ("cycle_hz = 100", "cycle_hz = 10"),
-        ('channel = "can0"', 'channel = "vxcan0"'),
+        ('channel = "can0"', 'channel = "vxcan8"'),
         ('drive = "odrive-0.6"', f'drive = "./{profile.name}"'),
     )
-    options = ("--can", "socketcan:vxcan1")
+    options = ("--can", "socketcan:vxcan9")
     with start_simulator(robot, options=options, timeout_s=DEADLINE_S) as simulator:
         yield simulator.control, robot
     robot.unlink()
     profile.unlink()
-    output("ip", "link", "del", "vxcan0")
+    output("ip", "link", "del", "vxcan8")
 
 
 @contextlib.contextmanager
