@@ -187,7 +187,7 @@ typedef struct {
     uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
     uint32_t may_turn;          /* armed since it was last set up, also before the bus was opened */
-    uint32_t reserved;
+    uint32_t stop_waits;        /* the bus has not taken all of its newest stop */
 } can_drive_report;
 
 typedef struct {

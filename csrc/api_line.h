@@ -222,6 +222,8 @@ typedef struct {
     uint32_t last_failure;      /* answer_kind */
     uint32_t last_exception;
     uint32_t may_turn;          /* armed since it was last set up, also before the port was opened */
+    uint32_t stop_waits;        /* it has not acknowledged all of its newest stop */
+    uint32_t reserved;
     uint64_t cycles;            /* whole ones */
     uint64_t exchanges;
     uint64_t no_reply;

@@ -330,6 +330,7 @@ void can_machine_report(const can_machine *m, can_report *report)
             .stopping = drive->stopping, .told_motion = drive->told_motion, .missing = drive->missing,
             .stops = drive->stops, .cycles = drive->cycles, .received = drive->received, .quiet = drive->quiet,
             .heard_ns = drive->newest_ns, .epoch = drive->epoch, .may_turn = drive->may_turn,
+            .stop_waits = drive->stop != CAN_STOP_NOTHING,
             .orders_sent = drive->orders_sent, .orders_dropped = drive->orders_dropped,
             .faults = drive->faults, .last_fault = drive->last_fault, .last_fault_joint = drive->last_fault_joint,
         };

@@ -455,6 +455,7 @@ void line_machine_report(const line_machine *m, line_report *report)
         to->stopping = drive->stopping;
         to->told_motion = drive->told_motion;
         to->may_turn = drive->may_turn;
+        to->stop_waits = drive->stop != STOP_NOTHING;
         to->failures = drive->failures;
         to->last_failure = drive->last_failure;
         to->last_exception = drive->last_exception;

@@ -42,6 +42,7 @@ class CanDriveReport:
     last_fault_joint: int
     may_turn: bool
     """Armed since it was last set up, also before this start."""
+    stop_waits: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +205,7 @@ def _drive_report(raw: Any) -> CanDriveReport:
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
         may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
     )
 
 

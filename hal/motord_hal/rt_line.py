@@ -104,6 +104,7 @@ class DriveReport:
     told_motion: bool
     may_turn: bool
     """Armed since it was last set up, also before this start."""
+    stop_waits: bool
     failures: int
     last_failure: AnswerKind
     last_exception: int
@@ -248,6 +249,7 @@ def _drive_report(raw: Any) -> DriveReport:
         stopping=raw.stopping != 0,
         told_motion=raw.told_motion != 0,
         may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
         failures=raw.failures,
         last_failure=AnswerKind(raw.last_failure),
         last_exception=raw.last_exception,

@@ -256,23 +256,34 @@ class CanLine:
         """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
         if not self._open:
             return
-        stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
+        left, why = self._drives, "the bus takes no frames"
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
-                stopping = [drive for drive in self._drives if drive.state is DriveState.ARMED]
-                for drive in stopping:
-                    drive.quick_stop()
-                while stopping and now_s() < stopping_by_s:
-                    for drive in stopping:
-                        drive.cycle({})
-                    self._synchronise()
+                await self._come_to_rest()
+                while left := [drive for drive in left if not drive.tell_power_off()]:
+                    self._bus.check()
                     await asyncio.sleep(STOPPING_CYCLE_S)
-                    stopping = [drive for drive in stopping if drive.is_stopping]
-                for drive in self._drives:
-                    drive.power_off()
-        except (TimeoutError, PortError) as error:
-            text = f"{self.spec.name}: not every drive was switched off at the end: {error}"
-            self._say(EventKind.DRIVE_WARNING, tuple(j.name for j in self.spec.joints), text)
+        except TimeoutError:
+            pass  # what is left is said
+        except PortError as error:
+            why = str(error)
+        if left:
+            names = tuple(name for drive in left for name in drive.names)
+            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end: {why}"
+            self._say(EventKind.DRIVE_WARNING, names, text)
+
+    async def _come_to_rest(self) -> None:
+        """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""
+        stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
+        for drive in self._drives:
+            if drive.state is DriveState.ARMED:
+                drive.quick_stop()
+        while now_s() < stopping_by_s and any(drive.is_stopping for drive in self._drives):
+            for drive in self._drives:
+                if drive.is_stopping:
+                    drive.cycle({})
+            self._synchronise()
+            await asyncio.sleep(STOPPING_CYCLE_S)
 
     # ------------------------------------------------------------------------------ what is asked
     async def arm(self) -> None:
