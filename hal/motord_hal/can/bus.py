@@ -20,7 +20,7 @@ import can
 
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, error_words
-from motord_hal.can.interface import BUS_OFF_TEXT, check_up, restart_controller
+from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
 from motord_hal.can.unix_client import UnixClient
 from motord_hal.clock import now_ns
@@ -67,19 +67,13 @@ class CanBus:
         self._fd: int | None = None
         self._reader: _ReaderThread | None = None
         self._bad_in_a_row = 0
-        self._bus_off = False
-        """The controller has left the bus, and nobody has restarted it since."""
+        self._fd_frames = data_bitrate is not None
+        self._bus_off = BusOffWatch(address)
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
         """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
-        check_up(self.address)
-        if self._bus_off:
-            refused = await restart_controller(self.address)
-            if refused:
-                self.errors["restart_refused"] += 1
-                _log.info("%s: not restarted: %s", self.address, refused)
-            self._bus_off = False
+        await make_ready(self.address, self.errors, fd_frames=self._fd_frames)
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
@@ -153,7 +147,6 @@ class CanBus:
         kinds, trouble = error_words(message.arbitration_id, bytes(message.data))
         self.errors.update(kinds)
         if trouble is BusTrouble.BUS_OFF:
-            self._bus_off = True
             self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     def _fail(self, error: Exception) -> None:
@@ -169,11 +162,15 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
 
     def catch_up(self) -> None:
-        """Take in what has come: an event loop that was late has not seen it yet."""
+        """Take in what has come: an event loop that was late has not seen it yet. And what has
+        not: the frame that says bus-off may have been lost."""
         if self._fd is not None:
             self._read(QUEUE_FRAMES)
         elif self._reader is not None:
             self._reader.drain()
+        if self.trouble is None and self._bus_off.is_off():
+            self.errors["bus_off"] += 1
+            self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     # ------------------------------------------------------------------------------------- sending
     def send(self, sent: Sent) -> bool:

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import socket
 from collections import Counter
 
 from motord_hal.can.errors import BusTrouble, error_words
-from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
+from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.profile import Step
 from motord_hal.errors import HalError, PortError, ProfileError
@@ -28,7 +27,6 @@ from motord_hal.rt_engine.can_table import can_table
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""
 _IDENTIFIER = 0x1FFF_FFFF
-_log = logging.getLogger(__name__)
 
 
 class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
@@ -57,8 +55,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         ]
         self._bus: socket.socket | None = None
         self._trouble: PortError | None = None
-        self._bus_off = False
-        """The controller has left the bus, and nobody has restarted it since."""
+        self._bus_off = BusOffWatch(spec.port)
         self._errors: Counter[str] = Counter()
         self._frames = self._cycles = self._reopened = 0
         self._before = {"epoch": 0, "may_turn": 0}
@@ -87,10 +84,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ------------------------------------------------------------------------------- its own medium
     async def _start(self) -> tuple[str, ...]:
-        if self._bus_off:
-            await self._restart()
         identifiers = [one for plan in self._plans for one in plan.identifiers]
         fd_frames = self.spec.data_baudrate is not None
+        await make_ready(self.spec.port, self._errors, fd_frames=fd_frames)
         self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)
         self._trouble = None
         self._thread.start(
@@ -103,13 +99,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         )
         self._report = self._thread.report()
         return ()
-
-    async def _restart(self) -> None:
-        refused = await restart_controller(self.spec.port)
-        if refused:
-            self._errors["restart_refused"] += 1
-            _log.info("%s: not restarted: %s", self.spec.port, refused)
-        self._bus_off = False
 
     def _close_medium(self, error: HalError) -> None:
         del error  # jobs see it by their tasks' end
@@ -135,6 +124,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
             return self._trouble
+        if self._bus_off.is_off():  # the frame that says so was lost
+            self._errors["bus_off"] += 1
+            return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:
             self._errors["port"] += 1
             return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
@@ -166,7 +158,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
         self._errors.update(kinds)
         if trouble is BusTrouble.BUS_OFF:
-            self._bus_off = True
             self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
             self._news.poke()
 
