@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
 
+from dataclasses import replace
+
 import pytest
 
 from motord.config import load_robot
@@ -8,6 +10,7 @@ from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.can.address import bus_arguments
 from motord_hal.can.codec import build, parse
 from motord_hal.drives.can_profile import signals_of
 from motord_hal.drives.load import find_profile, load_profile
@@ -70,6 +73,27 @@ def test_a_can_line_is_told_to_the_hardware_layer():
     _, spec = loaded("line.can0.data_bitrate=2000000")
     assert (spec.kind, spec.port, spec.baudrate) == ("can", "socketcan:can0", 500_000)
     assert spec.data_baudrate == 2_000_000
+
+
+def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
+    said = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
+    assert "line.can0.interface" in said
+    assert 'interface = "socketcan", channel = "can0"' in said
+
+
+def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
+    slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
+    loaded(*slcan)
+    assert "slcan carries no CAN FD" in wrong(*slcan, "line.can0.data_bitrate=2000000")
+    _, spec = loaded(*slcan)
+    with pytest.raises(HalError, match="slcan carries no CAN FD"):
+        open_line(replace(spec, data_baudrate=2_000_000), Exchange.private(), print)
+
+
+def test_an_adapter_of_python_can_s_own_is_told_of_can_fd():
+    assert "fd" not in bus_arguments("kvaser:0", 500_000, None)
+    fd = bus_arguments("kvaser:0", 500_000, 2_000_000)
+    assert (fd["fd"], fd["data_bitrate"], fd["bitrate"]) == (True, 2_000_000, 500_000)
 
 
 def test_the_bus_load_is_that_of_the_frames():
