@@ -69,6 +69,20 @@ async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
     assert rig.states() == {DriveState.ARMED}
 
 
+async def test_what_error_frames_foretell_is_said_in_words_and_not_with_each_of_them(rig, peer):
+    await rig.arm()
+    for count in range(1, 4):
+        peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
+        await until(lambda count=count: rig.line.stats().errors.get("no_ack") == count)
+    said = [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
+    assert [any(word in e.text for e in said) for word in ("error-passive", "acknowledges")] == [
+        True,
+        True,
+    ]
+    assert len(said) == 2
+    assert {e.joints for e in said} == {("wheel0", "wheel3")}
+
+
 async def test_frames_that_come_make_no_frames_go_out(rig, peer):
     await rig.arm()
     began, cycles = len(peer.axes[0].velocities()), rig.line.stats().cycles

@@ -19,11 +19,11 @@ from typing import Any
 import can
 
 from motord_hal.can.address import bus_arguments, split_address
-from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.clock import now_ns
+from motord_hal.clock import now_ns, now_s
 from motord_hal.errors import PortError
 
 OPEN_WITHIN_S = 5.0
@@ -55,6 +55,7 @@ class CanBus:
         data_bitrate: int | None,
         identifiers: Iterable[tuple[int, bool]],
         take: Taker,
+        warn: Callable[[str], None] = _log.warning,
     ) -> None:
         self.address = address
         self.errors: Counter[str] = Counter()
@@ -63,6 +64,8 @@ class CanBus:
         if split_address(address)[0] == "socketcan":  # elsewhere they are no cheaper than a look-up
             self._arguments["can_filters"] = [_filter(*one) for one in identifiers]
         self._take = take
+        self._warn = warn
+        self._warnings = BusWarnings()
         self._bus: can.BusABC | None = None
         self._fd: int | None = None
         self._reader: _ReaderThread | None = None
@@ -146,6 +149,8 @@ class CanBus:
     def _note(self, message: can.Message) -> None:
         kinds, trouble = error_words(message.arbitration_id, bytes(message.data))
         self.errors.update(kinds)
+        for warning in self._warnings.new(kinds, now_s()):
+            self._warn(f"{self.address}: {warning}")
         if trouble is BusTrouble.BUS_OFF:
             self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 

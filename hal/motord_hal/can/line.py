@@ -61,7 +61,7 @@ class CanLine:
         identifiers = [one for plan in plans for one in plan.identifiers]
         self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
         self._bus = CanBus(
-            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame
+            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame, self._warn
         )
         self._drives = [
             CanDrive(
@@ -124,6 +124,10 @@ class CanLine:
 
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
+
+    def _warn(self, text: str) -> None:
+        joints = tuple(joint.name for joint in self.spec.joints)
+        self._say(EventKind.DRIVE_WARNING, joints, f"{self.spec.name}: {text}")
 
     def _take_frame(self, message: can.Message, stamp_ns: int) -> None:
         drive = self._by_identifier.get((message.arbitration_id, message.is_extended_id))

@@ -7,15 +7,16 @@ import os
 import socket
 from collections import Counter
 
-from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import CanPlan
+from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
 from motord_hal.errors import HalError, PortError, ProfileError
 from motord_hal.modbus.job import Job
 from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.units import joints_by_unit
-from motord_hal.ports import LineSpec, LineStats, Listener
+from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
 from motord_hal.rt_engine.base import RtLineBase
@@ -57,6 +58,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._trouble: PortError | None = None
         self._bus_off = BusOffWatch(spec.port)
         self._errors: Counter[str] = Counter()
+        self._warnings = BusWarnings()
         self._frames = self._cycles = self._reopened = 0
         self._before = {"epoch": 0, "may_turn": 0}
         """What comes after a reopening is new, though its counters may look alike; and who was
@@ -157,6 +159,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _note(self, heard: Heard) -> None:
         kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
         self._errors.update(kinds)
+        for warning in self._warnings.new(kinds, now_s()):
+            text = f"{self.spec.name}: {self.spec.port}: {warning}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
         if trouble is BusTrouble.BUS_OFF:
             self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
             self._news.poke()
