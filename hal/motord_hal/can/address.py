@@ -32,6 +32,8 @@ def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[
     if interface == "virtual":
         protocol = can.CanProtocol.CAN_FD if data_bitrate else can.CanProtocol.CAN_20
         return {**wanted, "protocol": protocol}
+    if interface == "slcan":  # its driver would wait a millisecond for what has not come yet
+        wanted["timeout"] = 0
     if data_bitrate is not None and interface in FD_ADAPTERS:
         wanted |= {"fd": True, "data_bitrate": data_bitrate}
     return {**wanted, "bitrate": bitrate}

@@ -38,6 +38,8 @@ AGE_MAX_S = 1.0
 likely to be wrong."""
 BAD_FRAMES_MAX = 100
 """So many failures to read in a row are no bad frames any more."""
+_UNREADABLE = (can.CanError, OSError, ValueError)
+"""ValueError: a driver that reads text (slcan) says so of what is none."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
 
 Taker = Callable[[can.Message, int], None]
@@ -132,7 +134,7 @@ class CanBus:
                 return
             try:
                 message = self._bus.recv(timeout=0)
-            except (can.CanError, OSError) as error:
+            except _UNREADABLE as error:
                 self._fail(error)
                 return
             if message is None:
@@ -271,7 +273,7 @@ class _ReaderThread:
         while not self._stopped.is_set():
             try:
                 message = self._bus.recv(timeout=THREAD_LOOKS_S)
-            except (can.CanError, OSError) as error:
+            except _UNREADABLE as error:
                 self._tell(self._fail, error)
                 self._stopped.wait(THREAD_LOOKS_S)
                 continue
