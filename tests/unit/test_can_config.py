@@ -75,6 +75,27 @@ def test_a_can_line_is_told_to_the_hardware_layer():
     assert spec.data_baudrate == 2_000_000
 
 
+def test_a_watchdog_that_was_set_by_the_maker_s_tool_is_held_against_what_motord_counts_on():
+    both = [f"joint.{name}.drive_watchdog_s=0.5" for name in ("left", "right")]
+    robot, _ = loaded()
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(both[0])
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(*both)
+    assert not any("without a communication watchdog" in w.text for w in robot.warnings)
+    assert "0.5 s is not safety.drive_watchdog_s (0.3 s)" in wrong(
+        *both, "safety.drive_watchdog_s=0.3"
+    )
+    assert "shorter than two cycles" in wrong("joint.left.drive_watchdog_s=0.015")
+
+
+def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_said():
+    with pytest.raises(ConfigError, match="is not used: motord sets that of drive"):
+        load_robot(CIA402, ("joint.left.drive_watchdog_s=0.5",))
+    with pytest.raises(ConfigError, match="is only for a drive on a CAN bus"):
+        load_robot(config_dir() / "robots" / "demo.toml", ("joint.left.drive_watchdog_s=0.5",))
+
+
 def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
     said = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
     assert "line.can0.interface" in said
