@@ -6,6 +6,7 @@ by SYNC where their transmission type says so."""
 from __future__ import annotations
 
 import threading
+import time
 from functools import partial
 
 import can
@@ -66,6 +67,7 @@ class Cia402Node:
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
         self.operational_at = []
         """Of each control word: whether it was operational when it came."""
+        self._told_s = 0.0
         self.error_code = 0
         self.position, self.velocity = 0, 0
         self.stuck = False
@@ -117,6 +119,11 @@ class Cia402Node:
         return [(entry >> 16, entry & 0xFF) for entry in entries]
 
     @property
+    def silent_s(self):
+        """So long ago it was told its newest control word."""
+        return time.monotonic() - self._told_s
+
+    @property
     def operational(self):
         return self.node.nmt.state == "OPERATIONAL"
 
@@ -154,6 +161,7 @@ class Cia402Node:
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
         self.operational_at.append(self.operational)
+        self._told_s = time.monotonic()
         if self.stuck:
             return
         rising = word & 0x80 and not before & 0x80

@@ -137,6 +137,7 @@ async def left_turning(node):
     """As a daemon leaves it that is killed: mapped, operational, with power, at speed."""
     async with running(spec_of(node)) as rig:
         await rig.arm()
+    await until(lambda: node.silent_s > 0.3, "the end of that program is all over")
     node.status, node.velocity = OPERATION, 60
     node.controls.clear()
     node.operational_at.clear()
