@@ -53,16 +53,18 @@ static inline can_drive can_drive_of(uint32_t n)
                        .match_count = 3, .input_count = 2, .quick_stop_count = 1, .disarm_count = 1,
                        .watchdog_ns = 500 * MS};
     drive.output[0] = (can_output){.packet = packet_of(SPEED + n, 4), .setpoint_count = 1};
-    drive.output[0].setpoint[0] = (can_setpoint){.place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED}, .joint = n,
-                                                 .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0};
+    drive.output[0].setpoint[0] = (can_setpoint){
+        .place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
+        .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
     drive.input[0] = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = 1};
-    drive.input[0].field[0] = (can_field){.place = {.length = 8}, .kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8,
-                                          .si_per_raw = 1.0};
+    drive.input[0].field[0] = (can_field){
+        .place = {.length = 8}, .meaning = {.kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8, .si_per_raw = 1.0}};
     drive.input[1] = (can_input){.silence_ns = 200 * MS, .spacing_ns = 5 * MS, .fast = 1, .field_count = 2};
-    drive.input[1].field[0] = (can_field){.place = {.length = 32, .form = CAN_FLOAT}, .joint = n, .kind = FIELD_COUNT,
-                                          .counter_bits = 32, .si_per_raw = 1000.0};
-    drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT}, .joint = n,
-                                          .kind = FIELD_VELOCITY, .si_per_raw = 1.0};
+    drive.input[1].field[0] = (can_field){
+        .place = {.length = 32, .form = CAN_FLOAT},
+        .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
+    drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
+                                          .meaning = {.joint = n, .kind = FIELD_VELOCITY, .si_per_raw = 1.0}};
     drive.match[0] = (can_match){.id = STATE + n, .bytes = 1, .input = 1};
     drive.match[1] = (can_match){.id = MOTION + n, .bytes = 8, .input = 2};
     drive.match[2] = (can_match){.id = ANSWER + n, .bytes = 8, .begins_bytes = 1, .begins = {0x43}, .begins_mask = {0xFF}};
