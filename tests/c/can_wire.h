@@ -22,6 +22,7 @@ typedef struct {
     double said_rad_s;                      /* what the drives say */
     uint32_t enabled;                       /* the core's; 2: no set-points come any more */
     bool powered, silent, full;
+    uint32_t not_taken;                     /* an identifier that the bus does not take; 0: none */
     can_packet sent[SENT_MAX];
     int64_t sent_ns[SENT_MAX];
     uint32_t sent_count;
@@ -32,7 +33,7 @@ static can_wire w;
 static inline bool take(void *sink, const can_packet *packet)
 {
     (void)sink;
-    if (w.full) {
+    if (w.full || packet->id == w.not_taken) {
         return false;
     }
     CHECK(w.sent_count < SENT_MAX);
@@ -155,6 +156,23 @@ static inline void arm(uint32_t drive)
     CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
 }
 
+static inline can_drive *table_of(uint32_t drive)
+{
+    return &w.table.drive[drive];
+}
+
+static inline const can_drive_state *state_of(uint32_t drive)
+{
+    return &w.machine.drive[drive];
+}
+
+static inline void become_quiet(void)
+{
+    w.silent = true;
+    go_on(320 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET);
+}
+
 static inline void forget_sent(void)
 {
     w.sent_count = 0;
@@ -195,6 +213,13 @@ static inline int64_t told_ns(uint32_t drive, uint8_t word)
         }
     }
     return 0;
+}
+
+static inline void arm_and_go(void)
+{
+    arm(0);
+    go_on(30 * MS);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
 }
 
 #endif
