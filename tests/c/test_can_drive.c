@@ -64,6 +64,9 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     w.powered = false;
     go_on(20 * MS);
     CHECK(state_of(0)->mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
+    CHECK(state_of(0)->demoted == DEMOTED_DISABLED_ITSELF);
+    wish(0, DRIVE_READY);
+    CHECK(state_of(0)->demoted == 0);
     arm(0);
     hold(1, 0x5A);
     forget_sent();
@@ -79,18 +82,20 @@ static void begin_with_two_frames(void)
     drive->output_count = 2;
     drive->output[1] = drive->output[0];
     drive->output[1].packet.id = SECOND;
+    drive->output[1].packet.data[1] = 0x77;
     drive->output[1].setpoint[0].scale.joint = 1;
     restart();
-    arm(0);
 }
 
 static void a_drive_moves_while_one_of_its_frames_says_so(void)
 {
     begin_with_two_frames();
+    arm(0);
     w.enabled = 2;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{1.0, 0.0}}};
     go_on(15 * MS);
-    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100 && count_sent(SECOND) >= 1);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{0}, {1.0, 0.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0);
@@ -99,7 +104,7 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
 static void zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels(void)
 {
     begin_with_two_frames();
-    go_on(30 * MS);
+    arm_and_go();
     w.velocity_rad_s = 0.0;
     w.not_taken = SECOND;
     go_on(20 * MS);
@@ -114,6 +119,7 @@ static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
 {
     begin_with_two_frames();
     w.not_taken = SECOND;
+    arm(0);
     go_on(30 * MS);
     CHECK(state_of(0)->told_motion);
     w.velocity_rad_s = 0.0;
@@ -141,8 +147,11 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
     CHECK(state_of(0)->demoted == DEMOTED_STILL_ENABLED && took_news());
     say_state(0, 8);
     CHECK(!took_news() && count_sent(SPEED) == 0);   /* frames that come send nothing */
-    go_on(20 * MS);
-    CHECK(told_ns(0, DISABLE) > 0 && state_of(0)->mode == DRIVE_READY);
+    uint32_t stops = state_of(0)->stops;
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE && state_of(0)->mode == DRIVE_READY);
+    CHECK(state_of(0)->stops == stops + 1);
 }
 
 /* One that may be told nothing at rest, not even zero, and cannot say whether it has power. */
@@ -180,6 +189,38 @@ static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_arm
     forget_sent();
     go_on(300 * MS);                /* it comes to rest: its power stays until then */
     CHECK(state_of(0)->stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
+    w.said_rad_s = 0.0;
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX;
+    go_on(100 * MS);
+    CHECK(!state_of(0)->stopping && count_sent(CONTROL) == 1);   /* told once */
+}
+
+static void time_without_set_points_before_arming_is_not_being_left_alone(void)
+{
+    begin_with_one_that_cannot_say();
+    go_on(2000 * MS);
+    wish(0, DRIVE_ARMED);
+    go_on(50 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0);
+}
+
+static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->disarm_count = 2;
+    drive->disarm[1] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    arm_and_go();
+    forget_sent();
+    w.not_taken = CONTROL;
+    w.enabled = 0;
+    step();
+    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE && state_of(0)->stop == CAN_STOP_POWER_OFF);
+    w.not_taken = 0;
+    forget_sent();
+    go_on(MS);
+    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->stop == CAN_STOP_NOTHING);
 }
 
 static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing(void)
@@ -242,8 +283,14 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
     wish(0, DRIVE_ARMED);
     go_on(20 * MS);
     w.enabled = 0;
+    w.full = true;
     step();
     CHECK(state_of(0)->enabled == 2 && state_of(0)->mode == DRIVE_READY);
+    say_state(0, 8);
+    CHECK(state_of(0)->enabled == 1);
+    w.full = false;
+    step();
+    CHECK(state_of(0)->enabled == 2 && newest_of(0)->data[0] == DISABLE);
 }
 
 static void after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told(void)
@@ -332,6 +379,8 @@ int main(void)
     motion_that_half_of_the_frames_said_has_to_be_taken_back();
     one_that_has_power_without_being_armed_is_told_off_and_it_is_said_once();
     one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed();
+    time_without_set_points_before_arming_is_not_being_left_alone();
+    a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken();
     after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing();
     switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing();
     what_it_said_before_a_change_is_not_what_it_says_now();

@@ -8,9 +8,11 @@ static void begin_with_questions(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
-    drive->ask_count = drive->probe_count = 1;
+    drive->ask_count = 2;
+    drive->probe_count = 1;
     drive->slow_count = 2;
     drive->ask[0] = packet_of(ASK, 0);
+    drive->ask[1] = packet_of(ASK + 1, 0);
     drive->slow[0] = packet_of(SLOW, 0);
     drive->slow[1] = packet_of(SLOW + 1, 0);
     drive->probe[0] = packet_of(PROBE, 0);
@@ -23,7 +25,7 @@ static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
 {
     begin_with_questions();
     go_on(320 * MS - (w.now_ns - w.sent_ns[0]));
-    CHECK(count_sent(ASK) == 32 && count_sent(SPEED) == 32 && count_sent(PROBE) == 0);
+    CHECK(count_sent(ASK) == 32 && count_sent(ASK + 1) == 32 && count_sent(SPEED) == 32 && count_sent(PROBE) == 0);
     CHECK(count_sent(SLOW) == 2 && count_sent(SLOW + 1) == 2);
     uint32_t first = 0;
     while (w.sent[first].id != SLOW) {
@@ -95,6 +97,37 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     CHECK(w.sent_count == 0);
 }
 
+static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
+{
+    begin_with(1);
+    table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    arm_and_go();
+    w.not_taken = SPEED;
+    become_quiet();
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->told_motion);
+    w.not_taken = 0;
+    go_on(12 * MS);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->told_motion);
+}
+
+static void one_that_was_switched_off_while_it_came_back_stays_off(void)
+{
+    begin_with(1);
+    arm_and_go();
+    become_quiet();
+    w.silent = w.powered = false;
+    w.full = true;
+    go_on(30 * MS);
+    CHECK(state_of(0)->back);
+    wish(0, DRIVE_OFF);
+    w.full = false;
+    go_on(30 * MS);
+    CHECK(state_of(0)->mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
+}
+
 static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(void)
 {
     begin_with(1);
@@ -157,6 +190,8 @@ int main(void)
     a_quiet_drive_is_asked_less_and_less_often();
     one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_and_off_after_a_second();
     a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
+    a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
+    one_that_was_switched_off_while_it_came_back_stays_off();
     one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word();
     one_with_a_hello_is_back_when_it_has_answered();
     a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet();
