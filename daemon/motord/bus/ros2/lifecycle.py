@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state machine as that of a managed node (design.ros2.org, "Managed nodes"): inactive is
 disarmed, active is armed. A fault or an emergency stop is an error, from which no transition leads:
-managers walk transitions by themselves, and a latch is for a person to reset."""
+managers walk transitions by themselves, and a latch is for a person to reset.
+
+The daemon makes its drives ready by itself, so that the node is inactive before anybody asks;
+`configure` is taken there too, for managers begin with it. `cleanup` and `shutdown` are the node's
+own: the one holds a disarmed robot's node unconfigured, the other ends its transitions.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from types import SimpleNamespace
@@ -24,9 +30,11 @@ UNKNOWN = (0, "unknown")
 UNCONFIGURED = (1, "unconfigured")
 INACTIVE = (2, "inactive")
 ACTIVE = (3, "active")
+FINALIZED = (4, "finalized")
 CONFIGURING = (10, "configuring")
 ERROR = (15, "errorprocessing")
-_STATES = (UNKNOWN, UNCONFIGURED, INACTIVE, ACTIVE, CONFIGURING, ERROR)
+_STATES = (UNKNOWN, UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED, CONFIGURING, ERROR)
+_DISARMED = (UNCONFIGURED, CONFIGURING, INACTIVE)
 _OF_MACHINE = {
     "off": UNCONFIGURED,
     "configuring": CONFIGURING,
@@ -37,13 +45,24 @@ _OF_MACHINE = {
     "fault": ERROR,
     "estop": ERROR,
 }
+_CONFIGURE = (1, "configure")
 _TRANSITIONS = (
+    (*_CONFIGURE, UNCONFIGURED, INACTIVE, None),
+    (*_CONFIGURE, INACTIVE, INACTIVE, None),
+    (2, "cleanup", INACTIVE, UNCONFIGURED, None),
     (3, "activate", INACTIVE, ACTIVE, "arm"),
     (4, "deactivate", ACTIVE, INACTIVE, "disarm"),
+    (5, "shutdown", UNCONFIGURED, FINALIZED, "disarm"),
+    (6, "shutdown", INACTIVE, FINALIZED, "disarm"),
+    (7, "shutdown", ACTIVE, FINALIZED, "disarm"),
 )
+"""Number, label, start, goal, and what the daemon is asked for."""
 _SUCCEEDED, _FAILED = (97, "transition_success"), (99, "transition_error")
 """Of transitions that nobody can ask for: TRANSITION_CALLBACK_* and rcl_lifecycle's labels."""
 LOOK_EVERY_S = 0.1
+SEEN_WITHIN_S = 1.0
+"""What the daemon has answered is on the state page by then."""
+_SEEN_EVERY_S = 0.01
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +72,9 @@ class Lifecycle:
         self._station = station
         self._desk = desk
         self._voice = Sparing(_log)
+        self._held: tuple[int, str] | None = None
+        """UNCONFIGURED or FINALIZED, as the node was asked to be; None: as the machine is."""
+        self._told = UNKNOWN
 
     def serve(self, node: Node) -> None:
         """What `ros2 lifecycle` asks for. Raises DdsError."""
@@ -67,17 +89,27 @@ class Lifecycle:
 
     async def run(self) -> None:
         """Say when the state has changed, until cancelled."""
-        before = self._now()
         while True:
+            self._look()
             await asyncio.sleep(LOOK_EVERY_S)
-            now = self._now()
-            if now != before and UNKNOWN not in (now, before):
-                self._events.publish(_event(before, now))
-            before = now
+
+    def _look(self) -> tuple[int, str]:
+        """The state now; who listens is told of a new one."""
+        before, self._told = self._told, self._now()
+        if self._told != before and UNKNOWN not in (self._told, before):
+            self._events.publish(_event(before, self._told, _between(before, self._told)))
+        return self._told
 
     def _now(self) -> tuple[int, str]:
+        if self._held == FINALIZED:
+            return FINALIZED
         view = self._station.view
-        return UNKNOWN if view is None else _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
+        if view is None:
+            return UNKNOWN
+        machine = _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
+        if machine == ACTIVE:
+            self._held = None  # somebody else has armed the robot
+        return self._held if self._held and machine == INACTIVE else machine
 
     async def _get(self, _: SimpleNamespace) -> SimpleNamespace:
         return SimpleNamespace(current_state=_pair(*self._now()))
@@ -92,26 +124,60 @@ class Lifecycle:
         return _described(None)
 
     async def _change(self, request: SimpleNamespace) -> SimpleNamespace:
-        wanted, now = request.transition, self._now()
-        for number, label, start, _, method in _TRANSITIONS:
+        wanted, now = request.transition, self._look()
+        for number, label, start, goal, method in _TRANSITIONS:
             asked = wanted.id == number if wanted.id else wanted.label == label
             if asked and start == now:
                 try:
-                    await self._desk.act(method)
+                    success = await self._walk(goal, method)
                 except NotTaken as error:
                     self._voice.say(f"lifecycle: {label}: {error}")
-                    return SimpleNamespace(success=False)
-                return SimpleNamespace(success=True)
+                    success = False
+                self._look()
+                return SimpleNamespace(success=success)
         self._voice.say(f"lifecycle: no transition {wanted.label or wanted.id!r} from {now[1]}")
         return SimpleNamespace(success=False)
 
+    async def _walk(self, goal: tuple[int, str], method: str | None) -> bool:
+        """Whether the goal is reached. Raises NotTaken."""
+        if method is None:
+            return self._hold(goal)
+        reached = _DISARMED if goal == FINALIZED else (goal,)
+        answer = await self._desk.act(method)
+        if _OF_MACHINE.get(answer["state"]) not in reached:
+            return False
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SEEN_WITHIN_S):
+                while self._now() not in (*reached, ERROR):  # noqa: ASYNC110  the view has no event
+                    await asyncio.sleep(_SEEN_EVERY_S)
+        if goal == FINALIZED:
+            self._held = FINALIZED
+        return True
 
-def _event(before: tuple[int, str], now: tuple[int, str]) -> SimpleNamespace:
-    """lifecycle_msgs/TransitionEvent, of this moment."""
-    transition = _FAILED if now == ERROR else _SUCCEEDED
+    def _hold(self, goal: tuple[int, str]) -> bool:
+        """Be unconfigured, or no longer; whether it is so."""
+        if goal == UNCONFIGURED:
+            self._held = UNCONFIGURED
+        else:
+            self._held = None
+            if self._now() == goal:
+                self._events.publish(_event(self._told, CONFIGURING, _CONFIGURE))
+                self._told = CONFIGURING
+        return self._now() == goal
+
+
+def _between(before: tuple[int, str], now: tuple[int, str]) -> tuple[int, str]:
+    """The transition that was walked, whoever walked it."""
     for number, label, start, goal, _ in _TRANSITIONS:
         if (start, goal) == (before, now):
-            transition = (number, label)
+            return number, label
+    return _FAILED if now == ERROR else _SUCCEEDED
+
+
+def _event(
+    before: tuple[int, str], now: tuple[int, str], transition: tuple[int, str]
+) -> SimpleNamespace:
+    """lifecycle_msgs/TransitionEvent, of this moment."""
     return SimpleNamespace(
         timestamp=time.time_ns(),
         transition=_pair(*transition),
