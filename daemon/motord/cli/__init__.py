@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
     "unit": ("motord.cli.unit:unit", "What systemd need allow a robot: its devices."),
     "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
+    "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "The ROS 2 package of motord's own types."),
     "replay": ("motord.cli.replay:replay", "A recording through the core again, bit for bit."),
     "latency": ("motord.cli.latency:latency", "Measure the loop and its handovers."),
 }

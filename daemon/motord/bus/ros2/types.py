@@ -142,20 +142,22 @@ TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 
 def definition(name: str) -> str:
     """The type and all that it is made of, in .msg notation, as MCAP and Foxglove want it."""
-    own, *others = (
-        (other, "".join(f"{_line(field)}\n" for field in TYPES[other]))
-        for other in (name, *_made_of(name))
-    )
     separator = "=" * 80
-    return own[1] + "".join(
-        f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{text}" for other, text in others
+    return message_definition(name) + "".join(
+        f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{message_definition(other)}"
+        for other in _made_of(name)
     )
+
+
+def message_definition(name: str) -> str:
+    """The text of NAME.msg."""
+    return "".join(f"{_line(field)}\n" for field in TYPES[name])
 
 
 def action_definition(name: str) -> str:
     """The text of NAME.action: goal, result and feedback."""
-    parts = (TYPES[f"{name}_{part}"] for part in ("Goal", "Result", "Feedback"))
-    return "---\n".join("".join(f"{_line(field)}\n" for field in part) for part in parts)
+    parts = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
+    return "---\n".join(map(message_definition, parts))
 
 
 def _line(field: Field) -> str:
