@@ -91,6 +91,17 @@ def test_commands_from_a_network_have_to_be_meant():
     robot("input.ros2.kind=ros2")
 
 
+def test_every_user_of_the_machine_may_command_over_dds_and_that_is_said():
+    def said(*settings):
+        found = robot("publish.ros2.kind=ros2", *settings).warnings
+        return [row.key for row in found if "every user of this machine" in row.text]
+
+    beyond = [f"{table}.ros2.discovery=subnet" for table in ("publish", "input")]
+    assert said() == []
+    assert said("input.ros2.kind=ros2") == ["input.ros2.kind"]
+    assert said("input.ros2.kind=ros2", "input.ros2.trust_network=true", *beyond) == []
+
+
 def test_a_domain_is_reached_in_one_way():
     with pytest.raises(ConfigError, match="reached in one way"):
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.discovery=subnet")

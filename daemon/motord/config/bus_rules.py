@@ -146,6 +146,14 @@ def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
             yield Finding(((*path, "discovery"), (*path, "trust_network")), text)
 
 
+def _ros2_commands_of_this_machine(robot: Robot) -> Iterator[Finding]:
+    """The local socket asks the kernel who calls; DDS has no such question."""
+    for path, section in _ros2_nodes(robot):
+        if isinstance(section, Ros2Input) and section.discovery == "localhost":
+            text = "every user of this machine may arm and drive by it: DDS asks nobody who he is"
+            yield Finding(((*path, "kind"), (*path, "discovery")), text, warning=True)
+
+
 def _bridged_commands_are_meant(robot: Robot) -> Iterator[Finding]:
     for name, section in robot.input.items():
         if isinstance(section, RclpyInput) and not section.trust_network:
@@ -234,6 +242,7 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _certificates,
     _joystick_lives_long_enough,
     _ros2_commands_are_meant,
+    _ros2_commands_of_this_machine,
     _bridged_commands_are_meant,
     _ros2_domains,
     _packages_are_there,
