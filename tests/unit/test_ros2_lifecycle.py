@@ -172,12 +172,14 @@ async def test_no_transition_leads_out_of_an_error(state):
     assert await node.described("get_available_transitions") == []
 
 
-async def test_a_fault_while_the_robot_comes_to_rest_is_no_success():
+@pytest.mark.parametrize("answer", ["fault", "idle"])
+async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
+    """Also where the daemon has answered before it."""
     node = Managed(State.MOVING)
 
     async def fail(_):
         node.become(State.FAULT)
-        return {"state": "fault"}
+        return {"state": answer}
 
     node.station.call = fail
     assert not await node.change(7)
@@ -187,10 +189,10 @@ async def test_a_fault_while_the_robot_comes_to_rest_is_no_success():
 async def test_the_state_is_the_new_one_when_the_answer_comes():
     node = Managed()
 
-    async def slow(method):
+    async def slow(_):
         later = asyncio.get_running_loop().call_later
         later(0.05, node.become, State.ARMED)
-        return {"state": "armed"} if method == "arm" else None
+        return {"state": "armed"}
 
     node.station.call = slow
     assert await node.change(ACTIVATE)

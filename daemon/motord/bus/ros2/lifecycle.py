@@ -150,6 +150,8 @@ class Lifecycle:
             async with asyncio.timeout(SEEN_WITHIN_S):
                 while self._now() not in (*reached, ERROR):  # noqa: ASYNC110  the view has no event
                     await asyncio.sleep(_SEEN_EVERY_S)
+        if self._now() == ERROR:
+            return False
         if goal == FINALIZED:
             self._held = FINALIZED
         return True
