@@ -8,19 +8,15 @@ The meaning of each field is in csrc/api_board.h; tables and orders are plain va
 from __future__ import annotations
 
 import errno
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import HalError, ProfileError
 from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_line import Demoted, Mode
-
-Plain = Mapping[str, Any]
+from motord_hal.rt_thread import LineLife, Plain, check_code, check_plain, config_of, life_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +41,14 @@ class BoardSays:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardReport:
-    running: bool
-    error: int
+class BoardReport(LineLife):
     shut_down: bool
-    policy: int
     cycles: int
     sent: int
     no_room: int
     bad_frames: int
     received: int
     quiet: int
-    page_faults: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -66,12 +58,12 @@ class BoardReport:
 def check_table(name: str, table: Plain) -> None:
     """Raises ProfileError for a table that no line runs, with the first bad field's name."""
     field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    try:
+
+    def first_bad() -> str:
         found = lib.board_table_check(ffi.new("board_table *", table), field)
-    except (IndexError, OverflowError) as error:  # more than the table has places for
-        raise ProfileError(f"{name}: the line cannot run: {error}") from error
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
 class BoardThread:
@@ -90,16 +82,16 @@ class BoardThread:
         """`config` as in board_config; the descriptors stay the caller's: he closes them after
         `stop`. Raises HalError."""
         raw = ffi.new("board_table *", table)
-        raw_config = ffi.new("board_config *", config | {"exchange": self._exchange.handle})
+        raw_config = ffi.new("board_config *", config_of(config, self._exchange))
         ffi.memmove(self._control, bytes(ffi.sizeof("board_control")), ffi.sizeof("board_control"))
-        _check(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
+        check_code(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
         self._ordered = 0
 
     def stop(self) -> None:
         """The thread has ended when this returns. Nothing happens where there is none."""
         code = lib.board_stop(self._line)
         if code != -errno.ESRCH:
-            _check(code, "the line cannot be stopped")
+            check_code(code, "the line cannot be stopped")
 
     def wish(self, drive: int, mode: Mode) -> int:
         """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
@@ -134,7 +126,7 @@ class BoardThread:
         code = lib.board_put_order(self._line, ffi.new("board_order *", order))
         if code == -errno.EAGAIN:
             return False
-        _check(code, "the line takes no write")
+        check_code(code, "the line takes no write")
         self._ordered += 1
         return True
 
@@ -148,17 +140,14 @@ class BoardThread:
         raw = self._report
         lib.board_read_report(self._line, raw)
         return BoardReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
             cycles=raw.cycles,
             sent=raw.sent,
             no_room=raw.no_room,
             bad_frames=raw.bad_frames,
             received=raw.received,
             quiet=raw.quiet,
-            page_faults=raw.page_faults,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
@@ -186,8 +175,3 @@ def _says(raw: Any) -> BoardSays:
         heard_ns=raw.heard_ns,
         said=bytes(ffi.buffer(raw.said, raw.said_bytes)),
     )
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

@@ -8,22 +8,18 @@ there.
 from __future__ import annotations
 
 import errno
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import HalError, ProfileError
 from motord_hal.rt import Exchange
 from motord_hal.rt_line import Demoted, Mode
+from motord_hal.rt_thread import LineLife, Plain, check_code, check_plain, config_of, life_of
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """Bits of an identifier: linux/can.h."""
-
-Plain = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +39,14 @@ class CanDriveReport:
 
 
 @dataclass(frozen=True, slots=True)
-class CanReport:
-    running: bool
-    error: int
+class CanReport(LineLife):
     shut_down: bool
-    policy: int
     cycles: int
     received: int
     sent: int
     tx_full: int
     bad_frames: int
     unheard: int
-    page_faults: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -75,12 +67,12 @@ class Heard:
 def check_table(name: str, table: Plain) -> None:
     """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
     field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    try:
+
+    def first_bad() -> str:
         found = lib.can_table_check(ffi.new("can_table *", table), field)
-    except (IndexError, OverflowError) as error:  # more than the table has places for
-        raise ProfileError(f"{name}: the line cannot run: {error}") from error
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
 class CanThread:
@@ -99,9 +91,9 @@ class CanThread:
         """`config` as in can_config; the descriptors stay the caller's: he closes them after
         `stop`. Raises HalError."""
         raw = ffi.new("can_table *", table)
-        raw_config = ffi.new("can_config *", config | {"exchange": self._exchange.handle})
+        raw_config = ffi.new("can_config *", config_of(config, self._exchange))
         ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
-        _check(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
+        check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
         self._drives = raw.drive_count
         self._ordered = [0] * self._drives
 
@@ -109,7 +101,7 @@ class CanThread:
         """The thread has ended when this returns. Nothing happens where there is none."""
         code = lib.can_stop(self._line)
         if code != -errno.ESRCH:
-            _check(code, "the bus cannot be stopped")
+            check_code(code, "the bus cannot be stopped")
 
     def wish(self, drive: int, mode: Mode) -> int:
         """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
@@ -147,7 +139,7 @@ class CanThread:
         code = lib.can_put_order(self._line, ffi.new("can_order *", order))
         if code == -errno.EAGAIN:
             return False
-        _check(code, "the bus takes no frame")
+        check_code(code, "the bus takes no frame")
         self._ordered[order["drive"]] += 1
         return True
 
@@ -168,17 +160,14 @@ class CanThread:
         raw = self._report
         lib.can_read_report(self._line, raw)
         return CanReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
             cycles=raw.cycles,
             received=raw.received,
             sent=raw.sent,
             tx_full=raw.tx_full,
             bad_frames=raw.bad_frames,
             unheard=raw.unheard,
-            page_faults=raw.page_faults,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
@@ -201,8 +190,3 @@ def _drive_report(raw: Any) -> CanDriveReport:
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
     )
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

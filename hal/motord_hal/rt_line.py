@@ -10,16 +10,15 @@ from __future__ import annotations
 import dataclasses
 import enum
 import errno
-import os
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import HalError, ProfileError
 from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_table import LineFrame, LineTable
+from motord_hal.rt_thread import LineLife, check_code, check_plain, config_of, life_of
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
@@ -113,15 +112,10 @@ class DriveReport:
 
 
 @dataclass(frozen=True, slots=True)
-class LineReport:
-    running: bool
-    error: int
+class LineReport(LineLife):
     shut_down: bool
-    policy: int
-    scheduler_errno: int
     exchanges: int
     noise_bytes: int
-    page_faults: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
     drives: tuple[DriveReport, ...]
@@ -130,9 +124,12 @@ class LineReport:
 def check_table(name: str, table: LineTable) -> None:
     """Raises ProfileError for a table that no line runs, with the first bad field's name."""
     field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+
+    def first_bad() -> str:
+        found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
 class LineThread:
@@ -151,17 +148,16 @@ class LineThread:
     def start(self, spec: ThreadSpec, table: LineTable) -> None:
         """Raises HalError."""
         raw = ffi.new("line_table *", _plain(table))
-        values = dataclasses.asdict(spec) | {"exchange": self._exchange.handle}
-        config = ffi.new("line_config *", values)
+        config = ffi.new("line_config *", config_of(dataclasses.asdict(spec), self._exchange))
         ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
-        _check(lib.line_start(self._line, config, raw), "the line cannot be started")
+        check_code(lib.line_start(self._line, config, raw), "the line cannot be started")
         self._drives = len(table.drive)
 
     def stop(self) -> None:
         """The thread has ended when this returns. Nothing happens where there is none."""
         code = lib.line_stop(self._line)
         if code != -errno.ESRCH:
-            _check(code, "the line cannot be stopped")
+            check_code(code, "the line cannot be stopped")
 
     def wish(self, drive: int, mode: Mode) -> int:
         """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
@@ -193,7 +189,7 @@ class LineThread:
         code = lib.line_put_ask(self._line, raw)
         if code == -errno.EAGAIN:
             return False
-        _check(code, "the line takes no request")
+        check_code(code, "the line takes no request")
         return True
 
     def take_answer(self) -> Answer | None:
@@ -215,14 +211,10 @@ class LineThread:
         raw = self._report
         lib.line_read_report(self._line, raw)
         return LineReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
-            scheduler_errno=raw.scheduler_errno,
             exchanges=raw.exchanges,
             noise_bytes=raw.noise_bytes,
-            page_faults=raw.page_faults,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
             drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
@@ -279,8 +271,3 @@ def _plain(value: Any) -> Any:
         elif isinstance(one, tuple):
             plain[f"{field.name}_count"] = len(one)
     return plain
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

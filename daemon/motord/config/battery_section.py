@@ -3,11 +3,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from types import MappingProxyType
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from motord.config.section import Section, number
+
+READING_UNITS = MappingProxyType(
+    {"voltage_from": "V", "current_from": "A", "temperature_from": "°C"}
+)
+"""Keys that name a register, and the SI unit that it must have."""
 
 
 class Battery(Section):
@@ -35,21 +41,42 @@ class Battery(Section):
     capacity_ah: float | None = number("what it holds when it is new", 0.01, 10000, "Ah", None)
 
 
+Reading = Annotated[str, Field(pattern=r"^[^.\s]+\.[^.\s]+$")]
+"""JOINT.REGISTER: a register of a joint's drive by its profile's name."""
+
+
 class DrivesBattery(Battery):
-    """The supply voltage that the drives measure: the lowest one of those that are heard."""
+    """The supply voltage that the drives measure: the lowest one of those that are heard; and what
+    registers of theirs, or fields of a board, say of the pack itself."""
 
     source: Literal["drives"]
     joints: tuple[str, ...] = Field(default=(), strict=False)
     """Whose drives; none: all that measure a voltage."""
+    voltage_from: Reading | None = None
+    """The register that measures the pack's voltage, instead of the lowest supply voltage."""
+    current_from: Reading | None = None
+    """The register that measures the pack's current, as left.battery_current; none: not known."""
+    temperature_from: Reading | None = None
+    """The register that measures the pack's temperature; none: not known."""
+    inverted: bool = False
+    """The register of current_from is negative while the battery is discharged."""
+
+    @property
+    def readings(self) -> dict[str, str]:
+        """By key, those that are given."""
+        given = {key: getattr(self, key) for key in READING_UNITS}
+        return {key: where for key, where in given.items() if where is not None}
 
 
 class InaBattery(Battery):
     """A power monitor of Texas Instruments on an I2C bus, its IN+ at the battery."""
 
-    source: Literal["ina219", "ina226"]
+    source: Literal["ina219", "ina226", "ina228", "ina238"]
     bus: str
     """Device file, as /dev/i2c-1."""
     address: int = number("on the bus, 0x40 to 0x4f by the pins A0 and A1", 0x40, 0x4F, "1", 0x40)
     shunt_ohm: float = number("resistance between IN+ and IN-", 1e-5, 10, "Ω", 0.1)
     inverted: bool = False
     """IN- is at the battery."""
+    chip_at_pack: bool = False
+    """The chip (ina228, ina238) is as warm as the pack: its temperature is the battery's."""
