@@ -59,7 +59,7 @@ def _of_can(line: CanLine) -> tuple[str, ...]:
     """A network interface is no device."""
     if line.interface in ("slcan", "robotell", "seeedstudio"):
         return _of_port(line.channel.partition("@")[0])
-    return ("char-usb_device",) if line.interface == "gs_usb" else ()
+    return ("char-usb_device",) if line.interface == "canalystii" else ()
 
 
 def _uses_gpio(robot: Robot) -> bool:
