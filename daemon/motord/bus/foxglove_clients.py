@@ -87,6 +87,8 @@ class Commands(Looks):
         self._desk = Desk(name, section, station)
         self._tunable = Tunable(station.robot, station.call)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
+        self._told = dict(self._parameters)
+        """To those who have subscribed."""
         self._crossing = Crossing()
         self._admitted: tuple[int, ...] = ()
         """Connections; a number is never used again. Threads read it: it is only replaced."""
@@ -231,8 +233,10 @@ class Commands(Looks):
     async def _change(self, client: int, parameters: list[Parameter]) -> None:
         """Raises NotTaken."""
         self._admit(client, {})
-        await self._tunable.change({one.name: _wanted(one) for one in parameters})
+        wanted = {one.name: _wanted(one) for one in parameters}
+        await self._tunable.change(wanted)
         await self._look()
+        self._told |= {name: self._parameters[name] for name in wanted if name in self._parameters}
 
     def _listed(self, names: list[str]) -> list[Parameter]:
         known = self._parameters
@@ -241,12 +245,12 @@ class Commands(Looks):
     async def _watch(self) -> None:
         """Whoever changed them, who has subscribed to them is told."""
         while True:
-            before = self._parameters
             if self._station.view is not None:
                 await self._look()
-            now = self._parameters
+            now, before = self._parameters, self._told
             changed = [name for name in now if before.get(name) != now[name]]
             if changed and self.server is not None:
+                self._told = dict(now)
                 self.server.publish_parameter_values(self._listed(changed))
             await asyncio.sleep(LOOK_EVERY_S)
 
