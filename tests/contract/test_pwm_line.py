@@ -175,6 +175,49 @@ async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
 
 
+def as_software(chip):
+    """What the kernel's tree says of a chip of its driver pwm-gpio."""
+    driver = chip.folder.parent / "drivers/pwm-gpio"
+    driver.mkdir(parents=True)
+    (chip.folder / "device").mkdir()
+    (chip.folder / "device/driver").symlink_to(driver)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({}, "software_pwm = true in the line's section allows them"),
+        ({"software_pwm": True}, "pwm_hz must be at most 1000"),
+        ({"software_pwm": True, "pwm_hz": 2000.0}, "pwm_hz must be at most 1000"),
+    ],
+)
+async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, asked, said):
+    as_software(chip)
+    spec = spec_of(chip, pins=PinsSpec(pwm_chip=str(chip.folder), **asked))
+    async with running(spec) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        assert said in rig.events[0].text
+    assert [chip.read(number, "enable") for number in range(4)] == [0] * 4
+
+
+async def test_pulses_that_software_makes_turn_motors_where_they_are_asked_for(chip):
+    as_software(chip)
+    pins = PinsSpec(pwm_chip=str(chip.folder), software_pwm=True, pwm_hz=500.0)
+    async with running(spec_of(chip, pins=pins)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.read(0, "duty_cycle") == 1_000_000)
+        assert chip.read(0, "period") == 2_000_000
+    assert chip.read(0, "duty_cycle") == 0
+
+
+async def test_pulses_that_software_makes_are_ended_without_being_asked_for(chip):
+    as_software(chip)
+    (chip.folder / "pwm0/duty_cycle").write_text("30000\n")
+    assert await halt_line(spec_of(chip)) == []
+    assert chip.read(0, "duty_cycle") == 0
+
+
 async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
     spec = spec_of(chip)
     async with running(spec) as rig:

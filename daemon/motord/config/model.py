@@ -43,6 +43,7 @@ from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
+from motord.config.speed_loop_section import SpeedLoop
 
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 
@@ -259,6 +260,8 @@ class Joint(Section):
         "rad/s",
         None,
     )
+    speed_loop: SpeedLoop | None = None
+    """Of a drive that takes a torque."""
     pins: dict[str, str] = Field(default_factory=dict)
     """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
     number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
