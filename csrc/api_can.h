@@ -44,15 +44,10 @@ typedef struct {
     uint32_t form;              /* can_form */
 } can_place;
 
-/* Where a frame holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+/* Where a frame holds what a joint is to do. */
 typedef struct {
     can_place place;
-    uint32_t joint;             /* place in setpoints.joint */
-    uint32_t kind;              /* setpoint_kind */
-    double raw_per_si;          /* sign, gear, scale: not 0 */
-    double raw_min;             /* <= 0 */
-    double raw_max;             /* >= 0 */
+    setpoint_scale scale;
 } can_setpoint;
 
 /* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last (can_write.output). */
@@ -75,16 +70,7 @@ typedef struct {
 /* A place in a frame of the drive that says something. */
 typedef struct {
     can_place place;
-    uint32_t joint;             /* place in the core's arrays; not read for ENABLED */
-    uint32_t kind;              /* field_kind; no KEPT */
-    uint32_t equals_mask;       /* ENABLED: (raw & equals_mask) == equals */
-    uint32_t equals;
-    uint32_t counter_bits;      /* COUNT: 1..64 */
-    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
-    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
-    uint32_t harmless[FIELD_HARMLESS_MAX];
-    double si_per_raw;          /* COUNT: counts */
+    field_meaning meaning;      /* no KEPT; COUNT: si is counts */
     double si_at_zero;          /* what raw 0 says */
 } can_field;
 
@@ -186,6 +172,8 @@ typedef struct {
     uint32_t faults;            /* how often a joint's fault word became one that stops, */
     uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
+    uint32_t may_turn;          /* armed since it was last set up, also before the bus was opened */
+    uint32_t stop_waits;        /* the bus has not taken all of its newest stop */
 } can_drive_report;
 
 typedef struct {
@@ -204,11 +192,16 @@ typedef struct {
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
+/* What is known of the drives from before the bus was opened; zeros: nothing. */
+typedef struct {
+    uint32_t epoch;             /* of their feedback */
+    uint32_t may_turn;          /* bit n: drive n does, so it is told to stop until it is heard and set up */
+} can_before;
+
 typedef struct {
     line_place at;              /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
                                    for Python and of changes of a mode */
-    uint32_t epoch;             /* of the feedback before this start; 0: there was none */
-    uint32_t reserved;
+    can_before before;
 } can_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

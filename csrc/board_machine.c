@@ -24,7 +24,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     memcpy(m->held, table->payload, sizeof m->held);
     board_hold(m, table->disarm, table->disarm_count, now_ns);
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
-        m->joints |= 1U << table->setpoint[i].joint;
+        m->joints |= 1U << table->setpoint[i].scale.joint;
     }
     board_forget(m);
     return 0;
@@ -241,6 +241,7 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->enabled = m->enabled;
     report->stopping = m->stopping;
     report->told_motion = m->told_motion;
+    report->stop_waits = m->stop_waits;
     report->stops = m->stops;
     report->epoch = m->epoch;
     report->orders_sent = m->orders_sent;

@@ -16,7 +16,15 @@ from _motord_rt import ffi, lib
 from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_line import Demoted, Mode
-from motord_hal.rt_thread import LineLife, Plain, check_code, check_plain, config_of, life_of
+from motord_hal.rt_thread import (
+    LineLife,
+    Plain,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    life_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +37,7 @@ class BoardSays:
     cycles: int
     """Feedback that the core was given."""
     stops: int
+    stop_waits: bool
     epoch: int
     orders_sent: int
     orders_dropped: int
@@ -66,15 +75,14 @@ def check_table(name: str, table: Plain) -> None:
     check_plain(name, first_bad)
 
 
-class BoardThread:
+class BoardThread(ThreadDoor):
     """One board's thread in C, from `start` to `stop`. One caller's thread at a time. Its drive has
     the number 0."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        self._line = line
+        super().__init__(line, ffi.new("board_control *"), lib.board_put_control, lib.board_stop)
         self._exchange = exchange
         self._ordered = 0
-        self._control = ffi.new("board_control *")
         self._report = ffi.new("board_report *")
         self._histogram = ffi.new("histogram *")
 
@@ -87,39 +95,9 @@ class BoardThread:
         check_code(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
         self._ordered = 0
 
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.board_stop(self._line)
-        if code != -errno.ESRCH:
-            check_code(code, "the line cannot be stopped")
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
+    def _wish_of(self, drive: int) -> Any:
         del drive
-        wish = self._control.wish
-        wish.count += 1
-        wish.mode = mode
-        self._put_control()
-        return int(wish.count)
-
-    @property
-    def wished(self) -> int:
-        """The count of the newest wish."""
-        return int(self._control.wish.count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then it may say that it is enabled, though it is not armed; 0: no more."""
-        del drive
-        self._control.wish.arming_until_ns = until_ns
-        self._put_control()
-
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: see BoardReport.shut_down."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        lib.board_put_control(self._line, self._control)
+        return self._control.wish
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
@@ -168,6 +146,7 @@ def _says(raw: Any) -> BoardSays:
         wish_seen=raw.wish_seen,
         cycles=raw.published,
         stops=raw.stops,
+        stop_waits=raw.stop_waits != 0,
         epoch=raw.epoch,
         orders_sent=raw.orders_sent,
         orders_dropped=raw.orders_dropped,

@@ -15,7 +15,15 @@ from _motord_rt import ffi, lib
 
 from motord_hal.rt import Exchange
 from motord_hal.rt_line import Demoted, Mode
-from motord_hal.rt_thread import LineLife, Plain, check_code, check_plain, config_of, life_of
+from motord_hal.rt_thread import (
+    LineLife,
+    Plain,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    life_of,
+)
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
@@ -36,6 +44,9 @@ class CanDriveReport:
     faults: int
     last_fault: int
     last_fault_joint: int
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,64 +86,33 @@ def check_table(name: str, table: Plain) -> None:
     check_plain(name, first_bad)
 
 
-class CanThread:
+class CanThread(ThreadDoor):
     """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        self._line = line
+        super().__init__(line, ffi.new("can_control *"), lib.can_put_control, lib.can_stop)
         self._exchange = exchange
         self._drives = 0
         self._ordered: list[int] = []
-        self._control = ffi.new("can_control *")
         self._heard = ffi.new("can_received *")
         self._report = ffi.new("can_report *")
 
-    def start(self, table: Plain, **config: int) -> None:
-        """`config` as in can_config; the descriptors stay the caller's: he closes them after
-        `stop`. Raises HalError."""
+    def start(self, table: Plain, *, before: Plain, **config: int) -> None:
+        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
+        he closes them after `stop`. Raises HalError."""
         raw = ffi.new("can_table *", table)
-        raw_config = ffi.new("can_config *", config_of(config, self._exchange))
+        own = config_of(config, self._exchange) | {"before": before}
+        raw_config = ffi.new("can_config *", own)
         ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
         check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
         self._drives = raw.drive_count
         self._ordered = [0] * self._drives
-
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.can_stop(self._line)
-        if code != -errno.ESRCH:
-            check_code(code, "the bus cannot be stopped")
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._control.drive[drive]
-        raw.count += 1
-        raw.mode = mode
-        self._put_control()
-        return int(raw.count)
-
-    def wished(self, drive: int) -> int:
-        """The count of the newest wish."""
-        return int(self._control.drive[drive].count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._control.drive[drive].arming_until_ns = until_ns
-        self._put_control()
 
     def listen(self, drive: int, *, wanted: bool) -> None:
         """Whether the frames of a drive are handed on to `take`."""
         bit = 1 << drive
         self._control.listen = self._control.listen & ~bit | bit * wanted
         self._put_control()
-
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: see CanReport.shut_down."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        lib.can_put_control(self._line, self._control)
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
@@ -189,4 +169,6 @@ def _drive_report(raw: Any) -> CanDriveReport:
         faults=raw.faults,
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
     )

@@ -15,10 +15,18 @@ from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.ports import RoundTrips
+from motord_hal.ports import LineSpec, RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_table import LineFrame, LineTable
-from motord_hal.rt_thread import LineLife, check_code, check_plain, config_of, life_of
+from motord_hal.rt_thread import (
+    LineLife,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    cpu_mask,
+    life_of,
+)
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
@@ -67,6 +75,25 @@ class ThreadSpec:
     de_active_high: bool = True
     de_before_ns: int = 0
     de_after_ns: int = 0
+    may_turn: int = 0
+    """Bit n: drive n was armed before the port was opened; it is told to stop first."""
+
+    @classmethod
+    def of(
+        cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
+    ) -> ThreadSpec:
+        """As the robot file has it."""
+        return cls(
+            fd=fd,
+            event_fd=event_fd,
+            priority=spec.priority,
+            cpu_mask=cpu_mask(spec),
+            de_fd=de_fd,
+            de_active_high=spec.direction.active_high,
+            de_before_ns=round(spec.direction.before_s * 1e9),
+            de_after_ns=round(spec.direction.after_s * 1e9),
+            may_turn=may_turn,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +126,9 @@ class DriveReport:
     """None: it cannot say, or has not said since the last wish."""
     stopping: bool
     told_motion: bool
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
     failures: int
     last_failure: AnswerKind
     last_exception: int
@@ -132,14 +162,13 @@ def check_table(name: str, table: LineTable) -> None:
     check_plain(name, first_bad)
 
 
-class LineThread:
+class LineThread(ThreadDoor):
     """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        self._line = line
+        super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
         self._exchange = exchange
         self._drives = 0
-        self._control = ffi.new("line_control *")
         self._ask = ffi.new("line_ask *")
         self._answer = ffi.new("line_answer *")
         self._report = ffi.new("line_report *")
@@ -152,33 +181,6 @@ class LineThread:
         ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
         check_code(lib.line_start(self._line, config, raw), "the line cannot be started")
         self._drives = len(table.drive)
-
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.line_stop(self._line)
-        if code != -errno.ESRCH:
-            check_code(code, "the line cannot be stopped")
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._control.drive[drive]
-        raw.count += 1
-        raw.mode = mode
-        self._put_control()
-        return int(raw.count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._control.drive[drive].arming_until_ns = until_ns
-        self._put_control()
-
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: see LineReport.shut_down."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        lib.line_put_control(self._line, self._control)
 
     def put_ask(self, ask: Ask) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
@@ -235,6 +237,8 @@ def _drive_report(raw: Any) -> DriveReport:
         enabled=None if raw.enabled > 1 else raw.enabled == 1,
         stopping=raw.stopping != 0,
         told_motion=raw.told_motion != 0,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
         failures=raw.failures,
         last_failure=AnswerKind(raw.last_failure),
         last_exception=raw.last_exception,
