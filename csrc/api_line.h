@@ -50,7 +50,7 @@ typedef enum {
     FORM_U32_LOW_FIRST = 6, FORM_I32_LOW_FIRST = 7                  /* low word first, its high byte first */
 } wire_form;
 
-typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1 } setpoint_kind;
+typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind;   /* TORQUE: CAN only */
 
 /* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
  * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */

@@ -21,7 +21,7 @@ static void check_setpoint(finding *f, const board_setpoint *setpoint, uint32_t 
     const board_place *place = &setpoint->place;
     check_place(f, place, bytes);
     if (!f->bad) {
-        check_scale(f, &setpoint->scale, (double)board_raw_min(place), (double)board_raw_max(place));
+        check_scale(f, &setpoint->scale, SETPOINT_DUTY, (double)board_raw_min(place), (double)board_raw_max(place));
     }
 }
 

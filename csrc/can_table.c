@@ -30,7 +30,7 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
 {
     double most = setpoint->place.form == CAN_FLOAT ? (double)FLT_MAX : 4294967296.0;
     check_place(f, &setpoint->place, bytes);
-    check_scale(f, &setpoint->scale, -most, most);
+    check_scale(f, &setpoint->scale, SETPOINT_TORQUE, -most, most);
 }
 
 static void check_output(finding *f, const can_output *output)

@@ -217,10 +217,19 @@ class Operation:
             )
         return lease
 
-    def lease(self, connection: int, owner: str, priority: int, lease_s: float) -> LeaseGrant:
+    def lease(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        rate_max_hz: float | None = None,
+    ) -> LeaseGrant:
         """A lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
         try:
-            return self.leases.grant(connection, owner, priority, lease_s, kept=True)
+            return self.leases.grant(
+                connection, owner, priority, lease_s, kept=True, rate_max_hz=rate_max_hz
+            )
         except NoLease as error:
             raise Refused(str(error)) from error
 

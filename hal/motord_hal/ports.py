@@ -118,6 +118,8 @@ class PinsSpec:
     """The chip's label or device file."""
     pwm_hz: float | None = None
     """Carrier; None: as each bridge's profile says."""
+    software_pwm: bool = False
+    """Whether a chip will do whose pulses the kernel makes by timer interrupts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,8 +8,9 @@ from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
 from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
-from motord_hal.drives.load import find_profile
-from motord_hal.errors import DriveFault
+from motord_hal.drives.load import find_profile, load_profile
+from motord_hal.errors import DriveFault, HalError
+from motord_hal.paths import config_dir
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60
@@ -25,8 +26,9 @@ async def node(request):
     node.close()
 
 
-def spec_of(node):
-    joint = JointSpec(index=0, name="wheel", profile=find_profile("cia402"), unit=NODE)
+def spec_of(node, profile=None):
+    profile = profile or find_profile("cia402")
+    joint = JointSpec(index=0, name="wheel", profile=profile, unit=NODE)
     return LineSpec(
         index=0, name="can0", kind="can", port=node.address, baudrate=500000, parity="none",
         stop_bits=1, cycle_hz=100.0, gap_s=None, engine=node.engine, joints=(joint,),
@@ -123,6 +125,21 @@ async def test_an_object_is_read_by_name_and_a_refusal_keeps_it_from_ready(node)
     async with running(spec_of(node)) as rig:
         await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
         assert "quick_stop_option refused with 0x06020000" in rig.events[-1].text
+
+
+async def test_a_profile_names_as_many_objects_as_it_likes(node, tmp_path):
+    named = (config_dir() / "drives/cia402.toml").read_text(encoding="utf-8")
+    more = "".join(
+        f'[object.maker_s_{number}]\nindex = {0x2000 + number}\ntype = "u16"\n\n'
+        for number in range(100)
+    )
+    path = tmp_path / "cia402.toml"
+    path.write_text(named.replace("[channel.1]", f"{more}[channel.1]"), encoding="utf-8")
+    async with running(spec_of(node, load_profile(path))) as rig:
+        await rig.ready()
+        assert await rig.line.read_register("wheel", "bus_voltage") == pytest.approx(36.5)
+        with pytest.raises(HalError, match="maker_s_99 refused with 0x06020000"):
+            await rig.line.read_register("wheel", "maker_s_99")
 
 
 async def test_registers_are_objects(rig, node):

@@ -13,6 +13,7 @@ import time
 import cbor2
 import pytest
 from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import running, wait_until
 
 from motord.bus.topics import TOPICS
@@ -20,14 +21,6 @@ from motord.bus.topics import TOPICS
 pytestmark = needs_mosquitto
 LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
-TOKEN = "a token of sixteen and more"
-
-
-def token_file(folder):
-    path = folder / "token"
-    path.write_text(TOKEN + "\n", encoding="utf-8")
-    path.chmod(0o600)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +189,28 @@ def test_who_shows_the_token_drives_and_is_named(stage, peer):
     stage.wait_for("armed")
 
 
+def test_who_shows_the_token_commands_the_wheels_by_the_joints_names(stage, peer):
+    armed(stage, peer)
+
+    def moving():
+        wheels = {"name": ["left", "right"], "velocity": [2.0, 2.0]}
+        command = {"token": TOKEN, "header": stamp()} | wheels
+        peer.pub("site/r2/joint_commands", command)
+        return stage.state() == "moving"
+
+    wait_until(moving, "the wheels turn")
+    stage.wait_for("armed")
+
+
+def test_wheels_without_the_token_are_refused(stage, peer):
+    armed(stage, peer)
+    refused = inputs(stage)["fleet"]["refused"]
+    command = {"header": stamp(), "name": ["left"], "velocity": [2.0]}
+    peer.pub("site/r2/joint_commands", command)
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > refused, "a refusal")
+    assert stage.state() == "armed"
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -256,6 +271,33 @@ def test_an_emergency_stop_by_the_broker_is_latched(stage, peer):
     assert called(stage, peer, "estop")["result"] == {"state": "estop"}
     assert stage.state() == "estop"
     assert called(stage, peer, "reset")["result"] == {"state": "idle"}
+
+
+def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(stage, peer):
+    names = [f"{os.urandom(4).hex()}-{number}" for number in range(60)]
+    calls = [{"token": TOKEN, "method": "status", "id": name} for name in names[:-1]]
+    calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
+    with subprocess.Popen(
+        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/answer", "-t", "site/r2/odom", "-v"],
+        stdout=subprocess.PIPE,
+    ) as reader:
+        try:
+            reader.stdout.readline()  # it is subscribed: something has come
+            subprocess.run(
+                ["mosquitto_pub", "-p", str(peer.port), "-t", "site/r2/call", "-q", "1", "-l"],
+                input="\n".join(map(json.dumps, calls)).encode(), check=True, timeout=30,
+            )  # fmt: skip
+            answers = {}
+            while set(answers) != set(names):
+                topic, _, raw = reader.stdout.readline().partition(b" ")
+                if topic.endswith(b"answer") and (answer := json.loads(raw))["id"] in names:
+                    answers[answer["id"]] = answer
+        finally:
+            reader.kill()
+    assert answers[names[-1]]["result"]["state"] == "estop"
+    assert stage.state() == "estop"
+    assert any("busy" in answer.get("error", "") for answer in answers.values())
+    assert called(stage, peer, "reset")["result"]["state"] == "idle"
 
 
 def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):

@@ -12,13 +12,21 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 from tests.unit.bus_views import LOOP, MS, view
 
 from motord.bus.publish.mcap import McapRecorder
+from motord.bus.publish.mcap_files import Entry, Folder
+from motord.bus.publish.mcap_waiting import ENTRY_BYTES, Waiting
+from motord.bus.ros2.direct import encoder
 from motord.bus.station import Station
 from motord.bus.topics import TOPICS
 from motord.config import McapPublish, load_robot
+from motord.config.bus_sections import SLOW
+from motord.config.recording_rules import MESSAGE_BYTES
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
@@ -152,6 +160,21 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
     assert faults[-1] == ["drive", "estop"]
 
 
+async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(tmp_path):
+    settings = {"mode": "fault", "before_s": 30.0, "after_s": 0.0, "topics": ("odom",)}
+    async with recording(tmp_path, **settings) as stage:
+        old_ms = time.monotonic_ns() // MS - 60_000
+        stage.feed.offer(view(old_ms, x_m=1.0))
+        async with asyncio.timeout(DEADLINE_S):
+            while stage.feed.taken == 0:
+                await asyncio.sleep(0.005)
+        await stage.until(lambda: stage.feed.taken > 20, x_m=2.0)
+        await stage.until(stage.files, x_m=2.0, faults=("drive",))
+        await stage.until(lambda: stage.recorder._recording is None, faults=("drive",))
+    (path,) = stage.files()
+    assert {row[3].pose.pose.position.x for row in read(path)} == {2.0}
+
+
 STATUS = {"loop": LOOP, "leases": []}
 
 
@@ -167,7 +190,7 @@ async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
             seen[channel.topic] = (schema.name, message)
     assert {topic: name for topic, (name, _) in seen.items()} == {
         f"/{topic.name}": topic.type_name for topic in TOPICS.values()
-    } | {"/robot_description": "std_msgs/msg/String"}
+    } | {"/robot_description": "std_msgs/msg/String", "/tf_static": "tf2_msgs/msg/TFMessage"}
     assert seen["/joint_states"][1].name == ["left", "right"]
     assert seen["/motor_status"][1].state == "idle"
 
@@ -186,3 +209,138 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
         ]
     assert len(found) == stage.feed.taken
     assert {message.pose.pose.position.x for message in found} == {1.25}
+
+
+def qualities(path):
+    """What rosbag2 would offer each topic with, as others read it: by topic."""
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        found = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
+    assert {len(profiles) for profiles in found.values()} == {1}
+    return {topic: profile for topic, (profile,) in found.items()}
+
+
+async def test_what_was_latched_is_latched_again_when_it_is_played(tmp_path):
+    async with recording(tmp_path, journal=False) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
+    (path,) = stage.files()
+    found = qualities(path)
+    assert {
+        topic for topic, one in found.items() if one.durability is QosDurability.TRANSIENT_LOCAL
+    } == {"/robot_description", "/tf_static"}
+    assert {one.reliability for one in found.values()} == {QosReliability.RELIABLE}
+    assert found["/tf"].depth == 100
+    assert found["/odom"].deadline == found["/odom"].lifespan == (9223372036, 854775807)
+
+
+async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
+    """By numbers, and a record that says so: Humble knows no names, Jazzy takes it for names."""
+    async with recording(tmp_path) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
+    (path,) = stage.files()
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        channels = {one.topic: one for one in reader.get_summary().channels.values()}
+        schemas = reader.get_summary().schemas
+        (record,) = [one.metadata for one in reader.iter_metadata() if one.name == "rosbag2"]
+    yaml, jazzy = YAML(typ="safe"), get_typestore(Stores.ROS2_JAZZY)
+    assert yaml.load(record["serialized_metadata"])["version"] == 8
+    for topic, profile in qualities(path).items():
+        metadata = channels[topic].metadata
+        assert yaml.load(metadata["offered_qos_profiles"]) == yaml.load(dump_qos_v8([profile]))
+        name = schemas[channels[topic].schema_id].name
+        if name in jazzy.fielddefs:
+            assert metadata["topic_type_hash"] == jazzy.hash_rihs01(name)
+
+
+FAULT = {"mode": "fault", "before_s": 60.0, "topics": ("motor_status",)}
+
+
+async def test_a_process_that_ends_before_the_time_after_a_fault_is_over_saves_it(tmp_path):
+    async with recording(tmp_path, **FAULT, after_s=60.0) as stage:
+        await stage.until(lambda: stage.recorder._why is not None, faults=("drive", "estop"))
+        assert stage.files() == []
+    (path,) = stage.files()
+    assert path.name.endswith("-drive-estop.mcap")
+    assert [list(row[3].faults) for row in read(path)][-1] == ["drive", "estop"]
+
+
+async def test_a_process_that_ends_while_the_robot_is_armed_saves_what_led_to_it(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.feed.taken > 20, armed=True)
+    (path,) = stage.files()
+    assert path.name.endswith("-lost.mcap")
+    assert len(read(path)) == stage.feed.taken
+
+
+async def test_a_daemon_that_is_lost_while_armed_leaves_a_file(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.recorder._armed, armed=True)
+        stage.station.view = None
+        async with asyncio.timeout(DEADLINE_S):
+            while not stage.files() or stage.recorder._recording:
+                await asyncio.sleep(0.01)
+    (path,) = stage.files()
+    assert path.name.endswith("-lost.mcap")
+    assert read(path)
+
+
+async def test_a_robot_that_is_at_rest_and_ends_leaves_no_file(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.feed.taken > 20)
+    assert stage.files() == []
+
+
+def entry(at_ns, size):
+    return Entry("odom", "nav_msgs/msg/Odometry", at_ns, bytes(size))
+
+
+def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
+    waiting = Waiting(100_000)
+    lost = sum(waiting.keep(entry(number, 750)) for number in range(1000))
+    assert len(waiting) == 100
+    assert lost == 900
+    waiting.forget(950)
+    assert [kept.log_ns for kept in waiting.take()] == list(range(950, 1000))
+    assert sum(waiting.keep(entry(number, 750)) for number in range(100)) == 0
+    assert waiting.keep(entry(0, 200_000)) == 101
+    assert len(waiting) == 0
+
+
+async def test_what_memory_does_not_hold_is_counted_also_by_a_flight_recorder(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        stage.recorder._waiting = Waiting(10_000)
+        await stage.until(lambda: stage.feed.dropped > 5)
+
+
+NAMES = (
+    "demo-20260101T000000-000000000-all.mcap",
+    "demo-20260101T000000-000000000-estop.mcap",
+    "demo-20260101T000000-000000000-all-estop.mcap",
+    "demo-2-20260101T000000-000000000-all.mcap",
+    "demo-2-20260101T000000-000000000-estop.mcap",
+    "demo-all.mcap",
+    "mine.mcap",
+)
+
+
+@pytest.mark.parametrize(("everything", "deleted"), [(True, NAMES[:1]), (False, NAMES[1:3])])
+def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(
+    tmp_path, everything, deleted
+):
+    for name in NAMES:
+        (tmp_path / name).write_bytes(bytes(2_000_000))
+    folder = Folder(tmp_path, "demo", everything=everything, total_max_mb=1, free_min_mb=0)
+    folder.make_room()
+    assert {path.name for path in tmp_path.iterdir()} == set(NAMES) - set(deleted)
+
+
+def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_path):
+    stage = Stage(tmp_path)
+    shown = view(1000, STATUS)
+    sizes = [
+        ENTRY_BYTES + len(made)
+        for topic in TOPICS.values()
+        if topic.name not in SLOW and (made := encoder(topic, stage.station.body)(shown, 0))
+    ]
+    assert len(sizes) >= 4
+    assert max(sizes) <= MESSAGE_BYTES

@@ -15,6 +15,7 @@ from motord_hal.can.codec import build, frame_bits, frame_time_s, parse
 from motord_hal.can.errors import BusTrouble, error_words
 from motord_hal.can.netlink import answer_error, restart_request
 from motord_hal.drives.can_profile import Frame, Sender, Signal
+from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import RegisterType
 
 FRAME = Frame(
@@ -128,6 +129,21 @@ def test_an_fd_frame_is_faster_where_its_data_are():
     slow_s, fast_s = frame_time_s(fd, 1_000_000, None), frame_time_s(fd, 1_000_000, 5_000_000)
     assert 600e-6 < slow_s < 750e-6
     assert 130e-6 < fast_s < 200e-6
+
+
+@pytest.mark.parametrize(
+    ("reply", "understood"),
+    [
+        ("4B 5A 60 00 02 00 00 00", True),
+        ("42 5A 60 00 02 00 00 00", True),  # the server does not say how many bytes count
+        ("43 5A 60 00 02 00 00 00", False),  # four count: it is another kind of object
+        ("4B 5A 60 01 02 00 00 00", False),
+    ],
+)
+def test_a_reply_to_an_sdo_upload_need_not_say_its_size_but_no_other_one(reply, understood):
+    profile = find_profile("cia402")
+    frame = profile.can.frames["sdo_read_quick_stop_option"]
+    assert frame.matches(bytes.fromhex(reply)) is understood
 
 
 def test_error_frames_are_read_as_the_kernel_writes_them():

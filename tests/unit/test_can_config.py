@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
 
+import math
+
 import pytest
 
 from motord.config import load_robot
@@ -9,22 +11,24 @@ from motord.config.problems import ConfigError
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.can.codec import build, parse
+from motord_hal.can.plan import CanPlan
 from motord_hal.drives.can_profile import signals_of
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import HalError, ProfileError
 from motord_hal.lines import open_line
 from motord_hal.paths import config_dir
-from motord_hal.rt import Exchange
+from motord_hal.ports import JointSpec
+from motord_hal.rt import Exchange, JointSetpoint
 
-ODRIVE = (config_dir() / "drives" / "odrive-0.5.toml").read_text(encoding="utf-8")
 CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"
 
 
-def problems(tmp_path, right, wrong, count=1):
-    assert right in ODRIVE
-    path = tmp_path / "odrive-0.5.toml"
-    path.write_text(ODRIVE.replace(right, wrong, count), encoding="utf-8")
+def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
+    text = (config_dir() / "drives" / f"{drive}.toml").read_text(encoding="utf-8")
+    assert right in text
+    path = tmp_path / f"{drive}.toml"
+    path.write_text(text.replace(right, wrong, count), encoding="utf-8")
     with pytest.raises(ProfileError) as error:
         load_profile(path)
     return str(error.value)
@@ -52,6 +56,34 @@ def problems(tmp_path, right, wrong, count=1):
 )
 def test_a_mistake_in_a_profile_is_said(tmp_path, right, wrong, said):
     assert said in problems(tmp_path, right, wrong)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('\nvelocity = "velocity"', "", "torque_setpoint needs velocity"),
+        ("minimum = -1.5\n", "", '"target_torque" needs minimum and maximum'),
+        ('unit = "n_m"', 'unit = "percent"', 'must be "n_m"'),
+        (
+            'torque_setpoint = "target_torque"',
+            'torque_setpoint = "target_torque"\nduty_setpoint = "target_torque"',
+            "exactly one of velocity_setpoint, duty_setpoint, torque_setpoint",
+        ),
+    ],
+)
+def test_a_torque_needs_what_its_speed_loop_is_closed_over(tmp_path, right, wrong, said):
+    assert said in problems(tmp_path, right, wrong, drive="cia402-torque")
+
+
+def test_a_torque_is_divided_by_the_gear_that_multiplies_it():
+    joint = JointSpec(
+        index=0, name="w", profile=find_profile("cia402-torque"), unit=3, gear_ratio=20.0,
+        inverted=True,
+    )  # fmt: skip
+    plan = CanPlan([joint])
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, 8.0)}) == {"target_torque": -400}
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, -80.0)}) == {"target_torque": 1500}
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, math.nan)}) == {"target_torque": 0}
 
 
 def loaded(*overrides):

@@ -14,14 +14,12 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 
 from motord.bus import json_form
-from motord.bus.inputs.desk import Desk, NotTaken, short, tag
+from motord.bus.inputs.desk import TRIGGERS, URGENT, Desk, NotTaken, short, tag
 from motord.bus.topics import TOPICS
 
-CALLS_MAX = 16
+CALLS_MAX, ANSWERS_MAX = 16, 64
+"""Calls under way, and answers that the client has not read yet. What is urgent is always done."""
 THROTTLE_MAX_MS = 3_600_000
-CMD_VEL = "cmd_vel"
-_TRIGGER = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
-"""Services of type std_srvs/srv/Trigger."""
 
 
 class RosbridgeClient:
@@ -90,8 +88,8 @@ class RosbridgeClient:
                 self._every_s.pop(topic, None)
             case "publish":
                 await self._publish(topic, request.get("msg"))
-            case "call_service" if self._calls < CALLS_MAX:
-                tasks.create_task(self._call(request))
+            case "call_service":
+                await self._ask(request, tasks)
             case "advertise" | "unadvertise" | "status" | "set_level":
                 pass  # nothing follows from it
             case other:
@@ -112,23 +110,36 @@ class RosbridgeClient:
     async def _publish(self, topic: str, message: object) -> None:
         if self._desk is None:
             await self._say("error", "this server only tells: nothing can be published here")
-        elif topic != CMD_VEL:
-            await self._say("error", f"{short(topic)} is not taken; there is: /{CMD_VEL}")
         else:
             try:
-                self._desk.drive(message)
+                self._desk.take(topic, message)
             except NotTaken as error:
                 await self._say("error", str(error))
 
+    async def _ask(self, request: Mapping[str, Any], tasks: asyncio.TaskGroup) -> None:
+        urgent = _name(request.get("service")) in URGENT
+        if self._calls < (ANSWERS_MAX if urgent else CALLS_MAX):
+            self._calls += 1
+            tasks.create_task(self._call(request))
+        elif urgent:  # done first; then nothing more is read until the client reads
+            await self._respond(request, await self._done(request))
+        else:
+            busy = "busy" if self._desk is None else str(self._desk.busy())
+            await self._respond(request, {"values": busy, "result": False})
+
     async def _call(self, request: Mapping[str, Any]) -> None:
-        self._calls += 1
         try:
-            values = await self._served(_name(request.get("service")))
-            answer = {"values": values, "result": True}
-        except NotTaken as error:
-            answer = {"values": str(error), "result": False}
+            await self._respond(request, await self._done(request))
         finally:
             self._calls -= 1
+
+    async def _done(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            return {"values": await self._served(_name(request.get("service"))), "result": True}
+        except NotTaken as error:
+            return {"values": str(error), "result": False}
+
+    async def _respond(self, request: Mapping[str, Any], answer: dict[str, Any]) -> None:
         service, number = tag(request.get("service")), tag(request.get("id"))
         head = {"op": "service_response", "service": service, "id": number}
         await self._send(head | answer)
@@ -144,7 +155,7 @@ class RosbridgeClient:
             return {"services": list(self._services())}
         if self._desk is None:
             raise NotTaken("this server only tells: no service of it moves the robot")
-        if service not in _TRIGGER:
+        if service not in TRIGGERS:
             raise NotTaken(f"no service {short(service)}; there are: {', '.join(self._services())}")
         try:
             done = await self._desk.act(service)
@@ -155,7 +166,7 @@ class RosbridgeClient:
     def _services(self) -> Iterator[str]:
         yield from ("/rosapi/topics", "/rosapi/services")
         if self._desk is not None:
-            yield from (f"/{name}" for name in _TRIGGER)
+            yield from (f"/{name}" for name in TRIGGERS)
 
     async def _say(self, level: str, text: str, number: object = None) -> None:
         await self._send({"op": "status", "level": level, "msg": text, "id": tag(number)})

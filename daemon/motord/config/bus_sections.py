@@ -26,7 +26,11 @@ ALL_TOPICS: tuple[Topic, ...] = (
     *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
-ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
+_NAME = r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"
+_IPV6 = r"[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{1,40}(\.[0-9]{1,3}){0,3}(%[A-Za-z0-9_-]{1,15})?"
+HOST = rf"^({_NAME}|{_IPV6})$"
+"""A name or an address; what getaddrinfo raises UnicodeError for is none."""
+ROUTER = rf"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|{_NAME}):[0-9]{{1,5}}$"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -46,7 +50,7 @@ class UdpPublish(Publish):
     """A datagram of JSON for each sample."""
 
     kind: Literal["udp"]
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Where to; this machine unless something else is said."""
     port: int = number("UDP port", 1, 65535, "1", 9870)
 
@@ -76,6 +80,9 @@ class BusInput(Section):
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
 
 
 class StampedInput(BusInput):
@@ -97,7 +104,7 @@ class TokenInput(StampedInput):
 class MqttBroker(Section):
     """Where the broker is, and who we are there."""
 
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """The broker's name or address."""
     port: int | None = number("TCP port; 8883 with TLS, else 1883", 1, 65535, "1", None)
     tls: bool = False
@@ -114,7 +121,13 @@ class MqttBroker(Section):
     password_file: str | None = None
     """File with our password, readable by the daemon's user alone."""
     topic_prefix: str | None = Field(default=None, pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$")
-    """What every topic begins with; motord/ROBOT where it is not given."""
+    """What every topic begins with; where it is not given motord/ROBOT, and spBv1.0 in Sparkplug's
+    names."""
+    topic_scheme: Literal["plain", "sparkplug"] = "plain"
+    """How topics are named: PREFIX/odom, or as Sparkplug has it PREFIX/GROUP/DDATA/ROBOT/odom with
+    births and deaths. The messages are the same."""
+    group: str | None = Field(default=None, pattern=r"^[^+#\s/]+$")
+    """Sparkplug's group; motord where it is not given."""
     encoding: Literal["json", "cbor"] = "json"
     """Of the messages."""
 
@@ -136,7 +149,7 @@ class PrometheusPublish(Publish):
     """Figures for Prometheus: GET /metrics. They are those of the moment of asking."""
 
     kind: Literal["prometheus"]
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Address to listen at; this machine only, unless something else is said."""
     port: int = number("TCP port", 1, 65535, "1", 9464)
 
@@ -166,7 +179,7 @@ class McapPublish(BusPublish):
 class Server(BusPublish):
     """A server of the second process."""
 
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Address to listen at; this machine only, unless something else is said."""
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
@@ -174,11 +187,23 @@ class Server(BusPublish):
     """Key of cert_file."""
 
 
-class FoxglovePublish(Server):
-    """A WebSocket to which Foxglove connects. It only tells: its protocol knows no token."""
+class FoxgloveServer(Server):
+    """A WebSocket to which Foxglove connects."""
+
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class FoxglovePublish(FoxgloveServer):
+    """A WebSocket to which Foxglove connects, and that only tells."""
 
     kind: Literal["foxglove"]
-    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class FoxgloveInput(TokenInput, FoxgloveServer):
+    """A WebSocket to which Foxglove connects: it tells whoever connects, and obeys who shows the
+    token to its service authorize, or in the command itself."""
+
+    kind: Literal["foxglove"]
 
 
 class RosbridgeServer(Server):
@@ -207,6 +232,8 @@ class JoystickInput(BusInput):
     """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
     dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
     """Button to be held, by the kernel's name."""
+    estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button that is an emergency stop, whoever commands and whatever else is held."""
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")

@@ -18,6 +18,7 @@ from pydantic import Field, PrivateAttr
 from motord.config.battery_section import DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
+    FoxgloveInput,
     FoxglovePublish,
     JoystickInput,
     McapPublish,
@@ -42,6 +43,7 @@ from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
+from motord.config.speed_loop_section import SpeedLoop
 
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 
@@ -258,6 +260,8 @@ class Joint(Section):
         "rad/s",
         None,
     )
+    speed_loop: SpeedLoop | None = None
+    """Of a drive that takes a torque."""
     pins: dict[str, str] = Field(default_factory=dict)
     """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
     number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
@@ -293,6 +297,9 @@ class RtInput(Section):
     lease_s: float = number(
         "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
     )
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
     udp_port: int | None = number(
         "UDP port on 127.0.0.1; where it is not given, the Unix socket only", 1024, 65535, "1", None
     )
@@ -303,6 +310,7 @@ Input = (
     | RtInput
     | MqttInput
     | RosbridgeInput
+    | FoxgloveInput
     | JoystickInput
     | Ros2Input
     | ZenohInput

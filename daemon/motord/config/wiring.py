@@ -69,7 +69,10 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
 
 def _with_pins(spec: LineSpec, line: PwmLine, loop_priority: int) -> LineSpec:
     pins = PinsSpec(
-        pwm_chip=line.pwm_chip or "", gpio_chip=line.gpio_chip or "", pwm_hz=line.pwm_hz
+        pwm_chip=line.pwm_chip or "",
+        gpio_chip=line.gpio_chip or "",
+        pwm_hz=line.pwm_hz,
+        software_pwm=line.software_pwm,
     )
     priority = min(line.priority, max(loop_priority - 1, 0))
     return replace(spec, pins=pins, priority=priority, cpu=line.cpu)

@@ -14,7 +14,7 @@ import can
 
 from motord_hal.can.bus import CanBus
 from motord_hal.can.drive import CanDrive
-from motord_hal.can.plan import CanPlan, Wanted
+from motord_hal.can.plan import REST, CanPlan, Wanted
 from motord_hal.clock import now_ns, now_s, sleep_until_s
 from motord_hal.drives.profile import Step
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
@@ -221,7 +221,7 @@ class CanLine:
     def _has_to_stop(self, drive: CanDrive) -> bool:
         heard = drive.state in (DriveState.READY, DriveState.ARMED)
         wishes = self._wanted(drive).values()
-        return heard and drive.told_motion and not any(any(wish) for wish in wishes)
+        return heard and drive.told_motion and all(wish == REST for wish in wishes)
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: CanDrive) -> Wanted:
@@ -230,10 +230,7 @@ class CanLine:
         if drive.state is not DriveState.ARMED or not newest.enabled or not _fresh(newest):
             return {}
         return {
-            joint.index: (
-                newest.joints[joint.index].velocity_rad_s,
-                newest.joints[joint.index].duty,
-            )
+            joint.index: newest.joints[joint.index]
             for joint in drive.plan.joints
             if joint.index < len(newest.joints)
         }

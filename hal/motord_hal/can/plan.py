@@ -13,6 +13,7 @@ from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signa
 from motord_hal.drives.profile import Channel, DriveProfile, Step
 from motord_hal.errors import ProfileError
 from motord_hal.ports import JointSpec
+from motord_hal.rt import JointSetpoint
 
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
@@ -21,8 +22,18 @@ CYCLE_TOLERANCE = 0.001
 """A drive that is told its cycle interpolates over it: one that is off by more drifts by a whole
 cycle in less than a thousand."""
 
-Wanted = Mapping[int, tuple[float, float]]
-"""Joint index → (wheel rad/s, duty); empty: everything zero."""
+Wanted = Mapping[int, JointSetpoint]
+"""By joint index; empty: everything zero."""
+
+
+REST = JointSetpoint(0.0, 0.0)
+
+
+def _of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
+    """What the channel takes of it, at the wheel."""
+    if channel.torque_setpoint is not None:
+        return setpoint.torque_n_m
+    return setpoint.velocity_rad_s if channel.velocity_setpoint is not None else setpoint.duty
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +163,7 @@ class CanPlan:
         return self.profile.channels[joint.channel]
 
     def _setpoint_names(self) -> list[str]:
-        channels = [self.channel(joint) for joint in self.joints]
-        return [channel.velocity_setpoint or channel.duty_setpoint or "" for channel in channels]
+        return [self.channel(joint).setpoint for joint in self.joints]
 
     def _fast_names(self) -> list[str]:
         names = [self.profile.enabled.register] if self.profile.enabled else []
@@ -218,12 +228,10 @@ class CanPlan:
         for joint in self.joints:
             channel = self.channel(joint)
             sign = -1.0 if joint.inverted else 1.0
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
-            if name is None:
-                name, value = channel.duty_setpoint, duty * sign
-            assert name is not None  # the profile's checks: exactly one of the two is there
-            raw[name] = self.profile.registers[name].from_si(value if math.isfinite(value) else 0.0)
+            value = _of_kind(channel, wanted.get(joint.index, REST))
+            value *= channel.to_motor(joint.gear_ratio) * sign
+            signal = self.profile.registers[channel.setpoint]
+            raw[signal.name] = signal.from_si(value if math.isfinite(value) else 0.0)
         return raw
 
     # ----------------------------------------------------------------------------------- receiving

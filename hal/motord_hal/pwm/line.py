@@ -129,6 +129,8 @@ class PwmLine:
         pins_there = f"{len(pins.pins)} pins"
         self._say(EventKind.LINE_OPEN, self._names, f"{self.spec.name} has its {pins_there}")
         self._say(EventKind.DRIVE_READY, self._names, f"{', '.join(self._names)}: no power")
+        if pins.doubt:
+            self._say(EventKind.DRIVE_WARNING, self._names, f"{self.spec.name}: {pins.doubt}")
 
     def _start(self, pins: OpenPins) -> None:
         self._epoch += 1

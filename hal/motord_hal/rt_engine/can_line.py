@@ -156,8 +156,10 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
                 heard.data,
                 extended=heard.identifier & EXTENDED != 0,
             )
-            if found is not None:
-                self._drives[heard.drive].jobs.heard(*found)
+            if found is None:
+                self._errors["bad_frame"] += 1
+                continue
+            self._drives[heard.drive].jobs.heard(*found)
 
     def _note(self, heard: Heard) -> None:
         kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)

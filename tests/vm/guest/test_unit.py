@@ -108,6 +108,15 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     granted(unit.robot.reset, "a reset", unit.said)
 
 
+def test_an_upgrade_brings_the_robot_to_rest_first_and_starts_it_again_disarmed(unit):
+    unit.drive_on()
+    pid = unit.main_pid()
+    output("dpkg", "-i", "/project/motord.deb")
+    unit.again(pid).wait_for("idle")
+    assert unit.rests_without_power()
+    assert "comes to rest" in unit.said()
+
+
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):
     unit.drive_on()
     output("systemctl", "stop", UNIT)

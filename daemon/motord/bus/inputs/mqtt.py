@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands from an MQTT broker, each with the token:
 
-    PREFIX/cmd_vel   {"token": ..., "header": {"stamp": ...}, "twist": {"linear": ..., ...}}
-    PREFIX/call      {"token": ..., "method": "arm", "id": 7}, answered on PREFIX/answer
+    cmd_vel         {"token": ..., "header": {"stamp": ...}, "twist": {"linear": ..., ...}}
+    joint_commands  {"token": ..., "header": {"stamp": ...}, "name": ["left"], "velocity": [2.5]}
+    call            {"token": ..., "method": "arm", "id": 7}, which is answered
 
-A retained message is none of now and is not obeyed; nor is what is older than the lease's lifetime.
+on topics by mqtt_names.py. A retained message is none of now and is not obeyed; nor is what is
+older than the lease's lifetime.
 """
 
 from __future__ import annotations
@@ -12,20 +14,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import Desk, NotTaken, tag
+from motord.bus.inputs.desk import COMMANDS, URGENT, Desk, NotTaken, request_of, tag
 from motord.bus.mqtt_connection import MqttConnection
+from motord.bus.mqtt_names import CALL
 from motord.config import MqttInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
 
 PAYLOAD_BYTES_MAX = 4096
-TASKS_MAX = 16
+CALLS_MAX, ANSWERS_MAX = 16, 64
+"""Calls under way, and answers that the broker has not taken yet. What is urgent passes both."""
 
 _log = logging.getLogger(__name__)
 
@@ -35,9 +39,9 @@ class MqttCommands:
         """Raises as MqttConnection and Desk."""
         self._connection = MqttConnection(f"input.{name}", section, station)
         self._desk = Desk(name, section, station)
-        self._drive_topic = f"{self._connection.prefix}/cmd_vel"
-        self._call_topic = f"{self._connection.prefix}/call"
-        self._answer_topic = f"{self._connection.prefix}/answer"
+        names = self._connection.names
+        self._commands = {names.heard(topic): topic for topic in COMMANDS}
+        self._call_topic = names.heard(CALL)
         self._calls: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
@@ -47,7 +51,8 @@ class MqttCommands:
             tasks.create_task(self._connection.keep(self._use))
 
     async def _use(self, client: aiomqtt.Client) -> None:
-        await client.subscribe([(self._drive_topic, 0), (self._call_topic, 1)])
+        commands = [(topic, 0) for topic in self._commands]
+        await client.subscribe([*commands, (self._call_topic, 1)])
         async with asyncio.TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:
@@ -59,30 +64,37 @@ class MqttCommands:
     def _take(
         self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: asyncio.TaskGroup
     ) -> None:
-        request = self._request(message.payload)
+        request = request_of(self._connection.decode, message.payload, PAYLOAD_BYTES_MAX)
         self._desk.admit(request.get("token"))
-        if str(message.topic) == self._drive_topic:
-            self._desk.drive(request)
-        elif len(self._calls) < TASKS_MAX:
-            call = tasks.create_task(self._act(client, request))
+        if (topic := self._commands.get(str(message.topic))) is not None:
+            self._desk.take(topic, request)
+        else:
+            call = tasks.create_task(self._call(client, request))
             self._calls.add(call)
             call.add_done_callback(self._calls.discard)
 
-    def _request(self, payload: Any) -> Mapping[str, Any]:
-        """Nothing that could have a token: an empty one."""
-        if not isinstance(payload, bytes) or len(payload) > PAYLOAD_BYTES_MAX:
-            return {}
-        try:
-            request = self._connection.decode(payload)
-        except ValueError:
-            return {}
-        return request if isinstance(request, Mapping) else {}
+    def _call(
+        self, client: aiomqtt.Client, request: Mapping[str, Any]
+    ) -> Coroutine[Any, Any, None]:
+        """What is to be done for it. Raises NotTaken where not even an answer is possible."""
+        if len(self._calls) < CALLS_MAX or request.get("method") in URGENT:
+            return self._act(client, request)
+        busy = self._desk.busy()
+        if len(self._calls) >= ANSWERS_MAX:
+            raise busy
+        return self._answer(client, request, error=str(busy))
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
-        number, method = tag(request.get("id")), tag(request.get("method"))
-        answer: dict[str, Any] = {"id": number, "method": method}
         try:
-            answer["result"] = await self._desk.act(method)
+            said = {"result": await self._desk.act(tag(request.get("method")))}
         except NotTaken as error:
-            answer["error"] = str(error)
-        await client.publish(self._answer_topic, self._connection.encode(answer), 1)
+            said = {"error": str(error)}
+        if len(self._calls) <= ANSWERS_MAX:
+            await self._answer(client, request, **said)
+
+    async def _answer(
+        self, client: aiomqtt.Client, request: Mapping[str, Any], **said: object
+    ) -> None:
+        answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | said
+        with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
+            await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
