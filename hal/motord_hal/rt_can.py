@@ -44,6 +44,9 @@ class CanDriveReport:
     faults: int
     last_fault: int
     last_fault_joint: int
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +97,12 @@ class CanThread(ThreadDoor):
         self._heard = ffi.new("can_received *")
         self._report = ffi.new("can_report *")
 
-    def start(self, table: Plain, **config: int) -> None:
-        """`config` as in can_config; the descriptors stay the caller's: he closes them after
-        `stop`. Raises HalError."""
+    def start(self, table: Plain, *, before: Plain, **config: int) -> None:
+        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
+        he closes them after `stop`. Raises HalError."""
         raw = ffi.new("can_table *", table)
-        raw_config = ffi.new("can_config *", config_of(config, self._exchange))
+        own = config_of(config, self._exchange) | {"before": before}
+        raw_config = ffi.new("can_config *", own)
         ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
         check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
         self._drives = raw.drive_count
@@ -165,4 +169,6 @@ def _drive_report(raw: Any) -> CanDriveReport:
         faults=raw.faults,
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
     )

@@ -75,9 +75,13 @@ class ThreadSpec:
     de_active_high: bool = True
     de_before_ns: int = 0
     de_after_ns: int = 0
+    may_turn: int = 0
+    """Bit n: drive n was armed before the port was opened; it is told to stop first."""
 
     @classmethod
-    def of(cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int) -> ThreadSpec:
+    def of(
+        cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
+    ) -> ThreadSpec:
         """As the robot file has it."""
         return cls(
             fd=fd,
@@ -88,6 +92,7 @@ class ThreadSpec:
             de_active_high=spec.direction.active_high,
             de_before_ns=round(spec.direction.before_s * 1e9),
             de_after_ns=round(spec.direction.after_s * 1e9),
+            may_turn=may_turn,
         )
 
 
@@ -121,6 +126,9 @@ class DriveReport:
     """None: it cannot say, or has not said since the last wish."""
     stopping: bool
     told_motion: bool
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
     failures: int
     last_failure: AnswerKind
     last_exception: int
@@ -229,6 +237,8 @@ def _drive_report(raw: Any) -> DriveReport:
         enabled=None if raw.enabled > 1 else raw.enabled == 1,
         stopping=raw.stopping != 0,
         told_motion=raw.told_motion != 0,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
         failures=raw.failures,
         last_failure=AnswerKind(raw.last_failure),
         last_exception=raw.last_exception,

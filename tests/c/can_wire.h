@@ -78,7 +78,11 @@ static inline can_drive can_drive_of(uint32_t n)
 
 static inline void restart(void)
 {
-    CHECK(can_machine_init(&w.machine, &w.table, w.machine.drive[0].epoch, take, NULL, w.now_ns) == 0);
+    can_before before = {.epoch = w.machine.drive[0].epoch};
+    for (uint32_t i = 0; i < w.table.drive_count; i++) {
+        before.may_turn |= (uint32_t)w.machine.drive[i].may_turn << i;
+    }
+    CHECK(can_machine_init(&w.machine, &w.table, &before, take, NULL, w.now_ns) == 0);
 }
 
 static inline void begin_with(uint32_t drives)

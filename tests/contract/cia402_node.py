@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from functools import partial
 
 import can
@@ -68,6 +69,9 @@ class Cia402Node:
     def __init__(self, bus, node):
         self.node_id = node
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
+        self.operational_at = []
+        """Of each control word: whether it was operational when it came."""
+        self._told_s = 0.0
         self.error_code = 0
         self.position, self.velocity, self.torque = 0, 0, 0
         self.torques = []
@@ -89,7 +93,11 @@ class Cia402Node:
     def close(self):
         self._stopped.set()
         self._sender.join()
+        beat = self.node.nmt._send_task
         self.node.nmt.stop_heartbeat()
+        thread = getattr(beat and beat._task, "thread", None)
+        if thread is not None:
+            thread.join()  # else it may send on a bus that is closed
         self.network.disconnect()
 
     def reboot(self):
@@ -110,12 +118,19 @@ class Cia402Node:
         self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
 
     def _written(self, *, index, od, data, **_):
-        if index == 0x6060:
+        if index == 0x6040:
+            self.control(od.decode_raw(data))
+        elif index == 0x6060:
             self.put(0x6061, od.decode_raw(data))
 
     def _mapping(self, index):
         entries = [self.get(index, sub) for sub in range(1, self.get(index, 0) + 1)]
         return [(entry >> 16, entry & 0xFF) for entry in entries]
+
+    @property
+    def silent_s(self):
+        """So long ago it was told its newest control word."""
+        return time.monotonic() - self._told_s
 
     @property
     def operational(self):
@@ -164,6 +179,8 @@ class Cia402Node:
         """CiA 402-2, 8.3: one transition a command; a fault is reset by a rising edge of bit 7."""
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
+        self.operational_at.append(self.operational)
+        self._told_s = time.monotonic()
         if self.stuck:
             return
         rising = word & 0x80 and not before & 0x80
@@ -183,6 +200,8 @@ class Cia402Node:
             self.status = OPERATION
         elif word & 0x07 == 0x06 and self.status in (SWITCHED_ON, OPERATION):
             self.status = READY
+        if self.status != OPERATION:
+            self.velocity = 0
 
     def _send_pdos(self):
         while not self._stopped.wait(0.01):

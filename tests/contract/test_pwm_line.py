@@ -16,6 +16,7 @@ from loop_side import GENEROUS_S, running, until
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
 from motord_hal.lines import halt_line, open_line
+from motord_hal.pinmux import not_muxed
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -274,6 +275,22 @@ async def test_a_line_whose_channel_is_taken_says_so_and_waits(chip):
             assert "drives it: end that first" in rig.events[0].text
             fcntl.flock(other, fcntl.LOCK_UN)
             await until(lambda: rig.line.state is LineState.READY)
+
+
+async def test_pulses_that_reach_no_pin_are_said_when_the_line_opens(chip, tmp_path, monkeypatch):
+    """As root sees it on a Pi 5 that has no overlay."""
+    (tmp_path / "1f00098000.pwm").mkdir()
+    (chip.folder / "device").symlink_to(tmp_path / "1f00098000.pwm")
+    (tmp_path / "compatible").write_text("raspberrypi,5-model-b\0brcm,bcm2712\0")
+    pinctrl = tmp_path / "debug/pinctrl/1f000d0000.gpio-pinctrl-rp1"
+    pinctrl.mkdir(parents=True)
+    rows = [f"pin {pin} (gpio{pin}): (MUX UNCLAIMED) (GPIO UNCLAIMED)" for pin in (12, 13, 18, 19)]
+    (pinctrl / "pinmux-pins").write_text("\n".join(rows) + "\n")
+    monkeypatch.setattr(not_muxed, "__defaults__", (tmp_path, tmp_path / "debug"))
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+        assert "no pin to pwm0, pwm1, pwm2, pwm3 of 1f00098000.pwm" in rig.events[-1].text
 
 
 async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):

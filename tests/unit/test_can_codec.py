@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord_hal.can.codec import build, frame_bits, frame_time_s, parse
-from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.errors import WARN_EVERY_S, BusTrouble, BusWarnings, error_words
 from motord_hal.can.netlink import answer_error, restart_request
 from motord_hal.drives.can_profile import Frame, Sender, Signal
 from motord_hal.drives.load import find_profile
@@ -163,3 +163,11 @@ def test_the_restart_is_asked_for_as_the_kernel_wants_it():
     assert answer_error(refused) == 1
     with pytest.raises(ValueError):
         answer_error(refused[:12])
+
+
+def test_a_warning_is_said_again_when_it_goes_on_for_long():
+    warnings = BusWarnings()
+    assert len(warnings.new(["no_ack", "error_passive", "protocol"], 100.0)) == 2
+    assert warnings.new(["no_ack"], 100.0 + WARN_EVERY_S / 2) == []
+    assert len(warnings.new(["no_ack", "no_ack"], 100.0 + WARN_EVERY_S)) == 1
+    assert warnings.new(["bus_off"], 500.0) == []  # the line is lost, which is said anyway

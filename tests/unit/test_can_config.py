@@ -2,6 +2,7 @@
 """CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +11,7 @@ from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.can.address import bus_arguments
 from motord_hal.can.codec import build, parse
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.can_profile import signals_of
@@ -104,6 +106,48 @@ def test_a_can_line_is_told_to_the_hardware_layer():
     assert spec.data_baudrate == 2_000_000
 
 
+def test_a_watchdog_that_was_set_by_the_maker_s_tool_is_held_against_what_motord_counts_on():
+    both = [f"joint.{name}.drive_watchdog_s=0.5" for name in ("left", "right")]
+    robot, _ = loaded()
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(both[0])
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(*both)
+    assert not any("without a communication watchdog" in w.text for w in robot.warnings)
+    assert "0.5 s is not safety.drive_watchdog_s (0.3 s)" in wrong(
+        *both, "safety.drive_watchdog_s=0.3"
+    )
+    assert "shorter than two cycles" in wrong("joint.left.drive_watchdog_s=0.015")
+
+
+def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_said():
+    with pytest.raises(ConfigError, match="is not used: motord sets that of drive"):
+        load_robot(CIA402, ("joint.left.drive_watchdog_s=0.5",))
+    with pytest.raises(ConfigError, match="is only for a drive on a CAN bus"):
+        load_robot(config_dir() / "robots" / "demo.toml", ("joint.left.drive_watchdog_s=0.5",))
+
+
+def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
+    said = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
+    assert "line.can0.interface" in said
+    assert 'interface = "socketcan", channel = "can0"' in said
+
+
+def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
+    slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
+    loaded(*slcan)
+    assert "slcan carries no CAN FD" in wrong(*slcan, "line.can0.data_bitrate=2000000")
+    _, spec = loaded(*slcan)
+    with pytest.raises(HalError, match="slcan carries no CAN FD"):
+        open_line(replace(spec, data_baudrate=2_000_000), Exchange.private(), print)
+
+
+def test_an_adapter_of_python_can_s_own_is_told_of_can_fd():
+    assert "fd" not in bus_arguments("kvaser:0", 500_000, None)
+    fd = bus_arguments("kvaser:0", 500_000, 2_000_000)
+    assert (fd["fd"], fd["data_bitrate"], fd["bitrate"]) == (True, 2_000_000, 500_000)
+
+
 def test_the_bus_load_is_that_of_the_frames():
     """At 500 kbit/s: set-points 135 bits; each drive sends 100 + 10 frames of 135 bits a second."""
     _, spec = loaded()
@@ -187,9 +231,12 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
         ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
         ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
+        ('"status_object"\nso', '"status_objekt"\nso', 'did you mean "status_object"?'),
+        ('"status_object"\nso', '"control_word"\nso', '"control_word" is nothing that can be read'),
+        ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
-def test_a_mistake_about_sync_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_about_sync_or_an_object_is_said(tmp_path, right, wrong, said):
     assert right in CSV
     path = tmp_path / "cia402-csv.toml"
     path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")

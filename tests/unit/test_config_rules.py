@@ -394,10 +394,16 @@ def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
             'joints = ["left"]\nvoltage_from = "left.bus_voltage"',
             "battery.joints: the voltage is that of voltage_from",
         ),
+        (
+            'bus = "/dev/i2c-1"\nchip_at_pack = true',
+            "battery.chip_at_pack: ina226 does not measure its temperature",
+        ),
     ],
 )
 def test_a_reading_of_the_battery_that_no_drive_has_is_named(tmp_path, reading, said):
     section = BATTERY.replace("low_v", f"{reading}\nlow_v")
+    if "bus" in reading.split():
+        section = section.replace('"drives"', '"ina226"')
     found = errors(edited(tmp_path, "demo", ("[line.rs485]", section)))
     assert any(row.startswith(said) for row in found), found
 

@@ -113,7 +113,7 @@ class CanLine(Section):
 
     kind: Literal["can"]
     interface: str = Field(default="socketcan", pattern=r"^[a-z][a-z0-9_]*$")
-    """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ...; or
+    """The kind of adapter, as python-can names it: socketcan, slcan, kvaser, udp_multicast, ...; or
     unix, a socket that carries SocketCAN's frames."""
     channel: str = Field(min_length=1)
     """Which one: network interface (can0), serial port (/dev/ttyACM0), GROUP:PORT of UDP, a

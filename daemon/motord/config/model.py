@@ -277,6 +277,14 @@ class Joint(Section):
     cycle_hz: float | None = number(
         "exchanges a second with its drive; the line's where it is not given", 1, 1000, "Hz", None
     )
+    drive_watchdog_s: float | None = number(
+        "on CAN: the watchdog that was set in its drive with the maker's tool, where motord cannot"
+        " set it; as safety.drive_watchdog_s",
+        0.01,
+        10,
+        "s",
+        None,
+    )
 
 
 class SocketInput(Section):

@@ -341,8 +341,9 @@ class CanDrive:
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The bus is there: the drive may speak."""
-        self._waits_since_s = now_s()
+        """The bus is there: the drive may speak. One that may turn is told to stop, as one that
+        has just fallen silent."""
+        self._waits_since_s = self._quiet_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 
@@ -398,14 +399,20 @@ class CanDrive:
         """Stop now, ahead of everything else; the power goes off when the wheel is at rest."""
         self._disarmed()
         self._power_off_by_s = now_s() + STOPPING_WITHIN_S
-        self._write_now("quick_stop", self.plan.profile.quick_stop)
+        if not self._write_all(self.plan.profile.quick_stop):
+            self.submit(Job("quick_stop", self.plan.profile.quick_stop, urgent=True))
 
     def power_off(self) -> None:
         """Power off now, ahead of everything else."""
+        if not self.tell_power_off():
+            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    def tell_power_off(self) -> bool:
+        """As power_off, but only once. False: the bus has not taken all of it."""
         self._disarmed()
         self._power_off_by_s = None
-        self._write_now("disarm", self.plan.profile.disarm)
         self.told_motion = False
+        return self._write_all(self.plan.profile.disarm)
 
     @property
     def has_stopped_itself(self) -> bool:
@@ -443,10 +450,6 @@ class CanDrive:
             job.fail(HalError(f"{self}: stopped while it was being armed"))
 
     def _write_all(self, steps: tuple[Step, ...]) -> bool:
-        """All writes at once."""
-        return all(self._write(*one) for one in merged_writes(self.plan, steps))
-
-    def _write_now(self, name: str, steps: tuple[Step, ...]) -> None:
-        """All writes at once; what the bus does not take becomes a job."""
-        if not self._write_all(steps):
-            self.submit(Job(name, steps, urgent=True))
+        """All writes at once, each of them also where the bus has not taken the one before it."""
+        sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
+        return all(sent)

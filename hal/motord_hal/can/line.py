@@ -61,7 +61,7 @@ class CanLine:
         identifiers = [one for plan in plans for one in plan.identifiers]
         self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
         self._bus = CanBus(
-            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame
+            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame, self._warn
         )
         self._drives = [
             CanDrive(
@@ -124,6 +124,10 @@ class CanLine:
 
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
+
+    def _warn(self, text: str) -> None:
+        joints = tuple(joint.name for joint in self.spec.joints)
+        self._say(EventKind.DRIVE_WARNING, joints, f"{self.spec.name}: {text}")
 
     def _take_frame(self, message: can.Message, stamp_ns: int) -> None:
         drive = self._by_identifier.get((message.arbitration_id, message.is_extended_id))
@@ -253,23 +257,34 @@ class CanLine:
         """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
         if not self._open:
             return
-        stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
+        left, why = self._drives, "the bus takes no frames"
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
-                stopping = [drive for drive in self._drives if drive.state is DriveState.ARMED]
-                for drive in stopping:
-                    drive.quick_stop()
-                while stopping and now_s() < stopping_by_s:
-                    for drive in stopping:
-                        drive.cycle({})
-                    self._synchronise()
+                await self._come_to_rest()
+                while left := [drive for drive in left if not drive.tell_power_off()]:
+                    self._bus.check()
                     await asyncio.sleep(STOPPING_CYCLE_S)
-                    stopping = [drive for drive in stopping if drive.is_stopping]
-                for drive in self._drives:
-                    drive.power_off()
-        except (TimeoutError, PortError) as error:
-            text = f"{self.spec.name}: not every drive was switched off at the end: {error}"
-            self._say(EventKind.DRIVE_WARNING, tuple(j.name for j in self.spec.joints), text)
+        except TimeoutError:
+            pass  # what is left is said
+        except PortError as error:
+            why = str(error)
+        if left:
+            names = tuple(name for drive in left for name in drive.names)
+            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end: {why}"
+            self._say(EventKind.DRIVE_WARNING, names, text)
+
+    async def _come_to_rest(self) -> None:
+        """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""
+        stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
+        for drive in self._drives:
+            if drive.state is DriveState.ARMED:
+                drive.quick_stop()
+        while now_s() < stopping_by_s and any(drive.is_stopping for drive in self._drives):
+            for drive in self._drives:
+                if drive.is_stopping:
+                    drive.cycle({})
+            self._synchronise()
+            await asyncio.sleep(STOPPING_CYCLE_S)
 
     # ------------------------------------------------------------------------------ what is asked
     async def arm(self) -> None:

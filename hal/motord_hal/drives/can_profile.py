@@ -99,6 +99,9 @@ class Signal(Register):
     """In `unit`: what raw 0 says."""
     reply_frame: str = ""
     """Of a signal that is written and read: the frame in which it is read."""
+    object: str = ""
+    """The object that says the same when it is asked, also where its frame does not come; "":
+    there is none."""
 
     @property
     def is_float(self) -> bool:

@@ -189,15 +189,17 @@ class McuLine:
     def _has_to_stop(self) -> bool:
         return self._told_motion and not any(any(wish) for wish in self._wanted().values())
 
-    def _send(self) -> None:
+    def _send(self) -> bool:
+        """False: the port takes no bytes now."""
         wanted = self._wanted()
         data = self._dialect.setpoints(self._board.setpoints(wanted), now_ns())
         if self._stream.send(data):
             self._sent_s = now_s()
             self._told_motion = any(any(wish) for wish in wanted.values())
             self._board.sent()
-        else:
-            self._errors["no_room"] += 1
+            return True
+        self._errors["no_room"] += 1
+        return False
 
     def _take_in(self, data: bytes) -> None:
         for said in self._dialect.feed(data, now_ns()):
@@ -257,6 +259,7 @@ class McuLine:
         if not self._open:
             return
         board, pause_s = self._board, min(self._period_s, LOOK_EVERY_S)
+        told, why = False, "the port takes no bytes"
         stopping_by_s = now_s() + SHUTDOWN_STOPPING_S
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
@@ -266,10 +269,17 @@ class McuLine:
                     self._send()
                     await asyncio.sleep(pause_s)
                 board.power_off()
-                self._send()
-                await asyncio.sleep(2 * pause_s)  # until it is on the wire
-        except (TimeoutError, PortError) as error:
-            text = f"{self.spec.name}: the board was not switched off at the end: {error}"
+                while not told:
+                    told = self._send()
+                    await asyncio.sleep(
+                        2 * pause_s
+                    )  # until it is on the wire, or the port takes it
+        except TimeoutError:
+            pass
+        except PortError as error:
+            why = str(error)
+        if not told:
+            text = f"{self.spec.name}: {', '.join(board.names)} not switched off at the end: {why}"
             self._say(EventKind.DRIVE_WARNING, board.names, text)
 
     # ---------------------------------------------------------------------------------------- jobs

@@ -11,12 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord_hal.drives.profile import BRIDGE_MODES, Bridge
+from motord_hal.encoder.board import told_encoder
 from motord_hal.encoder.counter import open_counter
 from motord_hal.encoder.edges import open_edges
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
 from motord_hal.pinmux import not_muxed, pwm_step
-from motord_hal.ports import CounterEncoder, JointSpec, LineSpec
+from motord_hal.ports import BoardEncoder, CounterEncoder, JointSpec, LineSpec
 from motord_hal.pwm.sysfs import (
     Channel,
     ChipAbsent,
@@ -128,7 +129,7 @@ class OpenPins:
             if fd >= 0:
                 os.close(fd)
         for encoder in self.encoders:
-            if encoder is not None:
+            if encoder is not None and encoder.fd >= 0:
                 os.close(encoder.fd)
 
 
@@ -173,6 +174,8 @@ def _open_inputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
 def _open_encoder(spec: LineSpec, joint: JointSpec) -> EncoderConfig | None:
     if joint.encoder is None:
         return None
+    if isinstance(joint.encoder, BoardEncoder):
+        return told_encoder(joint.encoder)
     if isinstance(joint.encoder, CounterEncoder):
         return open_counter(joint.encoder, joint.name)
     return open_edges(joint.encoder, joint.name, f"motord {spec.name}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -199,16 +200,21 @@ class RtLineBase(abc.ABC, Generic[Report, AnyDrive]):
 
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive: C does it, and this waits for it."""
-        if self._report is None:
+        if (report := self._report) is None:
             return
         self._thread.shut_down()
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
                 while (report := self._thread.report()).running and not report.shut_down:
                     await self._news.wait()
-        except TimeoutError:
-            text = f"{self.spec.name}: not every drive was switched off at the end"
-            self._say_all(EventKind.DRIVE_WARNING, text)
+        done = report.shut_down
+        pairs = zip(self._drives, report.drives, strict=True)
+        names = tuple(
+            n for drive, said in pairs if said.stop_waits or not done for n in drive.names
+        )
+        if names:
+            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end"
+            self._say(EventKind.DRIVE_WARNING, names, text)
 
     # ---------------------------------------------------------------------------------- its orders
     async def arm(self) -> None:

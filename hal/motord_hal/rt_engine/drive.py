@@ -59,6 +59,10 @@ class DriveSays(Protocol):
     def wish_seen(self) -> int: ...
     @property
     def cycles(self) -> int: ...
+    @property
+    def stop_waits(self) -> bool:
+        """It has not been told, or has not acknowledged, all of its newest stop."""
+        ...
 
 
 class Jobs(Protocol):

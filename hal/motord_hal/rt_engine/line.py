@@ -54,6 +54,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         ]
         self._books = Books(1.0 / sum(drive.cycle_time_s() for drive in frames))
         self._port: OpenPort | None = None
+        self._may_turn = 0
+        """Bit n: drive n was armed when the port was lost."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment."""
@@ -63,7 +65,11 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
         thread = ThreadSpec.of(
-            self.spec, fd=self._port.fd, de_fd=self._port.de_fd, event_fd=self._news.event_fd
+            self.spec,
+            fd=self._port.fd,
+            de_fd=self._port.de_fd,
+            event_fd=self._news.event_fd,
+            may_turn=self._may_turn,
         )
         self._thread.start(thread, self._table)
         self._report = self._thread.report()
@@ -78,6 +84,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
 
     def _close_medium(self, error: HalError) -> None:
         if self._report is not None:
+            drives = self._thread.report().drives
+            self._may_turn = sum(one.may_turn << n for n, one in enumerate(drives))
             self._books.close(self._thread)
         if self._port is not None:
             self._port.close()
