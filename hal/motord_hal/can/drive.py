@@ -15,9 +15,9 @@ from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted, with_c
 from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import Job, configure_steps
 from motord_hal.errors import DriveFault, HalError, NoReply, Refused
-from motord_hal.modbus.faults import FaultWatch, Say
-from motord_hal.modbus.job import Job, configure_steps
 from motord_hal.ports import DriveState, EventKind
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange

@@ -14,9 +14,9 @@ import can
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import NoReply
 from motord_hal.halt import halt_unit
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import LineSpec
 
 SEND_WITHIN_S = 0.1

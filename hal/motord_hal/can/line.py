@@ -17,10 +17,10 @@ from motord_hal.can.drive import CanDrive
 from motord_hal.can.plan import CanPlan, Wanted
 from motord_hal.clock import now_ns, now_s, sleep_until_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.job import Job, clear_steps
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
-from motord_hal.modbus.job import Job, clear_steps
-from motord_hal.modbus.parameter import readable, write_steps
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 from motord_hal.clock import now_ns, now_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import Job, configure_steps, watchdog_time_s
 from motord_hal.errors import DriveFault, HalError, NoReply
 from motord_hal.mcu.dialect import Said
-from motord_hal.modbus.faults import FaultWatch, Say
-from motord_hal.modbus.job import Job, configure_steps, watchdog_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.rt import Exchange

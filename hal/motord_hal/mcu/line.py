@@ -13,15 +13,15 @@ from collections import deque
 
 from motord_hal.clock import now_ns, now_s, sleep_until_s
 from motord_hal.drives.profile import DriveProfile
+from motord_hal.engine.job import Job, clear_steps
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.mcu.board import Board, Wanted
 from motord_hal.mcu.dialect import Dialect, Said
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.mcu.pace import period_s, wire_limit_hz
-from motord_hal.modbus.job import Job, clear_steps
-from motord_hal.modbus.parameter import readable, write_steps
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DriveState,

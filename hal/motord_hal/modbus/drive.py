@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.errors import BadReply, DriveFault, HalError, NoReply, Refused
 from motord_hal.modbus.codec import Request
-from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.guard import Answer
-from motord_hal.modbus.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
 from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind

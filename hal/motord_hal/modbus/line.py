@@ -13,15 +13,15 @@ from functools import partial
 
 from motord_hal.clock import now_ns, now_s, sleep_until_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.job import Job, clear_steps
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.modbus.drive import Drive, Wanted
 from motord_hal.modbus.guard import GuardedClient
-from motord_hal.modbus.job import Job, clear_steps
 from motord_hal.modbus.link import Link
-from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     DirectionKind,

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from motord_hal.drives.profile import Channel, DriveProfile, Register, Step
+from motord_hal.engine.job import kept_registers
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -17,7 +18,6 @@ from motord_hal.modbus.codec import (
     build_request,
     reply_bytes,
 )
-from motord_hal.modbus.job import kept_registers
 from motord_hal.ports import JointSpec
 
 EXTRA_EVERY_CYCLES = 4

@@ -8,12 +8,12 @@ import termios
 from collections import Counter
 
 from motord_hal.ascii.dialect import text_bytes
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import HalError, NoReply, PortError, ProfileError
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import period_s, wire_limit_hz
-from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_board import BoardReport, BoardThread, check_table

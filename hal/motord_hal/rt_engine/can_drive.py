@@ -9,7 +9,7 @@ from typing import Any
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
-from motord_hal.modbus.faults import Say
+from motord_hal.engine.faults import Say
 from motord_hal.ports import LineSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt_can import CanThread

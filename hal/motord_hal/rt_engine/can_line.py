@@ -12,10 +12,10 @@ from motord_hal.can.errors import BusTrouble, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.profile import Step
+from motord_hal.engine.job import Job
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import HalError, PortError, ProfileError
-from motord_hal.modbus.job import Job
-from motord_hal.modbus.parameter import readable, write_steps
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table

@@ -15,9 +15,9 @@ from typing import Any, Protocol
 
 from motord_hal.clock import NS_PER_S, now_ns
 from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.errors import HalError, PortError
-from motord_hal.modbus.faults import FaultWatch, Say
-from motord_hal.modbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.ports import DriveState, EventKind, JointSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt_engine.asks import exception_text

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import os
 
+from motord_hal.engine.parameter import readable, write_steps
 from motord_hal.errors import HalError, PortError, ProfileError
-from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.ports import LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_engine.asks import Asks
