@@ -30,6 +30,7 @@ class BoardSays:
     mode: Mode
     demoted: Demoted
     wish_seen: int
+    stopping: bool
     cycles: int
     """Feedback that the core was given."""
     stops: int
@@ -177,6 +178,7 @@ def _says(raw: Any) -> BoardSays:
         mode=Mode(raw.mode),
         demoted=Demoted(raw.demoted),
         wish_seen=raw.wish_seen,
+        stopping=raw.stopping != 0,
         cycles=raw.published,
         stops=raw.stops,
         epoch=raw.epoch,

@@ -8,8 +8,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from motord_hal.drives.profile import Channel, DriveProfile, Register, Step
+from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.engine.job import kept_registers
+from motord_hal.engine.plan import Plan, Reading, Wanted
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -59,19 +60,6 @@ class CyclicExchange:
     """What its reply says; None: nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
-
-    count: int
-    velocity_rad_s: float
-    current_a: float
-    voltage_v: float
-    temperature_c: float
-    enabled: bool | None
-    fault_word: int
-
-
 def wanted_registers(
     profile: DriveProfile, joints: Iterable[JointSpec]
 ) -> tuple[list[Register], list[Register]]:
@@ -90,13 +78,11 @@ def wanted_registers(
     )
 
 
-class DrivePlan:
+class DrivePlan(Plan):
     """One unit with one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
-        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
-        self.profile: DriveProfile = self.joints[0].profile
-        self.unit = self.joints[0].unit
+        super().__init__(joints)
         self._gap_s = gap_s
         self._wire_time_s = wire_time_s
         fast, slow = wanted_registers(self.profile, self.joints)
@@ -107,9 +93,6 @@ class DrivePlan:
         ways = (self.channel(joint).direction for joint in self.joints)
         self.rests = {way.register: way.rest for way in ways if way is not None}
         """Direction register → the value that means neither way."""
-
-    def channel(self, joint: JointSpec) -> Channel:
-        return self.profile.channels[joint.channel]
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
         """Few requests: a hole of known registers is read along where that is faster."""
@@ -188,7 +171,7 @@ class DrivePlan:
             and len(write.values) <= min(READ_WRITE_WRITE_REGISTERS_MAX, most)
         )
 
-    def setpoints(self, wanted: Mapping[int, tuple[float, float]]) -> dict[str, int]:
+    def setpoints(self, wanted: Wanted) -> dict[str, int]:
         """Register → raw for the set-points; joint index → (wheel rad/s, duty). What is missing,
         NaN or infinite is zero. Directions are left to `directions`."""
         raw = {}
@@ -214,9 +197,7 @@ class DrivePlan:
         obey = (pair for joint in self.joints for pair in self.channel(joint).setpoint_with)
         return (*zeros, *(Step(register=name, value=raw, verify=False) for name, raw in obey))
 
-    def directions(
-        self, wanted: Mapping[int, tuple[float, float]], raw: Mapping[str, int]
-    ) -> dict[str, int]:
+    def directions(self, wanted: Wanted, raw: Mapping[str, int]) -> dict[str, int]:
         """Direction register → raw for the same set-points; rest where the magnitude is zero."""
         ways = {}
         for joint in self.joints:
@@ -258,13 +239,6 @@ class DrivePlan:
         if name is None or name not in values:
             return math.nan
         return self.profile.registers[name].to_si(values[name])
-
-    def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot say, or has not been asked yet."""
-        said = self.profile.enabled
-        if said is None or said.register not in values:
-            return None
-        return values[said.register] & said.mask == said.equals
 
     def cycle_time_s(self) -> float:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive

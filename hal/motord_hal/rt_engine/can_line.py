@@ -13,9 +13,9 @@ from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job
-from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.parameter import write_steps
 from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import HalError, PortError, ProfileError
+from motord_hal.errors import PortError, ProfileError
 from motord_hal.ports import LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
@@ -60,7 +60,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._bus_off = False
         """The controller has left the bus, and nobody has restarted it since."""
         self._errors: Counter[str] = Counter()
-        self._frames = self._cycles = self._reopened = 0
+        self._frames = self._cycles = 0
         self._epoch = 0
         """What comes after a reopening is new, though its counters may look alike."""
 
@@ -110,8 +110,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             _log.info("%s: not restarted: %s", self.spec.port, refused)
         self._bus_off = False
 
-    def _close_medium(self, error: HalError) -> None:
-        del error  # jobs see it by their tasks' end
+    def _close_port(self) -> None:
         if self._report is not None:
             last = self._thread.report()
             self._frames += last.received
@@ -121,12 +120,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         if self._bus is not None:
             self._bus.close()
             self._bus = None
-
-    def _count_lost(self) -> None:
-        """What loses a bus is counted by its kind."""
-
-    def _count_reopened(self) -> None:
-        self._reopened += 1
 
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
@@ -171,10 +164,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
         the next one that comes."""
         jobs = self._drive_of(joint).jobs
-        found = readable(jobs.profile, register)
-        frame = jobs.plan.read_frame_of(register)
-        if not frame.period_s and not frame.ask:
-            raise LookupError(f"{register}: the drive neither sends it nor can be asked for it")
+        found = jobs.plan.readable(register)
         self._check_open()
         job = Job("read", (Step(register=register, mask=0, equals=0),))
         await jobs.finish(job)

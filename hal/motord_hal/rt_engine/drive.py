@@ -58,6 +58,8 @@ class DriveSays(Protocol):
     @property
     def wish_seen(self) -> int: ...
     @property
+    def stopping(self) -> bool: ...
+    @property
     def cycles(self) -> int: ...
 
 
@@ -138,6 +140,11 @@ class RtDrive(abc.ABC):
         state = _STATES[self.mode]
         failed = state is DriveState.UNKNOWN and self._failed_setup
         return DriveState.QUIET if failed else state
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._report is not None and self._report.stopping
 
     def lose(self, error: HalError) -> None:
         """The line is gone: nothing is known of the drive."""

@@ -58,7 +58,11 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment."""
         report = None if self._report is None else self._thread.report()
-        return self._books.stats(report, self._thread)
+        stats = self._books.stats(report, self._thread)
+        stats.reopened = self._reopened
+        if self._losses:
+            stats.errors["port"] = self._losses
+        return stats
 
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
@@ -84,19 +88,16 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             return ""
         return self._witness.hint(self._port.fd, self._report.noise_bytes)
 
-    def _close_medium(self, error: HalError) -> None:
+    def _close_port(self) -> None:
         if self._report is not None:
             self._books.close(self._thread)
         if self._port is not None:
             self._port.close()
             self._port = None
+
+    def _close(self, error: HalError) -> None:
+        super()._close(error)
         self._asks.lose(error)
-
-    def _count_lost(self) -> None:
-        self._books.count_port_error()
-
-    def _count_reopened(self) -> None:
-        self._books.reopened += 1
 
     def _ended(self, report: LineReport) -> PortError | None:
         if not report.running:

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive's profile comes to for its joints, whatever its wire. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.ports import JointSpec
+
+Wanted = Mapping[int, tuple[float, float]]
+"""Joint index → (wheel rad/s, duty); empty: everything zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
+
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    enabled: bool | None
+    fault_word: int
+
+
+class Plan:
+    """One drive with one or more joints on its channels."""
+
+    def __init__(self, joints: Iterable[JointSpec]) -> None:
+        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
+        self.profile: DriveProfile = self.joints[0].profile
+        self.unit = self.joints[0].unit
+
+    def channel(self, joint: JointSpec) -> Channel:
+        return self.profile.channels[joint.channel]
+
+    def enabled(self, values: Mapping[str, int]) -> bool | None:
+        """None: the drive cannot say, or has not said yet."""
+        said = self.profile.enabled
+        if said is None or said.register not in values:
+            return None
+        return values[said.register] & said.mask == said.equals
