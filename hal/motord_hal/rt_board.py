@@ -7,20 +7,13 @@ The meaning of each field is in csrc/api_board.h; tables and orders are plain va
 
 from __future__ import annotations
 
-import errno
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from _motord_rt import ffi, lib
+from _motord_rt import ffi
 
-from motord_hal.errors import HalError, ProfileError
-from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode
-
-Plain = Mapping[str, Any]
+from motord_hal.rt_line import Demoted, Mode, Plain, TimedThread, check_plain_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,79 +58,31 @@ class BoardReport:
 
 
 def check_table(name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    try:
-        found = lib.board_table_check(ffi.new("board_table *", table), field)
-    except (IndexError, OverflowError) as error:  # more than the table has places for
-        raise ProfileError(f"{name}: the line cannot run: {error}") from error
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+    """As rt_line.check_table."""
+    check_plain_table("board", name, table)
 
 
-class BoardThread:
-    """One board's thread in C, from `start` to `stop`. One caller's thread at a time. Its drive has
-    the number 0."""
+class BoardThread(TimedThread):
+    """One board's thread. Its drive has the number 0."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        self._line = line
-        self._exchange = exchange
+        super().__init__("board", line, exchange)
         self._ordered = 0
-        self._control = ffi.new("board_control *")
-        self._report = ffi.new("board_report *")
-        self._histogram = ffi.new("histogram *")
 
     def start(self, table: Plain, **config: int) -> None:
-        """`config` as in board_config; the descriptors stay the caller's: he closes them after
-        `stop`. Raises HalError."""
-        raw = ffi.new("board_table *", table)
-        raw_config = ffi.new("board_config *", config | {"exchange": self._exchange.handle})
-        ffi.memmove(self._control, bytes(ffi.sizeof("board_control")), ffi.sizeof("board_control"))
-        _check(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
+        """`config` as in board_config. Raises HalError."""
+        self._start(table, config)
         self._ordered = 0
 
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.board_stop(self._line)
-        if code != -errno.ESRCH:
-            _check(code, "the line cannot be stopped")
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        del drive
-        wish = self._control.wish
-        wish.count += 1
-        wish.mode = mode
-        self._put_control()
-        return int(wish.count)
-
-    @property
-    def wished(self) -> int:
-        """The count of the newest wish."""
-        return int(self._control.wish.count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then it may say that it is enabled, though it is not armed; 0: no more."""
-        del drive
-        self._control.wish.arming_until_ns = until_ns
-        self._put_control()
-
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: see BoardReport.shut_down."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        lib.board_put_control(self._line, self._control)
+    def _wish_of(self, drive: int) -> Any:
+        assert drive == 0  # there is one
+        return self._control.wish
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
-        code = lib.board_put_order(self._line, ffi.new("board_order *", order))
-        if code == -errno.EAGAIN:
-            return False
-        _check(code, "the line takes no write")
-        self._ordered += 1
-        return True
+        taken = self._put("order", ffi.new("board_order *", order))
+        self._ordered += taken
+        return taken
 
     @property
     def ordered(self) -> int:
@@ -146,8 +91,7 @@ class BoardThread:
 
     def report(self) -> BoardReport:
         """As the line has it now."""
-        raw = self._report
-        lib.board_read_report(self._line, raw)
+        raw = self._read_report()
         return BoardReport(
             running=raw.running != 0,
             error=raw.error,
@@ -166,12 +110,6 @@ class BoardThread:
             drives=(_says(raw),),
         )
 
-    def round_trips(self) -> RoundTrips:
-        """From set-points to the feedback that had heard them, since the start."""
-        lib.board_histogram_read(self._line, self._histogram)
-        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
-        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
-
 
 def _says(raw: Any) -> BoardSays:
     return BoardSays(
@@ -188,8 +126,3 @@ def _says(raw: Any) -> BoardSays:
         heard_ns=raw.heard_ns,
         said=bytes(ffi.buffer(raw.said, raw.said_bytes)),
     )
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

@@ -7,23 +7,17 @@ there.
 
 from __future__ import annotations
 
-import errno
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import HalError, ProfileError
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode
+from motord_hal.rt_line import Demoted, Mode, Plain, RtThread, check_plain_table
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """Bits of an identifier: linux/can.h."""
-
-Plain = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,60 +68,23 @@ class Heard:
 
 
 def check_table(name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    try:
-        found = lib.can_table_check(ffi.new("can_table *", table), field)
-    except (IndexError, OverflowError) as error:  # more than the table has places for
-        raise ProfileError(f"{name}: the line cannot run: {error}") from error
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
+    """As rt_line.check_table."""
+    check_plain_table("can", name, table)
 
 
-class CanThread:
-    """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
+class CanThread(RtThread):
+    """One bus's thread."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        self._line = line
-        self._exchange = exchange
+        super().__init__("can", line, exchange)
         self._drives = 0
         self._ordered: list[int] = []
-        self._control = ffi.new("can_control *")
         self._heard = ffi.new("can_received *")
-        self._report = ffi.new("can_report *")
 
     def start(self, table: Plain, **config: int) -> None:
-        """`config` as in can_config; the descriptors stay the caller's: he closes them after
-        `stop`. Raises HalError."""
-        raw = ffi.new("can_table *", table)
-        raw_config = ffi.new("can_config *", config | {"exchange": self._exchange.handle})
-        ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
-        _check(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
-        self._drives = raw.drive_count
+        """`config` as in can_config. Raises HalError."""
+        self._drives = self._start(table, config).drive_count
         self._ordered = [0] * self._drives
-
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.can_stop(self._line)
-        if code != -errno.ESRCH:
-            _check(code, "the bus cannot be stopped")
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._control.drive[drive]
-        raw.count += 1
-        raw.mode = mode
-        self._put_control()
-        return int(raw.count)
-
-    def wished(self, drive: int) -> int:
-        """The count of the newest wish."""
-        return int(self._control.drive[drive].count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._control.drive[drive].arming_until_ns = until_ns
-        self._put_control()
 
     def listen(self, drive: int, *, wanted: bool) -> None:
         """Whether the frames of a drive are handed on to `take`."""
@@ -135,22 +92,11 @@ class CanThread:
         self._control.listen = self._control.listen & ~bit | bit * wanted
         self._put_control()
 
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: see CanReport.shut_down."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        lib.can_put_control(self._line, self._control)
-
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
-        code = lib.can_put_order(self._line, ffi.new("can_order *", order))
-        if code == -errno.EAGAIN:
-            return False
-        _check(code, "the bus takes no frame")
-        self._ordered[order["drive"]] += 1
-        return True
+        taken = self._put("order", ffi.new("can_order *", order))
+        self._ordered[order["drive"]] += taken
+        return taken
 
     def ordered(self, drive: int) -> int:
         """Orders for a drive since the start; the report says what has become of them."""
@@ -159,15 +105,14 @@ class CanThread:
     def take(self) -> Heard | None:
         """The next frame that is for Python."""
         raw = self._heard
-        if lib.can_take_received(self._line, raw) != 1:
+        if self._call("take_received", raw) != 1:
             return None
         packet = raw.packet
         return Heard(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
 
     def report(self) -> CanReport:
         """As the bus has it now."""
-        raw = self._report
-        lib.can_read_report(self._line, raw)
+        raw = self._read_report()
         return CanReport(
             running=raw.running != 0,
             error=raw.error,
@@ -203,8 +148,3 @@ def _drive_report(raw: Any) -> CanDriveReport:
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
     )
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

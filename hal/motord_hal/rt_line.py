@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the lines that run in C: one thread a line, its table, its asks, its report.
+"""The door to the lines that run in C: one thread a line, its table, its asks, its report; and what
+the threads of all media have in common.
 
 The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
 is done when a person, a fault or a parameter asks for it.
@@ -11,6 +12,7 @@ import dataclasses
 import enum
 import errno
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +26,9 @@ from motord_hal.rt_table import LineFrame, LineTable
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
 FAULT_WORDS: int = lib.JOINTS_MAX
+
+Plain = Mapping[str, Any]
+"""A struct of C: its fields by name."""
 
 
 class Mode(enum.IntEnum):
@@ -127,62 +132,124 @@ class LineReport:
     drives: tuple[DriveReport, ...]
 
 
-def check_table(name: str, table: LineTable) -> None:
+def check_plain_table(kind: str, name: str, table: Plain) -> None:
     """Raises ProfileError for a table that no line runs, with the first bad field's name."""
     field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
+    try:
+        found = getattr(lib, f"{kind}_table_check")(ffi.new(f"{kind}_table *", table), field)
+    except (IndexError, OverflowError) as error:  # more than the table has places for
+        raise ProfileError(f"{name}: the line cannot run: {error}") from error
     if found != ffi.NULL:
         raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
 
 
-class LineThread:
+class RtThread:
     """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
-    def __init__(self, line: int, exchange: Exchange) -> None:
+    def __init__(self, kind: str, line: int, exchange: Exchange) -> None:
+        """`kind`: the word that its names in C begin with."""
+        self._kind = kind
         self._line = line
         self._exchange = exchange
-        self._drives = 0
-        self._control = ffi.new("line_control *")
-        self._ask = ffi.new("line_ask *")
-        self._answer = ffi.new("line_answer *")
-        self._report = ffi.new("line_report *")
-        self._histogram = ffi.new("histogram *")
+        self._control = ffi.new(f"{kind}_control *")
+        self._report = ffi.new(f"{kind}_report *")
 
-    def start(self, spec: ThreadSpec, table: LineTable) -> None:
-        """Raises HalError."""
-        raw = ffi.new("line_table *", _plain(table))
-        values = dataclasses.asdict(spec) | {"exchange": self._exchange.handle}
-        config = ffi.new("line_config *", values)
-        ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
-        _check(lib.line_start(self._line, config, raw), "the line cannot be started")
-        self._drives = len(table.drive)
+    def _call(self, name: str, *values: Any) -> Any:
+        return getattr(lib, f"{self._kind}_{name}")(self._line, *values)
+
+    def _start(self, table: Plain, config: Plain) -> Any:
+        """Wishes of an earlier thread are forgotten. Returns the table as C has it; the descriptors
+        stay the caller's: he closes them after `stop`. Raises HalError."""
+        raw = ffi.new(f"{self._kind}_table *", table)
+        wanted = {**config, "exchange": self._exchange.handle}
+        ffi.memmove(
+            self._control, bytes(ffi.sizeof(self._control[0])), ffi.sizeof(self._control[0])
+        )
+        code = self._call("start", ffi.new(f"{self._kind}_config *", wanted), raw)
+        _check(code, "the line cannot be started")
+        return raw
 
     def stop(self) -> None:
         """The thread has ended when this returns. Nothing happens where there is none."""
-        code = lib.line_stop(self._line)
+        code = self._call("stop")
         if code != -errno.ESRCH:
             _check(code, "the line cannot be stopped")
 
+    def _wish_of(self, drive: int) -> Any:
+        """Where C reads what is wished of a drive."""
+        return self._control.drive[drive]
+
     def wish(self, drive: int, mode: Mode) -> int:
         """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._control.drive[drive]
+        raw = self._wish_of(drive)
         raw.count += 1
         raw.mode = mode
         self._put_control()
         return int(raw.count)
 
+    def wished(self, drive: int) -> int:
+        """The count of the newest wish."""
+        return int(self._wish_of(drive).count)
+
     def allow_arming(self, drive: int, until_ns: int) -> None:
         """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._control.drive[drive].arming_until_ns = until_ns
+        self._wish_of(drive).arming_until_ns = until_ns
         self._put_control()
 
     def shut_down(self) -> None:
-        """Quick stop, power off, silence: see LineReport.shut_down."""
+        """Quick stop, power off, silence: then its report says `shut_down`."""
         self._control.shut_down = 1
         self._put_control()
 
     def _put_control(self) -> None:
-        lib.line_put_control(self._line, self._control)
+        self._call("put_control", self._control)
+
+    def _put(self, what: str, raw: Any) -> bool:
+        """False: the queue is full. Raises HalError where the thread has ended."""
+        code = self._call(f"put_{what}", raw)
+        if code == -errno.EAGAIN:
+            return False
+        _check(code, f"the line takes no {what}")
+        return True
+
+    def _read_report(self) -> Any:
+        self._call("read_report", self._report)
+        return self._report
+
+
+class TimedThread(RtThread):
+    """One that measures round trips."""
+
+    def __init__(self, kind: str, line: int, exchange: Exchange) -> None:
+        super().__init__(kind, line, exchange)
+        self._histogram = ffi.new("histogram *")
+
+    def round_trips(self) -> RoundTrips:
+        """Since the start: from a request to its reply, from set-points to the feedback that had
+        heard them."""
+        self._call("histogram_read", self._histogram)
+        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
+        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
+
+
+def check_table(name: str, table: LineTable) -> None:
+    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
+    check_plain_table("line", name, _plain(table))
+
+
+class LineThread(TimedThread):
+    """Requests and replies."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        super().__init__("line", line, exchange)
+        self._drives = 0
+        self._ask = ffi.new("line_ask *")
+        self._answer = ffi.new("line_answer *")
+
+    def start(self, spec: ThreadSpec, table: LineTable) -> None:
+        """Raises HalError."""
+        self._start(_plain(table), dataclasses.asdict(spec))
+        self._drives = len(table.drive)
 
     def put_ask(self, ask: Ask) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
@@ -190,15 +257,11 @@ class LineThread:
         raw.id, raw.drive, raw.urgent = ask.id, ask.drive, ask.urgent
         raw.expires_ns, raw.turnaround_ns = ask.expires_ns, ask.turnaround_ns
         raw.frame = _frame(ask.frame)
-        code = lib.line_put_ask(self._line, raw)
-        if code == -errno.EAGAIN:
-            return False
-        _check(code, "the line takes no request")
-        return True
+        return self._put("ask", raw)
 
     def take_answer(self) -> Answer | None:
         raw = self._answer
-        if lib.line_take_answer(self._line, raw) != 1:
+        if self._call("take_answer", raw) != 1:
             return None
         return Answer(
             id=raw.id,
@@ -212,8 +275,7 @@ class LineThread:
 
     def report(self) -> LineReport:
         """As the line has it now."""
-        raw = self._report
-        lib.line_read_report(self._line, raw)
+        raw = self._read_report()
         return LineReport(
             running=raw.running != 0,
             error=raw.error,
@@ -227,12 +289,6 @@ class LineThread:
             fault_words=tuple(raw.fault_word),
             drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
         )
-
-    def round_trips(self) -> RoundTrips:
-        """Since the start of the line."""
-        lib.line_histogram_read(self._line, self._histogram)
-        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
-        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
 
 
 def _drive_report(raw: Any) -> DriveReport:

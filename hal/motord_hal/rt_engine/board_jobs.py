@@ -108,7 +108,7 @@ class BoardJobs:
 
     async def _stops(self) -> int:
         """How often C has stopped the board, all wishes so far included. Raises HalError."""
-        wished = self._thread.wished
+        wished = self._thread.wished(0)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:
             said = self._says()
