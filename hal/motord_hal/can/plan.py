@@ -12,7 +12,7 @@ from motord_hal.can.codec import build, frame_time_s, parse
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.engine.parameter import readable
-from motord_hal.engine.plan import Plan, Reading, Wanted
+from motord_hal.engine.plan import Plan, Reading
 from motord_hal.errors import ProfileError
 from motord_hal.ports import JointSpec
 
@@ -204,21 +204,6 @@ class CanPlan(Plan):
             return Sent(identifier, extended, fd=False, data=b"", remote_bytes=size_bytes)
         return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
 
-    def setpoints(self, wanted: Wanted) -> dict[str, int]:
-        """Signal → raw for the set-points. What is missing, NaN or infinite is zero."""
-        raw = {}
-        for joint in self.joints:
-            channel = self.channel(joint)
-            sign = -1.0 if joint.inverted else 1.0
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
-            if name is None:
-                name, value = channel.duty_setpoint, duty * sign
-            assert name is not None  # the profile's checks: exactly one of the two is there
-            raw[name] = self.profile.registers[name].from_si(value if math.isfinite(value) else 0.0)
-        return raw
-
-    # ----------------------------------------------------------------------------------- receiving
     def parse(
         self, identifier: int, data: bytes, *, extended: bool
     ) -> tuple[Frame, dict[str, int]] | None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -43,3 +44,22 @@ class Plan:
         if said is None or said.register not in values:
             return None
         return values[said.register] & said.mask == said.equals
+
+    def setpoints(self, wanted: Wanted) -> dict[str, int]:
+        """Register → raw for the set-points. What is missing, NaN or infinite is zero; where a
+        register of its own says the direction, it is the magnitude."""
+        raw = {}
+        for joint in self.joints:
+            channel = self.channel(joint)
+            sign = -1.0 if joint.inverted else 1.0
+            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
+            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
+            if name is None:
+                name, value = channel.duty_setpoint, duty * sign
+            assert name is not None  # the profile's checks: exactly one of the two is there
+            if not math.isfinite(value):
+                value = 0.0
+            if channel.direction is not None:
+                value = abs(value)
+            raw[name] = self.profile.registers[name].from_si(value)
+        return raw

@@ -171,26 +171,6 @@ class DrivePlan(Plan):
             and len(write.values) <= min(READ_WRITE_WRITE_REGISTERS_MAX, most)
         )
 
-    def setpoints(self, wanted: Wanted) -> dict[str, int]:
-        """Register → raw for the set-points; joint index → (wheel rad/s, duty). What is missing,
-        NaN or infinite is zero. Directions are left to `directions`."""
-        raw = {}
-        for joint in self.joints:
-            channel = self.channel(joint)
-            sign = -1.0 if joint.inverted else 1.0
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
-            if name is None:
-                name, value = channel.duty_setpoint, duty * sign
-            assert name is not None  # check.py: exactly one of the two is there
-            if not math.isfinite(value):
-                value = 0.0
-            if channel.direction is not None:
-                value = abs(value)
-            raw[name] = self.profile.registers[name].from_si(value)
-            raw.update(channel.setpoint_with)
-        return raw
-
     def zero_steps(self) -> tuple[Step, ...]:
         """Writes that leave zero in the set-point registers, one by one, and let the drive know."""
         zeros = [Step(register=self.channel(joint).setpoint, value=0) for joint in self.joints]

@@ -12,6 +12,7 @@ from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 from motord_hal.engine.line import DriveLine
+from motord_hal.engine.parameter import write_steps
 from motord_hal.errors import HalError, PortError
 from motord_hal.ports import EventKind, LineSpec, Listener
 from motord_hal.rt_engine.drive import DriveSays, RtDrive
@@ -153,6 +154,13 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
     async def _clear(self, drives: Sequence[AnyDrive]) -> None:
         await all_of([drive.clear_faults() for drive in drives])
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """As ports.Line.write_register."""
+        drive = self._drive_of(joint)
+        steps = write_steps(drive.profile, register, value)
+        self._check_open()
+        return await drive.write_register(register, steps)
 
 
 async def all_of(work: list[Coroutine[Any, Any, None]]) -> None:

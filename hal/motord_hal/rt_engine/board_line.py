@@ -8,7 +8,7 @@ import termios
 from collections import Counter
 
 from motord_hal.ascii.dialect import text_bytes
-from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.parameter import readable
 from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import NoReply, PortError, ProfileError
 from motord_hal.mcu.frames import wire_bytes
@@ -129,14 +129,6 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         if raw is None:
             raise NoReply(f"{drive} has not said its {register}")
         return found.to_si(raw)
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        drive = self._drive_of(joint)
-        steps = write_steps(drive.jobs.profile, register, value)
-        self._check_open()
-        await drive.jobs.run("write", steps)
-        return drive.jobs.profile.registers[register].to_si(steps[0].value or 0)
 
 
 def _wire_bytes(spec: LineSpec, plan: DrivePlan) -> int:

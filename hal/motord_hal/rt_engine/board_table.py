@@ -21,7 +21,7 @@ from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_b
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_engine import board_text
-from motord_hal.rt_engine.table import harmless, raw_limits, setpoint_kind, si_per_raw
+from motord_hal.rt_engine.table import harmless, raw_limits, setpoint_kind, si_per_raw, sources
 from motord_hal.rt_table import FieldKind
 
 Plain = dict[str, Any]
@@ -188,17 +188,8 @@ def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
 
 def _joint_fields(plan: DrivePlan, layout: Layout) -> Iterator[Plain]:
     for joint in plan.joints:
-        channel = plan.channel(joint)
-        sources = {
-            FieldKind.COUNT: channel.position,
-            FieldKind.VELOCITY: channel.velocity,
-            FieldKind.CURRENT: channel.current,
-            FieldKind.VOLTAGE: plan.profile.bus_voltage,
-            FieldKind.TEMPERATURE: channel.temperature,
-            FieldKind.FAULT: channel.fault,
-        }
-        for kind, name in sources.items():
-            if name is not None and name in layout.said:
+        for kind, name in sources(plan.profile, joint):
+            if name in layout.said:
                 yield {
                     "place": layout.said[name],
                     "joint": joint.index,

@@ -13,7 +13,6 @@ from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job
-from motord_hal.engine.parameter import write_steps
 from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.ports import LineSpec, LineStats, Listener
@@ -169,15 +168,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         job = Job("read", (Step(register=register, mask=0, equals=0),))
         await jobs.finish(job)
         return found.to_si(job.raw)
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        jobs = self._drive_of(joint).jobs
-        steps = write_steps(jobs.profile, register, value)
-        self._check_open()
-        job = Job("write", steps)
-        await jobs.finish(job)
-        return jobs.profile.registers[register].to_si(job.raw)
 
 
 def _errors(report: CanReport) -> Counter[str]:

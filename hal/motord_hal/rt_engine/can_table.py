@@ -18,6 +18,7 @@ from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, sign
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Step
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_can import EXTENDED, REMOTE
+from motord_hal.rt_engine.table import sources
 from motord_hal.rt_table import FieldKind, SetpointKind
 
 SAMPLE_PART = 0.5
@@ -206,17 +207,8 @@ def _signals(plan: CanPlan, frame: Frame) -> dict[str, Signal]:
 def _joint_fields(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
     found = _signals(plan, frame)
     for joint in plan.joints:
-        channel = plan.channel(joint)
-        sources = {
-            FieldKind.COUNT: channel.position,
-            FieldKind.VELOCITY: channel.velocity,
-            FieldKind.CURRENT: channel.current,
-            FieldKind.VOLTAGE: plan.profile.bus_voltage,
-            FieldKind.TEMPERATURE: channel.temperature,
-            FieldKind.FAULT: channel.fault,
-        }
-        for kind, name in sources.items():
-            if name is not None and name in found and plan.read_frame_of(name) is frame:
+        for kind, name in sources(plan.profile, joint):
+            if name in found and plan.read_frame_of(name) is frame:
                 yield _joint_field(plan, joint, kind, found[name])
 
 

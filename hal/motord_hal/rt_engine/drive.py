@@ -132,6 +132,10 @@ class RtDrive(abc.ABC):
 
     # --------------------------------------------------------------------------------- what it is
     @property
+    def profile(self) -> DriveProfile:
+        return self._jobs.profile
+
+    @property
     def mode(self) -> Mode:
         return Mode.OFF if self._report is None else self._report.mode
 
@@ -265,6 +269,11 @@ class RtDrive(abc.ABC):
         await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+
+    async def write_register(self, register: str, steps: Sequence[Step]) -> float:
+        """Steps that write it and read it back; what is in force then. Raises HalError."""
+        await self._jobs.run("write", steps)
+        return self.profile.registers[register].to_si(steps[0].value or 0)
 
     async def clear_faults(self) -> None:
         """Power off, then the profile's steps. Raises DriveFault if a fault stays."""

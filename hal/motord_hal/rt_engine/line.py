@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 
-from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.parameter import readable
 from motord_hal.errors import HalError, PortError, ProfileError
 from motord_hal.ports import LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
@@ -121,11 +121,3 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         found = readable(drive.jobs.profile, register)
         self._check_open()
         return found.to_si(await drive.jobs.read(register))
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        drive = self._drive_of(joint)
-        steps = write_steps(drive.jobs.profile, register, value)
-        self._check_open()
-        await drive.jobs.run("write", steps)
-        return drive.jobs.profile.registers[register].to_si(steps[0].value or 0)

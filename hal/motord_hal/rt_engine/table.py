@@ -7,7 +7,7 @@ each cycle; here they become one factor a number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from motord_hal.drives.profile import SI_UNITS, Channel, DriveProfile, Register, Step
@@ -193,18 +193,23 @@ def _ways(frames: DriveFrames) -> Iterable[LineWay]:
 def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineField]:
     profile = frames.profile
     for joint in frames.joints:
-        channel = profile.channels[joint.channel]
-        sources = {
-            FieldKind.COUNT: channel.position,
-            FieldKind.VELOCITY: channel.velocity,
-            FieldKind.CURRENT: channel.current,
-            FieldKind.VOLTAGE: profile.bus_voltage,
-            FieldKind.TEMPERATURE: channel.temperature,
-            FieldKind.FAULT: channel.fault,
-        }
-        for kind, name in sources.items():
-            if name is not None and name in places:
+        for kind, name in sources(profile, joint):
+            if name in places:
                 yield _joint_field(frames, joint, kind, profile.registers[name], places[name])
+
+
+def sources(profile: DriveProfile, joint: JointSpec) -> Iterator[tuple[FieldKind, str]]:
+    """What the core wants to know of a joint, and the register that says it."""
+    channel = profile.channels[joint.channel]
+    names = {
+        FieldKind.COUNT: channel.position,
+        FieldKind.VELOCITY: channel.velocity,
+        FieldKind.CURRENT: channel.current,
+        FieldKind.VOLTAGE: profile.bus_voltage,
+        FieldKind.TEMPERATURE: channel.temperature,
+        FieldKind.FAULT: channel.fault,
+    }
+    return ((kind, name) for kind, name in names.items() if name is not None)
 
 
 def _joint_field(
