@@ -9,7 +9,7 @@
  * `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
  */
 
-enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 3, FIELD_NAME_BYTES = 64 };
+enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 18, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------------------ reasons
  * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
@@ -421,7 +421,9 @@ typedef struct {
     int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
     int32_t journal_fd;         /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
     int32_t event_fd;           /* an eventfd, or -1 */
-    int32_t command_fd[COMMAND_SOCKETS];   /* datagram sockets, not blocking, on which commands come in; -1: none */
+    int32_t command_fd;         /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
+                                   most, each with itself as data.fd: one for each lease, or who floods would keep others
+                                   from being heard; -1: none */
     uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;

@@ -132,11 +132,8 @@ typedef struct {
 } board_order;
 
 typedef struct {
-    uint32_t running;           /* 0: the thread has ended, see error */
-    int32_t error;              /* errno of the port; 0: none */
+    line_life life;
     uint32_t shut_down;         /* 1: done */
-    int32_t policy;             /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
-    int32_t scheduler_errno;
     uint32_t mode;              /* drive_mode */
     uint32_t demoted;           /* DEMOTED_* */
     uint32_t wish_seen;
@@ -148,7 +145,6 @@ typedef struct {
     uint32_t orders_sent;       /* they have gone out */
     uint32_t orders_dropped;    /* guarded, and it was stopped; or it is quiet */
     uint32_t said_bytes;        /* of said[]; 0: it has not spoken since it was quiet, or ever */
-    uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
     uint64_t cycles;
     uint64_t sent;
     uint64_t no_room;           /* frames that the port did not take: the next one is newer */
@@ -156,7 +152,6 @@ typedef struct {
     uint64_t received;
     uint64_t published;         /* feedback that the core was given since the start */
     uint64_t quiet;             /* how often it became QUIET */
-    uint64_t page_faults;       /* of the thread since its first cycle */
     int64_t cycle_ns;           /* smoothed time between two cycles */
     int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
     int64_t heard_ns;           /* its newest word came */
@@ -166,14 +161,10 @@ typedef struct {
     uint8_t said[BOARD_PAYLOAD_MAX];        /* the newest */
 } board_report;
 
-/* The descriptors stay the caller's. */
 typedef struct {
-    int32_t fd;                 /* the port, open, set up, not blocking */
-    int32_t event_fd;           /* eventfd, written on changes of the mode, orders that were sent, the end; -1 */
-    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    line_place at;              /* told of changes of the mode and of orders that were sent */
     uint32_t epoch;             /* of the feedback before this start; 0: there was none */
-    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
-    exchange *exchange;         /* NULL: the loop's */
+    uint32_t reserved;
 } board_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

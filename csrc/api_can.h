@@ -189,34 +189,26 @@ typedef struct {
 } can_drive_report;
 
 typedef struct {
-    uint32_t running;           /* 0: the thread has ended, see error */
-    int32_t error;              /* errno of the bus; 0: none */
+    line_life life;
     uint32_t shut_down;         /* 1: done */
-    int32_t policy;             /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
-    int32_t scheduler_errno;
     uint32_t reserved;
-    uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
     uint64_t cycles;
     uint64_t received;          /* frames of the drives */
     uint64_t sent;
     uint64_t tx_full;           /* frames that the bus did not take: the next one is newer */
     uint64_t bad_frames;        /* a drive's identifier, and nothing that it says */
     uint64_t unheard;           /* frames for which Python's queue had no place */
-    uint64_t page_faults;       /* of the thread since its first cycle */
     int64_t cycle_ns;           /* smoothed time between two cycles */
     int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
-/* The descriptors stay the caller's. */
 typedef struct {
-    int32_t fd;                 /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; not blocking */
-    int32_t event_fd;           /* eventfd, written on frames for Python, changes of a mode and at the end; -1 */
-    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    line_place at;              /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
+                                   for Python and of changes of a mode */
     uint32_t epoch;             /* of the feedback before this start; 0: there was none */
-    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
-    exchange *exchange;         /* NULL: the loop's */
+    uint32_t reserved;
 } can_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

@@ -44,6 +44,7 @@ typedef struct {
     uint32_t number;            /* grows with each lease of the daemon, from 1; 0: no lease */
     uint32_t priority;          /* the higher one commands; among equals who came first */
     int64_t lifetime_ns;        /* of a command under it, at most */
+    int64_t interval_least_ns;  /* commands that come more often are refused, but for zero; 0: as often as they like */
     int64_t barred_until_ns;    /* its owner was held when another lease of his ended: until then he is held here, too,
                                    when his next command begins with motion. Only a later time is a new bar */
 } lease_grant;
@@ -60,7 +61,8 @@ typedef enum {
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5,     /* and the lease commands zero */
     REFUSED_JOINTS = 6,         /* another number of them, or nothing that the base can do: it commands zero, too */
-    REFUSAL_KINDS = 7
+    REFUSED_RATE = 7,           /* more often than the lease allows; the one before goes on */
+    REFUSAL_KINDS = 8
 } command_refusal;
 
 /* What a lease has come to. */
@@ -73,6 +75,9 @@ typedef struct {
     uint64_t sequence;          /* of the newest command; 0: none came */
     int64_t stamp_ns;
     int64_t expires_ns;
+    int64_t taken_ns;           /* when it came */
+    int64_t interval_ns;        /* from one to the next, smoothed; 0: fewer than two have come */
+    int64_t due_ns;             /* when the next one is not too early, at the rate that is allowed */
     int64_t lifted_ns;          /* the bar that has been over since a command came; 0: none */
     double linear_m_s;          /* as asked for */
     double angular_rad_s;

@@ -234,17 +234,22 @@ typedef struct {
     int64_t cycle_ns;           /* smoothed time between two cycles */
 } drive_report;
 
+/* What the report of every line begins with, whatever its medium. */
 typedef struct {
     uint32_t running;           /* 0: the thread has ended, see error */
-    int32_t error;              /* errno of the port; 0: none */
-    uint32_t echo;              /* as found: 0, 1; 2: not known yet */
-    uint32_t shut_down;         /* 1: done */
+    int32_t error;              /* errno of the medium; 0: none */
     int32_t policy;             /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
     int32_t scheduler_errno;
-    uint64_t exchanges;
     uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
+    uint64_t page_faults;       /* of the thread since its first cycle */
+} line_life;
+
+typedef struct {
+    line_life life;
+    uint32_t echo;              /* as found: 0, 1; 2: not known yet */
+    uint32_t shut_down;         /* 1: done */
+    uint64_t exchanges;
     uint64_t noise_bytes;       /* bytes that belonged to no answer */
-    uint64_t page_faults;       /* of the thread since its first exchange */
     int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];
@@ -252,16 +257,20 @@ typedef struct {
 
 /* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
 typedef struct {
-    int32_t fd;                 /* the port, open, set up, not blocking */
-    int32_t event_fd;           /* eventfd, written on answers, changes of a drive's mode and at the thread's end; -1 */
+    int32_t fd;                 /* the medium, open, set up, not blocking */
+    int32_t event_fd;           /* eventfd, written on all that asyncio wants to hear and at the thread's end; -1: none */
     int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
-    int32_t de_fd;              /* GPIO line request (v2) that turns the transceiver; -1: none */
+    uint32_t reserved;
     uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
+    exchange *exchange;         /* NULL: the loop's */
+} line_place;
+
+typedef struct {
+    line_place at;              /* told of answers and of changes of a drive's mode */
     int64_t de_before_ns;       /* from the edge to the first bit */
     int64_t de_after_ns;        /* from the last bit to the edge back */
+    int32_t de_fd;              /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
-    uint32_t reserved;
-    exchange *exchange;         /* NULL: the loop's */
 } line_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

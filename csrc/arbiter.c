@@ -14,6 +14,7 @@ _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_data
 
 static const int64_t FUTURE_NS = 10000000;   /* the sender's clock is this machine's: more is a mistake */
 static const int64_t NS_PER_MS = 1000000;
+enum { BURST = 4, SMOOTH = 8 };   /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
 /* What is shorter would lapse between two commands, and the hold of who is held with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
 
@@ -93,6 +94,30 @@ static bool is_new(const lease_state *lease, uint64_t sequence)
     return lease->sequence == 0 ? sequence != 0 : (int64_t)(sequence - lease->sequence) > 0;
 }
 
+/* The generic cell rate algorithm, ITU-T I.371: as many as are due, and some of them early. */
+static bool too_often(const lease_grant *grant, lease_state *lease, int64_t now_ns)
+{
+    if (grant->interval_least_ns == 0) {
+        return false;
+    }
+    if (lease->due_ns - now_ns > BURST * grant->interval_least_ns) {
+        return true;
+    }
+    lease->due_ns = (lease->due_ns > now_ns ? lease->due_ns : now_ns) + grant->interval_least_ns;
+    return false;
+}
+
+static void measure_interval(lease_state *lease, int64_t now_ns)
+{
+    int64_t interval_ns = now_ns - lease->taken_ns;
+    if (lease->interval_ns > 0) {
+        lease->interval_ns += (interval_ns - lease->interval_ns) / SMOOTH;
+    } else if (lease->taken_ns > 0) {
+        lease->interval_ns = interval_ns;
+    }
+    lease->taken_ns = now_ns;
+}
+
 /* `possible`: the base can do it, if it is finite. */
 static int take(arbiter *a, uint32_t place, const command_datagram *command, bool possible, int64_t now_ns, bool may_move)
 {
@@ -110,6 +135,11 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     }
     bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
     bool good = finite && possible;
+    bool motion = good && (command->linear_m_s != 0.0 || command->angular_rad_s != 0.0);
+    if (motion && too_often(grant, lease, now_ns)) {
+        return refuse(a, REFUSED_RATE);
+    }
+    measure_interval(lease, now_ns);
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
     bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;

@@ -5,17 +5,10 @@
 #include <errno.h>
 #include <string.h>
 
-static const int64_t LOOK_RESTING_NS = 20 * BOARD_MS, LOOK_MOVING_NS = 5 * BOARD_MS, LOOK_FULL_NS = BOARD_MS;
-static const int64_t SHUT_REST_NS = 350 * BOARD_MS, SHUT_NS = 480 * BOARD_MS;
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
 /* Heard earlier than sent: the number is that of set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
 static const board_place HEARD_SEQUENCE = {.byte = 6, .bytes = 2}, HEARD_AGO = {.byte = 8, .bytes = 2};
-
-static int64_t earlier(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
 
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns)
 {
@@ -27,7 +20,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     m->table = *table;
     m->epoch = epoch;
     m->sequence = sequence;
-    m->due_ns = now_ns;
+    m->cycle.due_ns = now_ns;
     memcpy(m->held, table->payload, sizeof m->held);
     board_hold(m, table->disarm, table->disarm_count, now_ns);
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
@@ -172,16 +165,7 @@ static void tell(board_machine *m, int64_t now_ns)
 
 static void cycle(board_machine *m, int64_t now_ns)
 {
-    m->cycles++;
-    if (m->cycle_start_ns > 0) {
-        int64_t took_ns = now_ns - m->cycle_start_ns;
-        m->cycle_ns += m->cycle_ns == 0 ? took_ns : (took_ns - m->cycle_ns) / 8;
-    }
-    m->cycle_start_ns = now_ns;
-    m->due_ns += m->table.period_ns;
-    if (m->due_ns <= now_ns) {
-        m->due_ns = now_ns + m->table.period_ns;   /* a late cycle is not caught up */
-    }
+    cycle_clock_begin(&m->cycle, m->table.period_ns, now_ns);
     obey_order(m, now_ns);
     tell(m, now_ns);
 }
@@ -232,7 +216,7 @@ static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 {
     bool moving = m->told_motion || m->stopping || m->mode == DRIVE_ARMED || m->shut != 0;
     int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
-    return m->shut < 3 ? earlier(wake_ns, m->due_ns) : wake_ns;
+    return m->shut < 3 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
 int64_t board_machine_step(board_machine *m, int64_t now_ns)
@@ -240,7 +224,7 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
     board_obey_wish(m, now_ns);
     board_guard(m, now_ns);
     shut_down(m, now_ns);
-    if (m->shut < 3 && now_ns >= m->due_ns) {
+    if (m->shut < 3 && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
     } else if (m->shut < 3 && has_to_stop(m)) {
         tell(m, now_ns);   /* a stop does not wait for its cycle */
@@ -262,14 +246,14 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->orders_sent = m->orders_sent;
     report->orders_dropped = m->orders_dropped;
     report->said_bytes = m->said_bytes;
-    report->cycles = m->cycles;
+    report->cycles = m->cycle.count;
     report->sent = m->sent;
     report->no_room = m->no_room;
     report->bad_frames = m->bad_frames;
     report->received = m->received;
     report->published = m->published;
     report->quiet = m->quiet;
-    report->cycle_ns = m->cycle_ns;
+    report->cycle_ns = m->cycle.took_ns;
     report->setpoints_ns = m->newest.stamp_ns;
     report->heard_ns = m->heard_ns;
     report->knows_ns = m->knows_ns;

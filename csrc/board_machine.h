@@ -14,6 +14,7 @@
 #ifndef MOTORD_BOARD_MACHINE_H
 #define MOTORD_BOARD_MACHINE_H
 
+#include "pace.h"
 #include "rt.h"
 
 static const int64_t BOARD_MS = 1000000;
@@ -79,10 +80,7 @@ typedef struct {
     int64_t off_by_ns;          /* stopping: power off then, at rest or not */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
-    int64_t due_ns;
-    int64_t cycle_start_ns;
-    int64_t cycle_ns;
-    uint64_t cycles;
+    cycle_clock cycle;
     uint64_t sent;
     uint64_t no_room;
     uint64_t bad_frames;

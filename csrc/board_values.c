@@ -5,8 +5,7 @@
 
 #include "board_machine.h"
 #include "fault_word.h"
-
-static const double REST_VELOCITY_RAD_S = 0.1;
+#include "joint_values.h"
 
 /* ----------------------------------------------------------------------------------------------------- places */
 int64_t board_get(const uint8_t *data, const board_place *place)
@@ -40,13 +39,8 @@ int64_t board_raw_max(const board_place *place)
 /* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static double wanted(const board_machine *m, const board_setpoint *setpoint)
 {
-    const setpoints *from = &m->newest;
-    if (m->mode != DRIVE_ARMED || from->enabled != 1 || setpoint->joint >= from->joint_count) {
-        return 0.0;
-    }
-    const joint_setpoint *joint = &from->joint[setpoint->joint];
-    double value = setpoint->kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
-    return isfinite(value) ? value : 0.0;
+    bool may_move = m->mode == DRIVE_ARMED && m->newest.enabled == 1;
+    return may_move ? setpoint_of(&m->newest, setpoint->joint, setpoint->kind) : 0.0;
 }
 
 bool board_payload(const board_machine *m, uint8_t *payload)
@@ -55,8 +49,8 @@ bool board_payload(const board_machine *m, uint8_t *payload)
     memcpy(payload, m->held, BOARD_PAYLOAD_MAX);
     for (uint32_t i = 0; i < m->table.setpoint_count; i++) {
         const board_setpoint *setpoint = &m->table.setpoint[i];
-        double clamped = fmin(fmax(wanted(m, setpoint) * setpoint->raw_per_si, setpoint->raw_min), setpoint->raw_max);
-        int64_t raw = (int64_t)nearbyint(clamped);
+        double wish = wanted(m, setpoint) * setpoint->raw_per_si;
+        int64_t raw = (int64_t)nearbyint(held_within(wish, setpoint->raw_min, setpoint->raw_max));
         board_put(payload, &setpoint->place, raw);
         motion |= raw != 0;
     }
@@ -68,29 +62,13 @@ static void read_joint(board_machine *m, const board_field *field, int64_t raw)
 {
     board_joint *joint = &m->joint[field->joint];
     joint_feedback *feedback = &joint->feedback;
-    double si = (double)raw * field->si_per_raw;
-    switch (field->kind) {
-    case FIELD_COUNT:
+    if (field->kind == FIELD_COUNT) {
         feedback->count = (uint64_t)raw & (field->counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << field->counter_bits) - 1);
-        break;
-    case FIELD_VELOCITY:
-        feedback->velocity_rad_s = si;
-        break;
-    case FIELD_CURRENT:
-        feedback->current_a = si;
-        break;
-    case FIELD_VOLTAGE:
-        feedback->voltage_v = si;
-        break;
-    case FIELD_TEMPERATURE:
-        feedback->temperature_c = si;
-        break;
-    default:
+    } else if (!feedback_measured(feedback, field->kind, (double)raw * field->si_per_raw)) {
         m->news |= joint->fault_word != (uint32_t)raw;
         joint->fault_word = (uint32_t)raw;
         feedback->drive_faults = fault_that_stops((uint32_t)raw, field->is_code != 0, field->harmless_bits, field->harmless,
                                                   field->harmless_codes);
-        break;
     }
 }
 
@@ -129,8 +107,7 @@ void board_publish(board_machine *m)
 void board_forget(board_machine *m)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        m->joint[j].feedback = (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
-                                                .temperature_c = NAN, .enabled = 2};
+        m->joint[j].feedback = feedback_unknown();
     }
     m->enabled = 2;
 }
@@ -138,8 +115,7 @@ void board_forget(board_machine *m)
 bool board_at_rest(const board_machine *m)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        /* NaN is not at rest: the time decides then */
-        if ((m->joints >> j & 1) != 0 && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+        if ((m->joints >> j & 1) != 0 && !feedback_at_rest(&m->joint[j].feedback)) {
             return false;
         }
     }

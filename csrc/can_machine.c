@@ -5,13 +5,6 @@
 #include <errno.h>
 #include <string.h>
 
-static const int64_t LOOK_RESTING_NS = 20 * CAN_MS, LOOK_MOVING_NS = 5 * CAN_MS, LOOK_FULL_NS = CAN_MS;
-static const int64_t SHUT_REST_NS = 350 * CAN_MS, SHUT_NS = 480 * CAN_MS;
-
-static int64_t earlier(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
 
 /* -------------------------------------------------------------------------------------------------- beginning */
 static bool has_power(const can_input *input)
@@ -72,7 +65,7 @@ int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can
     m->table = *table;
     m->send = send;
     m->sink = sink;
-    m->due_ns = now_ns;
+    m->cycle.due_ns = now_ns;
     for (uint32_t i = 0; i < table->drive_count; i++) {
         init_drive(m, i, epoch);
     }
@@ -252,16 +245,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
 
 static void cycle(can_machine *m, int64_t now_ns)
 {
-    m->cycles++;
-    if (m->cycle_start_ns > 0) {
-        int64_t took_ns = now_ns - m->cycle_start_ns;
-        m->cycle_ns += m->cycle_ns == 0 ? took_ns : (took_ns - m->cycle_ns) / 8;
-    }
-    m->cycle_start_ns = now_ns;
-    m->due_ns += m->table.period_ns;
-    if (m->due_ns <= now_ns) {
-        m->due_ns = now_ns + m->table.period_ns;   /* a late cycle is not caught up */
-    }
+    cycle_clock_begin(&m->cycle, m->table.period_ns, now_ns);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_cycle(m, i, now_ns);
     }
@@ -285,7 +269,7 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     if (m->order_count > 0) {
         wake_ns = earlier(wake_ns, now_ns + LOOK_FULL_NS);
     }
-    return m->shut < 2 ? earlier(wake_ns, m->due_ns) : wake_ns;
+    return m->shut < 2 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)
@@ -299,7 +283,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
         send_stops(m, now_ns);
         send_orders(m, now_ns);
     }
-    if (m->shut < 2 && now_ns >= m->due_ns) {
+    if (m->shut < 2 && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
     }
     shut_down(m, now_ns);   /* all are told: that was it */
@@ -309,12 +293,12 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
 void can_machine_report(const can_machine *m, can_report *report)
 {
     report->shut_down = m->shut == 3;
-    report->cycles = m->cycles;
+    report->cycles = m->cycle.count;
     report->received = m->received;
     report->sent = m->sent;
     report->tx_full = m->tx_full;
     report->bad_frames = m->bad_frames;
-    report->cycle_ns = m->cycle_ns;
+    report->cycle_ns = m->cycle.took_ns;
     report->setpoints_ns = m->newest.stamp_ns;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         report->fault_word[j] = m->joint[j].fault_word;

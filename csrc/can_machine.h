@@ -10,6 +10,7 @@
 #ifndef MOTORD_CAN_MACHINE_H
 #define MOTORD_CAN_MACHINE_H
 
+#include "pace.h"
 #include "rt.h"
 
 static const int64_t CAN_MS = 1000000;
@@ -96,10 +97,7 @@ typedef struct {
     bool news;                  /* something that Python wants to hear */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
-    int64_t due_ns;
-    int64_t cycle_start_ns;
-    int64_t cycle_ns;
-    uint64_t cycles;
+    cycle_clock cycle;
     uint64_t received;
     uint64_t sent;
     uint64_t tx_full;

@@ -5,8 +5,8 @@
 
 #include "can_machine.h"
 #include "fault_word.h"
+#include "joint_values.h"
 
-static const double REST_VELOCITY_RAD_S = 0.1;
 static const double COUNT_MAX = 4611686018427387904.0;   /* 2^62: any counter's position is nearer */
 
 /* ------------------------------------------------------------------------------------------------------ bits */
@@ -56,19 +56,13 @@ static double number_of(const can_place *place, int64_t raw)
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static double wanted(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    const setpoints *from = &m->newest;
-    if (m->drive[drive].mode != DRIVE_ARMED || from->enabled != 1 || setpoint->joint >= from->joint_count) {
-        return 0.0;
-    }
-    const joint_setpoint *joint = &from->joint[setpoint->joint];
-    double value = setpoint->kind == SETPOINT_VELOCITY ? joint->velocity_rad_s : joint->duty;
-    return isfinite(value) ? value : 0.0;
+    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1;
+    return may_move ? setpoint_of(&m->newest, setpoint->joint, setpoint->kind) : 0.0;
 }
 
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    double raw = wanted(m, drive, setpoint) * setpoint->raw_per_si;
-    raw = fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max);
+    double raw = held_within(wanted(m, drive, setpoint) * setpoint->raw_per_si, setpoint->raw_min, setpoint->raw_max);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
     }
@@ -140,29 +134,14 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
     double si = number_of(&field->place, raw) * field->si_per_raw + field->si_at_zero;
     si = isfinite(si) ? si : (double)NAN;
     joint->newest_ns = field->kind < FIELD_ENABLED ? stamp_ns : joint->newest_ns;
-    switch (field->kind) {
-    case FIELD_COUNT:
+    if (feedback_measured(&joint->feedback, field->kind, si)) {
+        joint->velocity_ns = field->kind == FIELD_VELOCITY ? stamp_ns : joint->velocity_ns;
+    } else if (field->kind == FIELD_COUNT) {
         read_count(joint, field, number_of(&field->place, raw), stamp_ns);
-        break;
-    case FIELD_VELOCITY:
-        joint->feedback.velocity_rad_s = si;
-        joint->velocity_ns = stamp_ns;
-        break;
-    case FIELD_CURRENT:
-        joint->feedback.current_a = si;
-        break;
-    case FIELD_VOLTAGE:
-        joint->feedback.voltage_v = si;
-        break;
-    case FIELD_TEMPERATURE:
-        joint->feedback.temperature_c = si;
-        break;
-    case FIELD_FAULT:
+    } else if (field->kind == FIELD_FAULT) {
         read_fault(m, number, field, (uint32_t)raw);
-        break;
-    default:
+    } else {
         m->drive[number].enabled = ((uint32_t)raw & field->equals_mask) == field->equals ? 1 : 0;
-        break;
     }
 }
 
@@ -203,9 +182,7 @@ void can_forget(can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
-            m->joint[j] = (can_joint_state){.fault_word = m->joint[j].fault_word,
-                                            .feedback = {.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
-                                                         .temperature_c = NAN, .enabled = 2}};
+            m->joint[j] = (can_joint_state){.fault_word = m->joint[j].fault_word, .feedback = feedback_unknown()};
         }
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);
@@ -216,8 +193,7 @@ void can_forget(can_machine *m, uint32_t drive)
 bool can_at_rest(const can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        /* NaN is not at rest: the time decides then */
-        if (has_joint(m, drive, j) && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback)) {
             return false;
         }
     }

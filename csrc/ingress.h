@@ -6,12 +6,13 @@
 #include "rt.h"
 
 typedef struct {
-    int fd[COMMAND_SOCKETS];    /* -1: none */
+    int epoll_fd;               /* of datagram sockets, epoll(7); -1: there are none */
 } ingress;
 
 /* Until the time, or until a datagram is there: true. */
 bool ingress_wait(const ingress *in, int64_t until_ns);
-/* Judge what is there, a bounded number of datagrams; how many there were. */
+/* Judge what is there, of each socket a bounded number of datagrams, so that no source keeps another one's from being
+ * seen; how many there were. */
 uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move);
 
 #endif

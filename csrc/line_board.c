@@ -8,29 +8,16 @@
 
 #include "board_machine.h"
 #include "line_thread.h"
-#include "ring.h"
 
 enum { READ_BYTES = 1024, FRAMES_WAITING_MAX = 2 };
 
 typedef struct {
-    mailbox box;
-    board_control slot[MAILBOX_SLOTS];
-} control_box_board;
-
-typedef struct {
-    mailbox box;
-    board_report slot[MAILBOX_SLOTS];
-} report_box_board;
-
-typedef struct {
     line_thread life;
     board_machine machine;
-    board_config config;
-    control_box_board control;
-    report_box_board report;
+    board_control control[MAILBOX_SLOTS];
+    board_report report[MAILBOX_SLOTS];
     ring orders;
     board_order order_place[BOARD_ORDERS_MAX];
-    histogram round_trips;
     board_report out;
     uint32_t payload_bytes;             /* for who puts orders */
     uint32_t rest_bytes;
@@ -41,13 +28,18 @@ typedef struct {
 
 static board_thread threads[LINES_MAX];
 
+static line_thread *life_of(uint32_t line)
+{
+    return line < LINES_MAX ? &threads[line].life : NULL;
+}
+
 /* --------------------------------------------------------------------------------------------------- the port */
 /* How many it took, 0 where it takes none now. */
 static uint32_t write_some(board_thread *t, const uint8_t *bytes, uint32_t count)
 {
     ssize_t went;
     do {
-        went = write(t->config.fd, bytes, count);
+        went = write(t->life.at.fd, bytes, count);
     } while (went < 0 && errno == EINTR);
     if (went < 0 && errno != EAGAIN) {
         t->send_error = errno;
@@ -70,7 +62,7 @@ static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 {
     board_thread *t = sink;
     int waiting = 0;
-    if (!flush_rest(t) || (ioctl(t->config.fd, TIOCOUTQ, &waiting) == 0 && waiting > (int)(FRAMES_WAITING_MAX * count))) {
+    if (!flush_rest(t) || (ioctl(t->life.at.fd, TIOCOUTQ, &waiting) == 0 && waiting > (int)(FRAMES_WAITING_MAX * count))) {
         return false;
     }
     uint32_t went = write_some(t, bytes, count);
@@ -82,51 +74,23 @@ static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
     return true;
 }
 
-/* Bytes that came, or 0; -errno: the port is gone. */
-static int read_port(const board_thread *t, short revents, uint8_t *bytes, uint32_t room)
-{
-    if ((revents & (POLLERR | POLLNVAL)) != 0) {
-        return -EIO;
-    }
-    if ((revents & (POLLIN | POLLHUP)) == 0) {
-        return 0;
-    }
-    ssize_t count = read(t->config.fd, bytes, room);
-    if (count > 0) {
-        return (int)count;
-    }
-    if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
-        return 0;
-    }
-    return count < 0 ? -errno : -EIO;
-}
-
 /* ------------------------------------------------------------------------------------------------- the hand-over */
 static void put_report(board_thread *t, bool running, int error)
 {
     board_machine_report(&t->machine, &t->out);
-    t->out.running = running;
-    t->out.error = error;
-    t->out.policy = t->life.grant.policy;
-    t->out.scheduler_errno = t->life.grant.scheduler_errno;
-    t->out.page_faults = t->life.page_faults;
-    mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    line_thread_put_report(&t->life, &t->out.life, running, error);
 }
 
 static void hand_on(board_thread *t, int64_t now_ns)
 {
     board_machine *m = &t->machine;
-    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
-        if ((m->feedback_mask >> joint & 1) != 0) {
-            (void)exchange_put_feedback(t->life.at.exchange, joint, &m->joint[joint].feedback);
-        }
-    }
+    line_thread_put_feedback(&t->life, m->feedback_mask, m->joint, sizeof m->joint[0]);
     m->feedback_mask = 0;
     if (m->imu_is_new) {
         exchange_put_imu(t->life.at.exchange, &m->imu);
     }
     m->imu_is_new = false;
-    bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
+    bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
     if (m->news || due || m->received != t->received_reported) {
         t->received_reported = m->received;
         put_report(t, true, 0);
@@ -149,21 +113,21 @@ static void take_order(board_thread *t)
 /* Bytes, a wake or the time; the bytes' number or -errno. */
 static int wait_for_news(const board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
-    struct pollfd fds[2] = {[1] = {.fd = t->config.fd, .events = POLLIN}};
+    struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     int woken = line_thread_wait(&t->life, fds, 2, until_ns);
-    return woken < 0 ? woken : read_port(t, fds[1].revents, bytes, room);
+    return woken < 0 ? woken : line_thread_read_port(&t->life, fds[1].revents, bytes, room);
 }
 
 static int go_round(board_thread *t, const uint8_t *bytes, uint32_t count, int64_t *wake_ns)
 {
     int64_t now_ns = clock_now_ns();
-    (void)mailbox_take(&t->control.box, t->control.slot, &t->machine.control, sizeof t->machine.control);
+    line_thread_take_control(&t->life, &t->machine.control);
     board_machine_hear(&t->machine, bytes, count, now_ns);
-    (void)exchange_take_setpoints(t->life.at.exchange, t->life.at.line, &t->machine.newest);
+    line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_order(t);
     t->send_error = 0;
     *wake_ns = board_machine_step(&t->machine, now_ns);
-    t->out.rounds++;
+    t->out.life.rounds++;
     hand_on(t, now_ns);
     return -t->send_error;
 }
@@ -181,7 +145,7 @@ static void *run(void *arg)
         count = error == 0 ? wait_for_news(t, wake_ns, bytes, sizeof bytes) : 0;
         error = count < 0 ? count : error;
     }
-    line_thread_count_page_faults(&t->life, t->machine.cycles > 0);
+    line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);
     put_report(t, false, -error);
     line_thread_end(&t->life);
     return NULL;
@@ -189,57 +153,40 @@ static void *run(void *arg)
 
 /* ---------------------------------------------------------------------------------------------------- its life */
 /* A sequence goes on where it was: the board takes none that is older. */
-static int prepare(board_thread *t, const board_config *config, const board_table *table)
+static int prepare(board_thread *t, uint32_t line, const board_config *config, const board_table *table)
 {
-    int error = board_machine_init(&t->machine, table, config->epoch, t->machine.sequence, clock_now_ns());
+    const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
+    int error = line_thread_prepare(&t->life, line, &config->at, &slots);
+    error = error == 0 ? board_machine_init(&t->machine, table, config->epoch, t->machine.sequence, clock_now_ns()) : error;
     if (error != 0) {
         return error;
     }
     t->machine.send = send_bytes;
     t->machine.sink = t;
-    t->machine.round_trips = &t->round_trips;
+    t->machine.round_trips = &t->life.round_trips;
     t->payload_bytes = table->payload_bytes;
-    t->config = *config;
     t->rest_bytes = 0;
     t->received_reported = 0;
-    memset(&t->control, 0, sizeof t->control);
-    memset(&t->report, 0, sizeof t->report);
     memset(&t->orders, 0, sizeof t->orders);
     memset(&t->out, 0, sizeof t->out);
-    mailbox_init(&t->control.box);
-    mailbox_init(&t->report.box);
-    histogram_clear(&t->round_trips);
+    put_report(t, true, 0);
     return 0;
 }
 
 int board_start(uint32_t line, const board_config *config, const board_table *table)
 {
-    if (line >= LINES_MAX || config->fd < 0) {
-        return -EINVAL;
-    }
-    board_thread *t = &threads[line];
-    int error = line_thread_prepare(&t->life, &(line_place){.line = line, .event_fd = config->event_fd,
-                                                            .priority = config->priority, .cpu_mask = config->cpu_mask,
-                                                            .exchange = config->exchange});
-    error = error == 0 ? prepare(t, config, table) : error;
-    if (error == 0) {
-        put_report(t, true, 0);
-        error = line_thread_start(&t->life, run, t);
-    }
-    return error;
+    int error = line < LINES_MAX ? prepare(&threads[line], line, config, table) : -EINVAL;
+    return error == 0 ? line_thread_start(&threads[line].life, run, &threads[line]) : error;
 }
 
 int board_stop(uint32_t line)
 {
-    return line < LINES_MAX ? line_thread_stop(&threads[line].life) : -ESRCH;
+    return line_thread_stop(life_of(line));
 }
 
 void board_put_control(uint32_t line, const board_control *control)
 {
-    if (line < LINES_MAX && threads[line].life.made) {
-        mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
-        line_thread_wake(&threads[line].life);
-    }
+    line_thread_put_control(life_of(line), control);
 }
 
 int board_put_order(uint32_t line, const board_order *order)
@@ -251,27 +198,15 @@ int board_put_order(uint32_t line, const board_order *order)
     if (!board_write_is_good(&order->write, t->payload_bytes)) {
         return -EINVAL;
     }
-    if (!ring_put(&t->orders, t->order_place, BOARD_ORDERS_MAX, order, sizeof *order)) {
-        return -EAGAIN;
-    }
-    line_thread_wake(&t->life);
-    return 0;
+    return line_thread_hand_over(&t->life, &t->orders, t->order_place, BOARD_ORDERS_MAX, order, sizeof *order);
 }
 
 int board_read_report(uint32_t line, board_report *out)
 {
-    if (line >= LINES_MAX || !threads[line].life.made) {
-        return -ESRCH;
-    }
-    (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);
-    return 0;
+    return line_thread_read_report(life_of(line), out);
 }
 
 int board_histogram_read(uint32_t line, histogram *out)
 {
-    if (line >= LINES_MAX) {
-        return -EINVAL;
-    }
-    histogram_copy(out, &threads[line].round_trips);
-    return 0;
+    return line_thread_read_round_trips(life_of(line), out);
 }

@@ -10,7 +10,6 @@
 
 #include "can_machine.h"
 #include "line_thread.h"
-#include "ring.h"
 
 enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
@@ -19,16 +18,6 @@ static const int64_t NS_PER_S = 1000000000;
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
 /* A stamp that says that the frame is older, or of the future, is more likely to be wrong: the wall clock was set. */
 static const int64_t AGE_MAX_NS = 1000000000;
-
-typedef struct {
-    mailbox box;
-    can_control slot[MAILBOX_SLOTS];
-} control_box_can;
-
-typedef struct {
-    mailbox box;
-    can_report slot[MAILBOX_SLOTS];
-} report_box_can;
 
 /* What belongs to a message, side by side: after a sleep the caches are cold. */
 typedef struct {
@@ -46,9 +35,8 @@ typedef struct {
 typedef struct {
     line_thread life;
     can_machine machine;
-    can_config config;
-    control_box_can control;
-    report_box_can report;
+    can_control control[MAILBOX_SLOTS];
+    can_report report[MAILBOX_SLOTS];
     ring orders, heard;
     can_order order_place[CAN_ORDERS_MAX];
     can_received heard_place[CAN_RECEIVED_MAX];
@@ -59,6 +47,11 @@ typedef struct {
 } can_thread;
 
 static can_thread threads[LINES_MAX];
+
+static line_thread *life_of(uint32_t line)
+{
+    return line < LINES_MAX ? &threads[line].life : NULL;
+}
 
 /* ------------------------------------------------------------------------------------------------- the socket */
 /* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written says which it is. */
@@ -71,7 +64,7 @@ static bool send_packet(void *sink, const can_packet *packet)
     size_t size = packet->fd != 0 ? CANFD_MTU : CAN_MTU;
     ssize_t went;
     do {
-        went = send(t->config.fd, &frame, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+        went = send(t->life.at.fd, &frame, size, MSG_DONTWAIT | MSG_NOSIGNAL);
     } while (went < 0 && errno == EINTR);
     if (went == (ssize_t)size) {
         return true;
@@ -127,7 +120,7 @@ static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
     struct timespec wall;
-    int count = recvmmsg(t->config.fd, inbox->message, BATCH, MSG_DONTWAIT, NULL);
+    int count = recvmmsg(t->life.at.fd, inbox->message, BATCH, MSG_DONTWAIT, NULL);
     if (count < 0) {
         return errno == EAGAIN || errno == EINTR ? 0 : -errno;
     }
@@ -158,7 +151,7 @@ static int socket_error(const can_thread *t)
 {
     int error = 0;
     socklen_t size = sizeof error;
-    int failed = getsockopt(t->config.fd, SOL_SOCKET, SO_ERROR, &error, &size);
+    int failed = getsockopt(t->life.at.fd, SOL_SOCKET, SO_ERROR, &error, &size);
     return failed != 0 ? -errno : -error;
 }
 
@@ -166,24 +159,15 @@ static int socket_error(const can_thread *t)
 static void put_report(can_thread *t, bool running, int error)
 {
     can_machine_report(&t->machine, &t->out);
-    t->out.running = running;
-    t->out.error = error;
-    t->out.policy = t->life.grant.policy;
-    t->out.scheduler_errno = t->life.grant.scheduler_errno;
-    t->out.page_faults = t->life.page_faults;
-    mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    line_thread_put_report(&t->life, &t->out.life, running, error);
 }
 
 static void hand_on(can_thread *t, int64_t now_ns)
 {
     can_machine *m = &t->machine;
-    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
-        if ((m->feedback_mask >> joint & 1) != 0) {
-            (void)exchange_put_feedback(t->life.at.exchange, joint, &m->joint[joint].feedback);
-        }
-    }
+    line_thread_put_feedback(&t->life, m->feedback_mask, m->joint, sizeof m->joint[0]);
     m->feedback_mask = 0;
-    bool due = line_thread_report_is_due(&t->life, m->cycles > 0, now_ns);
+    bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
     if (m->news || due) {
         put_report(t, true, 0);
     }
@@ -206,7 +190,7 @@ static void take_orders(can_thread *t)
 /* Frames, a wake or the time. 0; -errno: the bus is gone. */
 static int wait_for_news(const can_thread *t, int64_t until_ns)
 {
-    struct pollfd fds[2] = {[1] = {.fd = t->config.fd, .events = POLLIN}};
+    struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     bool soon = until_ns - clock_now_ns() <= FRAMES_WAIT_NS && t->machine.control.listen == 0;
     int woken = line_thread_wait(&t->life, fds, soon ? 1 : 2, until_ns);
     if (woken >= 0 && (fds[1].revents & (POLLERR | POLLNVAL)) != 0) {
@@ -218,14 +202,14 @@ static int wait_for_news(const can_thread *t, int64_t until_ns)
 static int go_round(can_thread *t, int64_t *wake_ns)
 {
     /* the control first: what is heard while Python listens is for it */
-    (void)mailbox_take(&t->control.box, t->control.slot, &t->machine.control, sizeof t->machine.control);
+    line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
-    (void)exchange_take_setpoints(t->life.at.exchange, t->life.at.line, &t->machine.newest);
+    line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_orders(t);
     int64_t now_ns = clock_now_ns();
     t->send_error = 0;
     *wake_ns = can_machine_step(&t->machine, now_ns);
-    t->out.rounds++;
+    t->out.life.rounds++;
     hand_on(t, now_ns);
     return error != 0 ? error : -t->send_error;
 }
@@ -240,62 +224,46 @@ static void *run(void *arg)
         error = go_round(t, &wake_ns);
         error = error != 0 ? error : wait_for_news(t, wake_ns);
     }
-    line_thread_count_page_faults(&t->life, t->machine.cycles > 0);
+    line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);
     put_report(t, false, -error);
     line_thread_end(&t->life);
     return NULL;
 }
 
 /* ---------------------------------------------------------------------------------------------------- its life */
-static int prepare(can_thread *t, const can_config *config, const can_table *table)
+static int prepare(can_thread *t, uint32_t line, const can_config *config, const can_table *table)
 {
-    int error = can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns());
+    const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
+    int error = line_thread_prepare(&t->life, line, &config->at, &slots);
+    error = error == 0 ? can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns()) : error;
     if (error != 0) {
         return error;
     }
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;
     }
-    t->config = *config;
-    memset(&t->control, 0, sizeof t->control);
-    memset(&t->report, 0, sizeof t->report);
     memset(&t->orders, 0, sizeof t->orders);
     memset(&t->heard, 0, sizeof t->heard);
     memset(&t->out, 0, sizeof t->out);
-    mailbox_init(&t->control.box);
-    mailbox_init(&t->report.box);
     prepare_inbox(&t->inbox);
+    put_report(t, true, 0);
     return 0;
 }
 
 int can_start(uint32_t line, const can_config *config, const can_table *table)
 {
-    if (line >= LINES_MAX || config->fd < 0) {
-        return -EINVAL;
-    }
-    can_thread *t = &threads[line];
-    int error = line_thread_prepare(&t->life, &(line_place){.line = line, .event_fd = config->event_fd,
-                                                            .priority = config->priority, .cpu_mask = config->cpu_mask,
-                                                            .exchange = config->exchange});
-    error = error == 0 ? prepare(t, config, table) : error;
-    if (error == 0) {
-        put_report(t, true, 0);
-        error = line_thread_start(&t->life, run, t);
-    }
-    return error;
+    int error = line < LINES_MAX ? prepare(&threads[line], line, config, table) : -EINVAL;
+    return error == 0 ? line_thread_start(&threads[line].life, run, &threads[line]) : error;
 }
 
 int can_stop(uint32_t line)
 {
-    return line < LINES_MAX ? line_thread_stop(&threads[line].life) : -ESRCH;
+    return line_thread_stop(life_of(line));
 }
 
 void can_put_control(uint32_t line, const can_control *control)
 {
-    if (line < LINES_MAX && threads[line].life.made) {
-        mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
-        line_thread_wake(&threads[line].life);
-    }
+    line_thread_put_control(life_of(line), control);
 }
 
 int can_put_order(uint32_t line, const can_order *order)
@@ -308,11 +276,7 @@ int can_put_order(uint32_t line, const can_order *order)
     if (!known || !can_write_is_good(&order->write, t->outputs[order->drive])) {
         return -EINVAL;
     }
-    if (!ring_put(&t->orders, t->order_place, CAN_ORDERS_MAX, order, sizeof *order)) {
-        return -EAGAIN;
-    }
-    line_thread_wake(&t->life);
-    return 0;
+    return line_thread_hand_over(&t->life, &t->orders, t->order_place, CAN_ORDERS_MAX, order, sizeof *order);
 }
 
 int can_take_received(uint32_t line, can_received *out)
@@ -323,9 +287,5 @@ int can_take_received(uint32_t line, can_received *out)
 
 int can_read_report(uint32_t line, can_report *out)
 {
-    if (line >= LINES_MAX || !threads[line].life.made) {
-        return -ESRCH;
-    }
-    (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);
-    return 0;
+    return line_thread_read_report(life_of(line), out);
 }

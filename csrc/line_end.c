@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it is silent. */
 #include "line_machine.h"
-
-static const int64_t SHUT_REST_NS = 350 * LINE_MS, SHUT_NS = 480 * LINE_MS;
+#include "pace.h"
 
 static void shut_down_begin(line_machine *m, int64_t now_ns)
 {

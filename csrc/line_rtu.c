@@ -10,7 +10,6 @@
 
 #include "line_machine.h"
 #include "line_thread.h"
-#include "ring.h"
 
 #ifndef TIOCSER_TEMT
 #define TIOCSER_TEMT 0x01   /* linux/serial.h: the transmitter is empty */
@@ -22,29 +21,23 @@ static const int64_t DRAIN_LIMIT_NS = 2 * 1000000;
 enum { RING_PLACES = 4 * LINE_ASKS_MAX };
 
 typedef struct {
-    mailbox box;
-    line_control slot[MAILBOX_SLOTS];
-} control_box_line;
-
-typedef struct {
-    mailbox box;
-    line_report slot[MAILBOX_SLOTS];
-} report_box;
-
-typedef struct {
     line_thread life;
     line_machine machine;
     line_config config;
-    control_box_line control;
-    report_box report;
+    line_control control[MAILBOX_SLOTS];
+    line_report report[MAILBOX_SLOTS];
     ring asks, answers;
     line_ask ask_place[RING_PLACES];
     line_answer answer_place[RING_PLACES];
-    histogram round_trips;
     line_report out;
 } rtu_thread;
 
 static rtu_thread threads[LINES_MAX];
+
+static line_thread *life_of(uint32_t line)
+{
+    return line < LINES_MAX ? &threads[line].life : NULL;
+}
 
 /* --------------------------------------------------------------------------------------------------- the port */
 static void sleep_until(int64_t until_ns)
@@ -69,13 +62,13 @@ static int turn(const rtu_thread *t, bool talking)
 static int write_all(const rtu_thread *t, const uint8_t *bytes, uint32_t count)
 {
     for (uint32_t sent = 0; sent < count;) {
-        ssize_t wrote = write(t->config.fd, bytes + sent, count - sent);
+        ssize_t wrote = write(t->life.at.fd, bytes + sent, count - sent);
         if (wrote > 0) {
             sent += (uint32_t)wrote;
         } else if (wrote < 0 && errno != EAGAIN && errno != EINTR) {
             return -errno;
         } else {
-            struct pollfd port = {.fd = t->config.fd, .events = POLLOUT};
+            struct pollfd port = {.fd = t->life.at.fd, .events = POLLOUT};
             int ready = poll(&port, 1, 100);
             if (ready == 0 || (port.revents & (POLLERR | POLLNVAL)) != 0) {
                 return -EIO;   /* an output buffer that does not empty is no line */
@@ -91,7 +84,7 @@ static void wait_until_sent(const rtu_thread *t)
     sleep_until(t->machine.end_ns);
     int64_t limit_ns = t->machine.end_ns + DRAIN_LIMIT_NS;
     int status = TIOCSER_TEMT;
-    while (ioctl(t->config.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 &&
+    while (ioctl(t->life.at.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 &&
            clock_now_ns() < limit_ns) {
         sleep_until(clock_now_ns() + (int64_t)t->machine.table.character_ns);
     }
@@ -120,12 +113,7 @@ static int send_request(rtu_thread *t, const line_output *out)
 static void put_report(rtu_thread *t, bool running, int error)
 {
     line_machine_report(&t->machine, &t->out);
-    t->out.running = running;
-    t->out.error = error;
-    t->out.policy = t->life.grant.policy;
-    t->out.scheduler_errno = t->life.grant.scheduler_errno;
-    t->out.page_faults = t->life.page_faults;
-    mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    line_thread_put_report(&t->life, &t->out.life, running, error);
 }
 
 static void report_now_and_then(rtu_thread *t, int64_t now_ns, bool news)
@@ -148,63 +136,40 @@ static void take_asks(rtu_thread *t)
 
 static void hand_on(rtu_thread *t, const line_output *out)
 {
-    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
-        if ((out->feedback_mask >> joint & 1) != 0) {
-            (void)exchange_put_feedback(t->life.at.exchange, joint, &t->machine.joint[joint].feedback);
-        }
-    }
+    line_thread_put_feedback(&t->life, out->feedback_mask, t->machine.joint, sizeof t->machine.joint[0]);
     if (out->answered) {
         (void)ring_put(&t->answers, t->answer_place, RING_PLACES, &t->machine.answer, sizeof t->machine.answer);
     }
     if (t->machine.round_trip_ns > 0) {
-        histogram_add(&t->round_trips, t->machine.round_trip_ns);
+        histogram_add(&t->life.round_trips, t->machine.round_trip_ns);
     }
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-/* Bytes that came, or 0; -errno: the port is gone. */
-static int read_port(const rtu_thread *t, short revents, uint8_t *bytes, uint32_t room)
-{
-    if ((revents & (POLLERR | POLLNVAL)) != 0) {
-        return -EIO;
-    }
-    if ((revents & (POLLIN | POLLHUP)) == 0) {
-        return 0;
-    }
-    ssize_t count = read(t->config.fd, bytes, room);
-    if (count > 0) {
-        return (int)count;
-    }
-    if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
-        return 0;
-    }
-    return count < 0 ? -errno : -EIO;
-}
-
 /* Bytes, a wake or the time; the bytes' number or -errno. */
 static int wait_for_news(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
-    struct pollfd fds[2] = {[1] = {.fd = t->config.fd, .events = POLLIN}};
+    struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     int woken = line_thread_wait(&t->life, fds, 2, until_ns);
     if (woken < 0) {
         return woken;
     }
     if (woken > 0) {
-        (void)exchange_take_setpoints(t->life.at.exchange, t->life.at.line, &t->machine.newest);
+        line_thread_take_setpoints(&t->life, &t->machine.newest);
         line_machine_kick(&t->machine, clock_now_ns());
     }
-    return read_port(t, fds[1].revents, bytes, room);
+    return line_thread_read_port(&t->life, fds[1].revents, bytes, room);
 }
 
 static int round_trip(rtu_thread *t, const uint8_t *bytes, uint32_t count, int64_t *wake_ns)
 {
     line_output out;
-    (void)exchange_take_setpoints(t->life.at.exchange, t->life.at.line, &t->machine.newest);
-    (void)mailbox_take(&t->control.box, t->control.slot, &t->machine.control, sizeof t->machine.control);
+    line_thread_take_setpoints(&t->life, &t->machine.newest);
+    line_thread_take_control(&t->life, &t->machine.control);
     take_asks(t);
     int64_t now_ns = clock_now_ns();
     line_machine_step(&t->machine, now_ns, bytes, count, &out);
-    t->out.rounds++;
+    t->out.life.rounds++;
     int error = out.send != NULL ? send_request(t, &out) : 0;
     hand_on(t, &out);
     report_now_and_then(t, now_ns, out.news);
@@ -242,53 +207,40 @@ static uint32_t last_epoch(const line_machine *m)
     return epoch;
 }
 
-static int prepare(rtu_thread *t, const line_config *config, const line_table *table)
+static int prepare(rtu_thread *t, uint32_t line, const line_config *config, const line_table *table)
 {
+    const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     uint32_t epoch = last_epoch(&t->machine);
-    int error = line_machine_init(&t->machine, table, clock_now_ns());
+    int error = line_thread_prepare(&t->life, line, &config->at, &slots);
+    error = error == 0 ? line_machine_init(&t->machine, table, clock_now_ns()) : error;
+    if (error != 0) {
+        return error;
+    }
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
         t->machine.drive[i].epoch = epoch;
     }
     t->config = *config;
-    memset(&t->control, 0, sizeof t->control);
-    memset(&t->report, 0, sizeof t->report);
     memset(&t->asks, 0, sizeof t->asks);
     memset(&t->answers, 0, sizeof t->answers);
     memset(&t->out, 0, sizeof t->out);
-    mailbox_init(&t->control.box);
-    mailbox_init(&t->report.box);
-    histogram_clear(&t->round_trips);
-    return error;
+    put_report(t, true, 0);
+    return 0;
 }
 
 int line_start(uint32_t line, const line_config *config, const line_table *table)
 {
-    if (line >= LINES_MAX || config->fd < 0) {
-        return -EINVAL;
-    }
-    rtu_thread *t = &threads[line];
-    int error = line_thread_prepare(&t->life, &(line_place){.line = line, .event_fd = config->event_fd,
-                                                            .priority = config->priority, .cpu_mask = config->cpu_mask,
-                                                            .exchange = config->exchange});
-    error = error == 0 ? prepare(t, config, table) : error;
-    if (error == 0) {
-        put_report(t, true, 0);
-        error = line_thread_start(&t->life, run, t);
-    }
-    return error;
+    int error = line < LINES_MAX ? prepare(&threads[line], line, config, table) : -EINVAL;
+    return error == 0 ? line_thread_start(&threads[line].life, run, &threads[line]) : error;
 }
 
 int line_stop(uint32_t line)
 {
-    return line < LINES_MAX ? line_thread_stop(&threads[line].life) : -ESRCH;
+    return line_thread_stop(life_of(line));
 }
 
 void line_put_control(uint32_t line, const line_control *control)
 {
-    if (line < LINES_MAX && threads[line].life.made) {
-        mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
-        line_thread_wake(&threads[line].life);
-    }
+    line_thread_put_control(life_of(line), control);
 }
 
 int line_put_ask(uint32_t line, const line_ask *ask)
@@ -299,11 +251,8 @@ int line_put_ask(uint32_t line, const line_ask *ask)
     if (!line_frame_is_good(&ask->frame)) {
         return -EINVAL;
     }
-    if (!ring_put(&threads[line].asks, threads[line].ask_place, RING_PLACES, ask, sizeof *ask)) {
-        return -EAGAIN;
-    }
-    line_thread_wake(&threads[line].life);
-    return 0;
+    rtu_thread *t = &threads[line];
+    return line_thread_hand_over(&t->life, &t->asks, t->ask_place, RING_PLACES, ask, sizeof *ask);
 }
 
 int line_take_answer(uint32_t line, line_answer *out)
@@ -313,18 +262,10 @@ int line_take_answer(uint32_t line, line_answer *out)
 
 int line_read_report(uint32_t line, line_report *out)
 {
-    if (line >= LINES_MAX || !threads[line].life.made) {
-        return -ESRCH;
-    }
-    (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);
-    return 0;
+    return line_thread_read_report(life_of(line), out);
 }
 
 int line_histogram_read(uint32_t line, histogram *out)
 {
-    if (line >= LINES_MAX) {
-        return -EINVAL;
-    }
-    histogram_copy(out, &threads[line].round_trips);
-    return 0;
+    return line_thread_read_round_trips(life_of(line), out);
 }

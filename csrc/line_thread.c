@@ -3,6 +3,7 @@
 #include "line_thread.h"
 
 #include <errno.h>
+#include <string.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
 #include <time.h>
@@ -21,9 +22,25 @@ static void add_one(int fd)
 }
 
 /* -------------------------------------------------------------------------------- from the caller's thread */
-int line_thread_prepare(line_thread *t, const line_place *at)
+static void clear(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots)
 {
-    if (at->priority < 0 || at->priority > 99) {
+    t->at = *at;
+    t->at.exchange = at->exchange != NULL ? at->exchange : loop_exchange();
+    t->line = line;
+    t->slots = *slots;
+    memset(slots->control, 0, MAILBOX_SLOTS * slots->control_bytes);
+    memset(slots->report, 0, MAILBOX_SLOTS * slots->report_bytes);
+    mailbox_init(&t->control);
+    mailbox_init(&t->report);
+    histogram_clear(&t->round_trips);
+    t->page_faults = 0;
+    t->reported_ns = 0;
+    t->stop_asked = false;
+}
+
+int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots)
+{
+    if (t == NULL || at->fd < 0 || at->priority < 0 || at->priority > 99) {
         return -EINVAL;
     }
     if (t->joinable) {
@@ -36,11 +53,7 @@ int line_thread_prepare(line_thread *t, const line_place *at)
         }
         t->made = true;
     }
-    t->at = *at;
-    t->at.exchange = at->exchange != NULL ? at->exchange : loop_exchange();
-    t->page_faults = 0;
-    t->reported_ns = 0;
-    t->stop_asked = false;
+    clear(t, line, at, slots);
     return 0;
 }
 
@@ -53,26 +66,56 @@ int line_thread_start(line_thread *t, void *(*run)(void *), void *arg)
         return error;
     }
     t->joinable = true;
-    (void)exchange_set_line_wake(t->at.exchange, t->at.line, t->wake_fd);
+    (void)exchange_set_line_wake(t->at.exchange, t->line, t->wake_fd);
     return 0;
 }
 
 int line_thread_stop(line_thread *t)
 {
-    if (!t->joinable) {
+    if (t == NULL || !t->joinable) {
         return -ESRCH;
     }
-    (void)exchange_set_line_wake(t->at.exchange, t->at.line, -1);
+    (void)exchange_set_line_wake(t->at.exchange, t->line, -1);
     t->stop_asked = true;
-    line_thread_wake(t);
+    add_one(t->wake_fd);
     int error = pthread_join(t->thread, NULL);
     t->joinable = false;
     return -error;
 }
 
-void line_thread_wake(const line_thread *t)
+void line_thread_put_control(line_thread *t, const void *control)
 {
+    if (t != NULL && t->made) {
+        mailbox_put(&t->control, t->slots.control, control, t->slots.control_bytes);
+        add_one(t->wake_fd);
+    }
+}
+
+int line_thread_read_report(line_thread *t, void *out)
+{
+    if (t == NULL || !t->made) {
+        return -ESRCH;
+    }
+    (void)mailbox_take(&t->report, t->slots.report, out, t->slots.report_bytes);
+    return 0;
+}
+
+int line_thread_read_round_trips(const line_thread *t, histogram *out)
+{
+    if (t == NULL) {
+        return -EINVAL;
+    }
+    histogram_copy(out, &t->round_trips);
+    return 0;
+}
+
+int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count, const void *value, size_t value_bytes)
+{
+    if (!ring_put(to, places, count, value, value_bytes)) {
+        return -EAGAIN;
+    }
     add_one(t->wake_fd);
+    return 0;
 }
 
 /* --------------------------------------------------------------------------------------------- in the thread */
@@ -86,6 +129,35 @@ void line_thread_end(line_thread *t)
 {
     t->running = false;
     line_thread_tell(t);
+}
+
+void line_thread_take_control(line_thread *t, void *out)
+{
+    (void)mailbox_take(&t->control, t->slots.control, out, t->slots.control_bytes);
+}
+
+void line_thread_take_setpoints(const line_thread *t, setpoints *out)
+{
+    (void)exchange_take_setpoints(t->at.exchange, t->line, out);
+}
+
+void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes)
+{
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        if ((mask >> joint & 1) != 0) {
+            (void)exchange_put_feedback(t->at.exchange, joint, (const void *)((const char *)joints + joint * joint_bytes));
+        }
+    }
+}
+
+void line_thread_put_report(line_thread *t, line_life *report, bool running, int error)
+{
+    report->running = running;
+    report->error = error;
+    report->policy = t->grant.policy;
+    report->scheduler_errno = t->grant.scheduler_errno;
+    report->page_faults = t->page_faults;
+    mailbox_put(&t->report, t->slots.report, report, t->slots.report_bytes);
 }
 
 void line_thread_tell(const line_thread *t)
@@ -130,4 +202,22 @@ int line_thread_wait(const line_thread *t, struct pollfd *fds, nfds_t count, int
     }
     uint64_t wakes;
     return (fds[0].revents & POLLIN) != 0 && read(t->wake_fd, &wakes, sizeof wakes) > 0;
+}
+
+int line_thread_read_port(const line_thread *t, short revents, uint8_t *bytes, uint32_t room)
+{
+    if ((revents & (POLLERR | POLLNVAL)) != 0) {
+        return -EIO;
+    }
+    if ((revents & (POLLIN | POLLHUP)) == 0) {
+        return 0;
+    }
+    ssize_t count = read(t->at.fd, bytes, room);
+    if (count > 0) {
+        return (int)count;
+    }
+    if (count < 0 && (errno == EAGAIN || errno == EINTR)) {
+        return 0;
+    }
+    return count < 0 ? -errno : -EIO;
 }

@@ -4,23 +4,13 @@
 #include <string.h>
 
 #include "fault_word.h"
+#include "joint_values.h"
 #include "line_machine.h"
-
-static const double REST_VELOCITY_RAD_S = 0.1;
 
 static const setpoints *source(const line_machine *m, uint32_t drive)
 {
     /* where magnitude and way go out one by one, both have to be of the same wish */
     return m->table.drive[drive].way_count > 0 ? &m->drive[drive].frozen : &m->newest;
-}
-
-static double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
-{
-    if (joint >= from->joint_count || joint >= JOINTS_MAX) {
-        return 0.0;
-    }
-    double value = kind == SETPOINT_VELOCITY ? from->joint[joint].velocity_rad_s : from->joint[joint].duty;
-    return isfinite(value) ? value : 0.0;
 }
 
 /* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
@@ -40,8 +30,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     if (setpoint->magnitude != 0) {
         raw = fabs(raw);
     }
-    raw = fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max);
-    return (int64_t)nearbyint(raw);
+    return (int64_t)nearbyint(held_within(raw, setpoint->raw_min, setpoint->raw_max));
 }
 
 /* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn unheard. */
@@ -140,27 +129,21 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
         joint->feedback.count = (uint64_t)raw;
         joint->count_ns = stamp_ns;
         break;
-    case FIELD_VELOCITY:
-        joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);
-        joint->velocity_ns = stamp_ns;
-        break;
-    case FIELD_CURRENT:
-        joint->feedback.current_a = si;
-        break;
-    case FIELD_VOLTAGE:
-        joint->feedback.voltage_v = si;
-        break;
-    case FIELD_TEMPERATURE:
-        joint->feedback.temperature_c = si;
-        break;
     case FIELD_FAULT:
         read_fault(m, field, (uint32_t)raw);
         break;
     case FIELD_ENABLED:
         drive->enabled = equal ? 1 : 0;
         break;
-    default:
+    case FIELD_KEPT:
         drive->lost_setup |= !equal;
+        break;
+    case FIELD_VELOCITY:
+        joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);
+        joint->velocity_ns = stamp_ns;
+        break;
+    default:
+        (void)feedback_measured(&joint->feedback, field->kind, si);
         break;
     }
 }
@@ -182,8 +165,8 @@ void line_forget(line_machine *m, uint32_t drive)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
             line_joint_state *joint = &m->joint[j];
-            joint->feedback = (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN,
-                                               .temperature_c = NAN, .epoch = m->drive[drive].epoch, .enabled = 2};
+            joint->feedback = feedback_unknown();
+            joint->feedback.epoch = m->drive[drive].epoch;
             joint->count_ns = joint->velocity_ns = joint->newest_ns = 0;
         }
     }
@@ -213,8 +196,7 @@ void line_publish(line_machine *m, uint32_t drive)
 bool line_at_rest(const line_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        /* NaN is not at rest: the time decides then */
-        if (has_joint(m, drive, j) && !(fabs(m->joint[j].feedback.velocity_rad_s) < REST_VELOCITY_RAD_S)) {
+        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback)) {
             return false;
         }
     }

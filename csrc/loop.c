@@ -35,10 +35,7 @@ static void sleep_until(int64_t deadline_ns)
 /* A command is obeyed at once, but once between two ticks: a flood of them costs no more than that. */
 static void wait_until(int64_t deadline_ns)
 {
-    bool listening = false;
-    for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
-        listening |= work.ingress.fd[i] >= 0;
-    }
+    bool listening = work.ingress.epoll_fd >= 0;
     if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
         return;   /* it is time; to sleep until a time that is past would cost a wake-up all the same */
     }
@@ -71,8 +68,8 @@ static void *run(void *unused)
 static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
-           loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd[0] >= -1 &&
-           loop->command_fd[1] >= -1 && loop->command_fd[2] >= -1 && guard_config_check(&loop->guard) == 0;
+           loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 &&
+           guard_config_check(&loop->guard) == 0;
 }
 
 /* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */

@@ -32,9 +32,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     work->event_fd = loop->event_fd;
     work->notify_every_ticks = loop->notify_every_ticks;
     work->period_ns = schedule_period_ns(loop->rate_hz);
-    for (uint32_t i = 0; i < COMMAND_SOCKETS; i++) {
-        work->ingress.fd[i] = loop->command_fd[i];
-    }
+    work->ingress.epoll_fd = loop->command_fd;
     guard_init(&work->guard, &loop->guard);
     arbiter_init(&work->arbiter, &work->core.config);
     work->used_stamp_ns = 0;

@@ -119,12 +119,10 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
     return false;
 }
 
-/* What must go down goes down first, then the lines, then what goes up. The first error; all are tried. */
-static int apply(pwm_thread *t, const double *level)
+/* Channels that rest in this cycle, or whose joint's lines are about to change. The first error; all are tried. */
+static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_t mask)
 {
-    uint64_t bits, mask;
     int first = 0;
-    wanted_bits(t, level, &bits, &mask);
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
         if (output->fd >= 0) {
@@ -134,27 +132,40 @@ static int apply(pwm_thread *t, const double *level)
             first = first != 0 ? first : error;
         }
     }
-    int error = write_bits(t, bits, mask);
-    first = first != 0 ? first : error;
-    for (uint32_t i = 0; i < t->config.output_count; i++) {
+    return first;
+}
+
+/* What must go down goes down first, then the lines, then what goes up. No step after one that failed: a duty that could not
+ * be taken back would meet the new direction. */
+static int apply(pwm_thread *t, const double *level)
+{
+    uint64_t bits, mask;
+    wanted_bits(t, level, &bits, &mask);
+    int error = bring_down(t, level, bits, mask);
+    error = error != 0 ? error : write_bits(t, bits, mask);
+    for (uint32_t i = 0; i < t->config.output_count && error == 0; i++) {
         if (t->config.output[i].fd >= 0) {
             error = write_duty(t, i, bridge_duty_ns(&t->config.output[i], level[i]));
-            first = first != 0 ? first : error;
         }
     }
-    return first;
+    return error;
 }
 
 /* COAST everywhere, whatever fails. */
 static int rest(pwm_thread *t)
 {
     double level[PWM_OUTPUTS_MAX];
+    uint64_t bits, mask;
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         level[i] = t->config.output[i].base[BRIDGE_COAST];
         t->known[i] = false;
     }
     t->bits_known = false;
-    return apply(t, level);
+    wanted_bits(t, level, &bits, &mask);
+    int error = bring_down(t, level, bits, mask);
+    int lines_error = write_bits(t, bits, mask);
+    (void)bring_down(t, level, bits, mask);   /* once more what failed */
+    return error != 0 ? error : lines_error;
 }
 
 static int read_inputs(pwm_thread *t)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from motord.config import Battery, DrivesBattery
@@ -40,9 +42,15 @@ class Measure:
         return math.isfinite(self.voltage_v) and self.voltage_v > 0.0
 
 
-def of_drives(section: DrivesBattery, joints: tuple[str, ...], snapshot: Snapshot) -> Measure:
+def of_drives(
+    section: DrivesBattery,
+    joints: tuple[str, ...],
+    snapshot: Snapshot,
+    readings: Mapping[str, float] = MappingProxyType({}),
+) -> Measure:
     """The lowest voltage among drives that are heard. A motor's current is not the battery's, and
-    a drive's temperature neither: both stay NaN."""
+    a drive's temperature neither: they come from `readings`, which are of the pack itself, by the
+    section's keys, in V, A and °C; what is not there is NaN."""
     volts = [
         joint.voltage_v
         for name, joint in zip(joints, snapshot.joints, strict=True)
@@ -50,7 +58,16 @@ def of_drives(section: DrivesBattery, joints: tuple[str, ...], snapshot: Snapsho
         and not joint.stale
         and math.isfinite(joint.voltage_v)
     ]
-    return Measure(stamp_ns=snapshot.stamp_ns, voltage_v=min(volts, default=math.nan))
+    voltage_v = min(volts, default=math.nan)
+    if section.voltage_from is not None:
+        voltage_v = readings.get("voltage_from", math.nan)
+    drawn_a = readings.get("current_from", math.nan)
+    return Measure(
+        stamp_ns=snapshot.stamp_ns,
+        voltage_v=voltage_v,
+        current_a=drawn_a if section.inverted else -drawn_a,
+        temperature_c=readings.get("temperature_from", math.nan),
+    )
 
 
 class BatteryWatch:

@@ -15,9 +15,12 @@ from motord.operation import Operation
 from motord_hal.errors import HalError
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.ina import Ina, Power
+from motord_hal.ports import Line
 from motord_hal.rt import now_ns
 
 PERIOD_S = 0.5
+REGISTER_WITHIN_S = 1.0
+"""For one register of a drive to be read."""
 READ_WITHIN_S = 4.0
 """The kernel gives up on a bus that is held after a second and some tries."""
 
@@ -30,11 +33,11 @@ async def watch_battery(operation: Operation) -> None:
     if section is None:
         return
     chip = _Chip(section) if isinstance(section, InaBattery) else None
+    readings = _Readings(operation, section) if isinstance(section, DrivesBattery) else None
     try:
         while True:
-            if isinstance(section, DrivesBattery):
-                joints = tuple(operation.robot.joint)
-                _take(operation, of_drives(section, joints, operation.snapshot))
+            if readings is not None:
+                _take(operation, await readings.measure())
             elif chip is not None:
                 _take(operation, await chip.measure())
             await asyncio.sleep(PERIOD_S)
@@ -54,6 +57,46 @@ def _take(operation: Operation, measure: Measure | None) -> None:
         _log.log(level, "%s", said, extra=about(event=f"battery_{watch.level}"))
     if operation.battery_forbids:
         operation.fault("the battery is critical (safety.on_battery_critical)")
+
+
+class _Readings:
+    """What the drives' feedback says, and the registers that the section names, read now."""
+
+    def __init__(self, operation: Operation, section: DrivesBattery) -> None:
+        self._operation = operation
+        self._section = section
+        self._joints = tuple(operation.robot.joint)
+        self._said: dict[str, str] = {}
+
+    async def measure(self) -> Measure:
+        """A drive that is not heard is not asked: it would only be waited for."""
+        readings = {}
+        for key, where in self._section.readings.items():
+            joint = where.partition(".")[0]
+            if not self._operation.snapshot.joints[self._joints.index(joint)].stale:
+                readings[key] = await self._read(where)
+        return of_drives(self._section, self._joints, self._operation.snapshot, readings)
+
+    async def _read(self, where: str) -> float:
+        """NaN where it cannot be read now; what fails is said once."""
+        joint, _, register = where.partition(".")
+        problem = ""
+        try:
+            async with asyncio.timeout(REGISTER_WITHIN_S):
+                value = await self._line_of(joint).read_register(joint, register)
+        except LookupError as error:
+            value, problem = math.nan, str(error.args[0])
+        except (HalError, TimeoutError) as error:
+            value, problem = math.nan, str(error) or "it took too long"
+        if problem and problem != self._said.get(where):
+            text = f"battery: {where} was not read: {problem}"
+            _log.warning("%s", text, extra=about(event="battery_sensor", joints=(joint,)))
+        self._said[where] = problem
+        return value
+
+    def _line_of(self, joint: str) -> Line:
+        name = self._operation.robot.joint[joint].line
+        return next(line for line in self._operation.lines if line.spec.name == name)
 
 
 class _Chip:

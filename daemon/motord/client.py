@@ -255,6 +255,6 @@ class Client:
         return result
 
     def latency(self) -> dict[str, Any]:
-        """The loop's histograms, as percentiles."""
+        """The loop's histograms since its start, as percentiles and as buckets."""
         result: dict[str, Any] = self.call("latency")
         return result

@@ -29,6 +29,7 @@ class Refusal(enum.IntEnum):
     LIFETIME = 4
     NOT_FINITE = 5
     JOINTS = 6
+    RATE = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +41,8 @@ class LeaseGrant:
     token: bytes
     priority: int
     lifetime_ns: int
+    interval_least_ns: int = 0
+    """Commands that come more often are refused, but for zero; 0: as often as they like."""
     barred_until_ns: int = 0
 
 
@@ -56,6 +59,8 @@ class LeaseState:
     since: int
     """Order in which the leases came alive."""
     priority: int
+    interval_ns: int
+    """From one command to the next, smoothed; 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
 

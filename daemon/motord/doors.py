@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord.config import BusInput, Robot, RtInput
+from motord.rt import LEASES_MAX
 
 SOCKET_MODE = 0o660
 LOOPBACK = "127.0.0.1"
@@ -27,7 +28,8 @@ class Doors:
     """What anybody may ask for who may command."""
     inputs: Mapping[str, BusInput] = field(default_factory=dict)
     """What the second process may ask for, by the names of its inputs."""
-    path: Path | None = None
+    paths: tuple[Path, ...] = ()
+    """Of a lease each: who floods his own keeps nobody else from being heard."""
     udp_port: int | None = None
     fds: tuple[int, ...] = ()
 
@@ -44,20 +46,16 @@ def inputs_of(robot: Robot) -> dict[str, BusInput]:
 
 @contextlib.contextmanager
 def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
-    """The sockets of this robot: NAME.cmd.sock beside its local socket, whose owner is ours alone,
-    and UDP on loopback where it is asked for. Raises OSError with the place."""
+    """The sockets of this robot: NAME.cmd.N.sock beside its local socket, whose owner is ours
+    alone, and UDP on loopback where it is asked for. Raises OSError with the place."""
     section, inputs = section_of(robot), inputs_of(robot)
     if section is None and not inputs:
         yield Doors()
         return
-    path = beside.with_name(f"{robot.robot.name}.cmd.sock")
+    name = robot.robot.name
+    paths = tuple(beside.with_name(f"{name}.cmd.{number}.sock") for number in range(LEASES_MAX))
     with contextlib.ExitStack() as sockets:
-        local = sockets.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-        path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
-        _bind(local, str(path), str(path))
-        sockets.callback(path.unlink, missing_ok=True)
-        path.chmod(SOCKET_MODE)
-        fds = [local.fileno()]
+        fds = [_local(path, sockets) for path in paths]
         udp_port = section.udp_port if section else None
         if udp_port is not None:
             udp = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -65,7 +63,16 @@ def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
             fds.append(udp.fileno())
         for fd in fds:
             os.set_blocking(fd, False)
-        yield Doors(section=section, inputs=inputs, path=path, udp_port=udp_port, fds=tuple(fds))
+        yield Doors(section=section, inputs=inputs, paths=paths, udp_port=udp_port, fds=tuple(fds))
+
+
+def _local(path: Path, sockets: contextlib.ExitStack) -> int:
+    opened = sockets.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+    path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
+    _bind(opened, str(path), str(path))
+    sockets.callback(path.unlink, missing_ok=True)
+    path.chmod(SOCKET_MODE)
+    return opened.fileno()
 
 
 def _bind(opened: socket.socket, address: object, said: str) -> None:

@@ -51,6 +51,8 @@ class Lease:
     """When the newest command was given."""
     expires_ns: int
     since: int
+    rate_hz: float
+    """Commands a second, smoothed; 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
     held: bool
@@ -70,6 +72,8 @@ class _Granted:
     used_ns: int
     kept: bool
     """It has been given out: it ends with its connection, not by lapsing."""
+    door: int = 0
+    """Which of LEASES_MAX sockets is its own, where it has been given out."""
     sequence: int = 0
 
 
@@ -82,11 +86,19 @@ class Leases:
         """By connection, owner, and whether it has been given out."""
         self._gone: dict[str, int] = {}
         """Owners that were held when their connection ended, and when their lease would have."""
+        self._next_door = 0
         self._judging = asyncio.Lock()
 
     # ----------------------------------------------------------------------------------- granting
     def grant(
-        self, connection: int, owner: str, priority: int, lease_s: float, *, kept: bool = False
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        *,
+        kept: bool = False,
+        rate_max_hz: float | None = None,
     ) -> LeaseGrant:
         """The owner's lease on this connection, made or renewed. Raises ValueError for a lifetime
         out of bounds, NoLease where there are too many."""
@@ -103,9 +115,10 @@ class Leases:
                 token=secrets.token_bytes(TOKEN_BYTES),
                 priority=priority,
                 lifetime_ns=lifetime_ns,
+                interval_least_ns=round(1e9 / rate_max_hz) if rate_max_hz else 0,
                 barred_until_ns=barred_until_ns,
             )
-            before = _Granted(owner, connection, grant, now, kept)
+            before = _Granted(owner, connection, grant, now, kept, self._free_door())
             self._granted[connection, owner, kept] = before
             self._publish()
         elif (before.grant.priority, before.grant.lifetime_ns) != (priority, lifetime_ns):
@@ -113,6 +126,18 @@ class Leases:
             self._publish()
         before.used_ns = now
         return before.grant
+
+    def door(self, connection: int, owner: str) -> int:
+        """Which socket is that of a lease that has been given out."""
+        return self._granted[connection, owner, True].door
+
+    def _free_door(self) -> int:
+        """The one that has been free for longest: its last owner may still send."""
+        taken = {granted.door for granted in self._granted.values() if granted.kept}
+        turns = (self._next_door + turn for turn in range(LEASES_MAX))
+        door = next(turn % LEASES_MAX for turn in turns if turn % LEASES_MAX not in taken)
+        self._next_door = door + 1
+        return door
 
     def _make_room(self, now: int) -> None:
         """What has lapsed for so long that nothing of it counts any more makes room."""
@@ -228,6 +253,7 @@ def _lease(granted: _Granted, state: LeaseState) -> Lease:
         stamp_ns=state.stamp_ns,
         expires_ns=state.expires_ns,
         since=state.since,
+        rate_hz=1e9 / state.interval_ns if state.interval_ns > 0 else 0.0,
         linear_m_s=state.linear_m_s,
         angular_rad_s=state.angular_rad_s,
         held=state.held,

@@ -141,13 +141,16 @@ def _lease(
         raise RpcError(
             f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
         )
-    grant = operation.lease(caller.connection, params.owner, priority, lease_s)
+    rate_max_hz = section.rate_max_hz
+    grant = operation.lease(caller.connection, params.owner, priority, lease_s, rate_max_hz)
+    door = operation.leases.door(caller.connection, params.owner)
     return {
         "token": grant.token.hex(),
         "number": grant.number,
         "priority": priority,
         "lease_s": lease_s,
-        "socket": str(doors.path),
+        "rate_max_hz": rate_max_hz,
+        "socket": str(doors.paths[door]),
         "udp_port": doors.udp_port,
         "version": VERSION,
     }

@@ -217,10 +217,19 @@ class Operation:
             )
         return lease
 
-    def lease(self, connection: int, owner: str, priority: int, lease_s: float) -> LeaseGrant:
+    def lease(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        rate_max_hz: float | None = None,
+    ) -> LeaseGrant:
         """A lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
         try:
-            return self.leases.grant(connection, owner, priority, lease_s, kept=True)
+            return self.leases.grant(
+                connection, owner, priority, lease_s, kept=True, rate_max_hz=rate_max_hz
+            )
         except NoLease as error:
             raise Refused(str(error)) from error
 
@@ -307,6 +316,7 @@ class Operation:
         """A drive that switches itself off may say why only later."""
         if why not in self.why:
             self.why = (*self.why, why)
+            _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
         """What has to be looked at now and then, though nobody reports it; and a heartbeat."""

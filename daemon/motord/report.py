@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from motord.bus.publish.samples import Samples
 from motord.bus_supervisor import BusSupervisor
 from motord.commands import CommandReport
 from motord.health import Health
+from motord.leases import Lease
 from motord.operation import Operation
 from motord.rt import HistogramKind, Loop, Percentiles
 from motord.snapshot import Snapshot
@@ -69,13 +70,19 @@ def status(
 
 
 def latency(loop: Loop) -> dict[str, Any]:
-    """The loop's histograms since its start, in microseconds, and how many samples they hold."""
+    """The loop's histograms since its start: percentiles in microseconds, how many samples they
+    hold, and each bucket that holds some as low_ns, high_ns, samples. They only grow: what two
+    answers differ by came between them."""
     found = {kind: loop.percentiles(kind) for kind in HistogramKind}
     return {
         "lateness_us": _percentiles(found[HistogramKind.LATENESS], 1e3),
         "step_us": _percentiles(found[HistogramKind.STEP], 1e3),
         "command_to_core_us": _percentiles(found[HistogramKind.COMMAND], 1e3),
         "samples": {kind.name.lower(): found[kind].samples for kind in HistogramKind},
+        "buckets": {
+            kind.name.lower(): [[b.low_ns, b.high_ns, b.samples] for b in loop.buckets(kind)]
+            for kind in HistogramKind
+        },
     }
 
 
@@ -154,8 +161,9 @@ def _commands(report: CommandReport) -> dict[str, Any]:
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:
-    """Who commands stands first."""
+    """Who commands stands first, and why; the others wait for him."""
     now = now_ns()
+    living = operation.leases.fresh()
     return [
         {
             "number": lease.number,
@@ -165,7 +173,24 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
             "expires_in_s": (lease.expires_ns - now) / 1e9,
             "linear_m_s": lease.linear_m_s,
             "angular_rad_s": lease.angular_rad_s,
+            "rate_hz": lease.rate_hz,
             "held": lease.held,
+            "why": _why(lease, living),
         }
-        for lease in operation.leases.fresh()
+        for lease in living
     ]
+
+
+def _why(lease: Lease, living: Sequence[Lease]) -> str:
+    """Why it is in command, or is not."""
+    first, *others = living
+    if lease is not first:
+        which = "a higher priority" if first.priority > lease.priority else "come first"
+        return f"waits: {first.owner} has {which}"
+    if lease.held:
+        return "in command, held: it asked for motion while nothing may move"
+    if not others:
+        return "in command: the only one"
+    if others[0].priority == lease.priority:
+        return "in command: the first of its priority"
+    return "in command: the highest priority"

@@ -13,6 +13,7 @@ import errno
 import itertools
 import os
 import secrets
+import select
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -236,9 +237,11 @@ class Loop:
             unless_started.enter_context(door)
             unless_started.enter_context(inside)
             os.set_blocking(door.fileno(), False)
-            doors = (inside.fileno(), *self._settings.command_fds)
+            doors = unless_started.enter_context(
+                _epoll((inside.fileno(), *self._settings.command_fds))
+            )
             code = lib.loop_start(
-                self._loop_config(page_fd, journal_fd, event_fd, doors), self._core
+                self._loop_config(page_fd, journal_fd, event_fd, doors.fileno()), self._core
             )
             if code == -errno.EBUSY:
                 raise RuntimeError("a loop runs in this process already")
@@ -250,12 +253,8 @@ class Loop:
         self._buffers.control[0] = {"limits": self._limits}
         self.beat()
 
-    def _loop_config(
-        self, page_fd: int, journal_fd: int, event_fd: int, doors: tuple[int, ...]
-    ) -> Any:
+    def _loop_config(self, page_fd: int, journal_fd: int, event_fd: int, command_fd: int) -> Any:
         settings = self._settings
-        if len(doors) > lib.COMMAND_SOCKETS:
-            raise ValueError(f"{len(doors)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
         every = round(settings.rate_hz / settings.notify_hz) if settings.notify_hz > 0 else 0
         return ffi.new(
             "loop_config *",
@@ -267,7 +266,7 @@ class Loop:
                 "page_fd": page_fd,
                 "journal_fd": journal_fd,
                 "event_fd": event_fd,
-                "command_fd": [*doors, *[-1] * (lib.COMMAND_SOCKETS - len(doors))],
+                "command_fd": command_fd,
                 "lock_memory": settings.lock_memory,
                 "hold_dma_latency": settings.hold_dma_latency,
                 "guard": settings.guard or {},
@@ -294,6 +293,7 @@ class Loop:
             place.number = lease.number
             place.priority = lease.priority
             place.lifetime_ns = lease.lifetime_ns
+            place.interval_least_ns = lease.interval_least_ns
             place.barred_until_ns = lease.barred_until_ns
         lib.exchange_put_grants(self._exchange, raw)
 
@@ -432,6 +432,16 @@ class LoopLease:
         self._loop.send(datagram(token, self._sequence, stamp_ns, linear_m_s, angular_rad_s))
 
 
+def _epoll(fds: tuple[int, ...]) -> select.epoll:
+    """What the loop waits for commands with."""
+    if len(fds) > lib.COMMAND_SOCKETS:
+        raise ValueError(f"{len(fds)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
+    doors = select.epoll()
+    for fd in fds:
+        doors.register(fd, select.EPOLLIN)
+    return doors
+
+
 def _lease_state(raw: Any) -> LeaseState:
     return LeaseState(
         number=raw.number,
@@ -441,6 +451,7 @@ def _lease_state(raw: Any) -> LeaseState:
         expires_ns=raw.expires_ns,
         since=raw.since,
         priority=raw.priority,
+        interval_ns=raw.interval_ns,
         linear_m_s=raw.linear_m_s,
         angular_rad_s=raw.angular_rad_s,
     )

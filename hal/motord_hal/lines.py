@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from importlib import import_module
@@ -12,7 +11,7 @@ from typing import cast
 
 from motord_hal.ascii.dialect import texts_of, why_not_in_c
 from motord_hal.errors import HalError
-from motord_hal.ports import DriveState, Line, LineSpec, Listener
+from motord_hal.ports import Line, LineSpec, Listener
 from motord_hal.rt import Exchange
 
 Halt = Callable[[LineSpec], Awaitable[list[str]]]
@@ -53,10 +52,7 @@ HALTS = MappingProxyType(
         "can": "motord_hal.can.halt:halt_line",
     }
 )
-"""By kind: what stops the drives of a line that no daemon runs. Other kinds do it by running."""
-READY_WITHIN_S = 2.5
-ZEROS_FOR_S = 0.5
-LOOK_EVERY_S = 0.02
+"""By kind: what stops the drives of a line that no daemon runs."""
 
 
 def engine_of(spec: LineSpec) -> str:
@@ -92,29 +88,6 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
 async def halt_line(spec: LineSpec) -> list[str]:
     """Quick stop, then power off, on every drive of a line that nobody runs. Returns what was not
     acknowledged, in words. Raises HalError where the line cannot be had at all."""
-    place = HALTS.get(spec.kind)
-    if place is None:
-        return await _halt_by_running(spec)
-    module, _, name = place.partition(":")
+    module, _, name = HALTS[spec.kind].partition(":")
     halt = cast("Halt", getattr(import_module(module), name))
     return await halt(spec)
-
-
-async def _halt_by_running(spec: LineSpec) -> list[str]:
-    """The line itself, without set-points: it sends zeros from its first cycle on, and at its end
-    it stops its drives and takes their power."""
-    line = open_line(spec, Exchange.private(), lambda _: None)
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(line.run())
-        for _ in range(round(READY_WITHIN_S / LOOK_EVERY_S)):
-            if set(line.drive_states.values()) == {DriveState.READY}:
-                break
-            await asyncio.sleep(LOOK_EVERY_S)
-        await asyncio.sleep(ZEROS_FOR_S)
-        states = line.drive_states
-        running.cancel()
-    return [
-        f"{joint} is {state.value}: it was told to stop, and may not have heard it"
-        for joint, state in states.items()
-        if state is not DriveState.READY
-    ]

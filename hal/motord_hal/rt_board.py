@@ -13,7 +13,8 @@ from typing import Any
 from _motord_rt import ffi
 
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode, Plain, TimedThread, check_plain_table
+from motord_hal.rt_line import Demoted, Mode, TimedThread, check_plain_table
+from motord_hal.rt_thread import LineLife, Plain, life_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +40,14 @@ class BoardSays:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardReport:
-    running: bool
-    error: int
+class BoardReport(LineLife):
     shut_down: bool
-    policy: int
     cycles: int
     sent: int
     no_room: int
     bad_frames: int
     received: int
     quiet: int
-    page_faults: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -93,17 +90,14 @@ class BoardThread(TimedThread):
         """As the line has it now."""
         raw = self._read_report()
         return BoardReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
             cycles=raw.cycles,
             sent=raw.sent,
             no_room=raw.no_room,
             bad_frames=raw.bad_frames,
             received=raw.received,
             quiet=raw.quiet,
-            page_faults=raw.page_faults,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),

@@ -13,7 +13,8 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode, Plain, RtThread, check_plain_table
+from motord_hal.rt_line import Demoted, Mode, RtThread, check_plain_table
+from motord_hal.rt_thread import LineLife, Plain, life_of
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
@@ -38,18 +39,14 @@ class CanDriveReport:
 
 
 @dataclass(frozen=True, slots=True)
-class CanReport:
-    running: bool
-    error: int
+class CanReport(LineLife):
     shut_down: bool
-    policy: int
     cycles: int
     received: int
     sent: int
     tx_full: int
     bad_frames: int
     unheard: int
-    page_faults: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -114,17 +111,14 @@ class CanThread(RtThread):
         """As the bus has it now."""
         raw = self._read_report()
         return CanReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
             cycles=raw.cycles,
             received=raw.received,
             sent=raw.sent,
             tx_full=raw.tx_full,
             bad_frames=raw.bad_frames,
             unheard=raw.unheard,
-            page_faults=raw.page_faults,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),

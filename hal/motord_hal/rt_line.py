@@ -11,24 +11,20 @@ from __future__ import annotations
 import dataclasses
 import enum
 import errno
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import HalError, ProfileError
+from motord_hal.errors import ProfileError
 from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_table import LineFrame, LineTable
+from motord_hal.rt_thread import LineLife, Plain, check_code, config_of, life_of
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
 FAULT_WORDS: int = lib.JOINTS_MAX
-
-Plain = Mapping[str, Any]
-"""A struct of C: its fields by name."""
 
 
 class Mode(enum.IntEnum):
@@ -118,15 +114,10 @@ class DriveReport:
 
 
 @dataclass(frozen=True, slots=True)
-class LineReport:
-    running: bool
-    error: int
+class LineReport(LineLife):
     shut_down: bool
-    policy: int
-    scheduler_errno: int
     exchanges: int
     noise_bytes: int
-    page_faults: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
     drives: tuple[DriveReport, ...]
@@ -161,19 +152,19 @@ class RtThread:
         """Wishes of an earlier thread are forgotten. Returns the table as C has it; the descriptors
         stay the caller's: he closes them after `stop`. Raises HalError."""
         raw = ffi.new(f"{self._kind}_table *", table)
-        wanted = {**config, "exchange": self._exchange.handle}
+        place = config_of(config, self._exchange)
         ffi.memmove(
             self._control, bytes(ffi.sizeof(self._control[0])), ffi.sizeof(self._control[0])
         )
-        code = self._call("start", ffi.new(f"{self._kind}_config *", wanted), raw)
-        _check(code, "the line cannot be started")
+        code = self._call("start", ffi.new(f"{self._kind}_config *", place), raw)
+        check_code(code, "the line cannot be started")
         return raw
 
     def stop(self) -> None:
         """The thread has ended when this returns. Nothing happens where there is none."""
         code = self._call("stop")
         if code != -errno.ESRCH:
-            _check(code, "the line cannot be stopped")
+            check_code(code, "the line cannot be stopped")
 
     def _wish_of(self, drive: int) -> Any:
         """Where C reads what is wished of a drive."""
@@ -209,7 +200,7 @@ class RtThread:
         code = self._call(f"put_{what}", raw)
         if code == -errno.EAGAIN:
             return False
-        _check(code, f"the line takes no {what}")
+        check_code(code, f"the line takes no {what}")
         return True
 
     def _read_report(self) -> Any:
@@ -277,14 +268,10 @@ class LineThread(TimedThread):
         """As the line has it now."""
         raw = self._read_report()
         return LineReport(
-            running=raw.running != 0,
-            error=raw.error,
+            **life_of(raw),
             shut_down=raw.shut_down != 0,
-            policy=raw.policy,
-            scheduler_errno=raw.scheduler_errno,
             exchanges=raw.exchanges,
             noise_bytes=raw.noise_bytes,
-            page_faults=raw.page_faults,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
             drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
@@ -335,8 +322,3 @@ def _plain(value: Any) -> Any:
         elif isinstance(one, tuple):
             plain[f"{field.name}_count"] = len(one)
     return plain
-
-
-def _check(code: int, what: str) -> None:
-    if code < 0:
-        raise HalError(f"{what}: {os.strerror(-code)}")

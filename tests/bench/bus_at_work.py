@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord-bus beside a daemon with simulated drives: memory of both, CPU of each publisher, and what
-a reader that stops reading costs the loop.
+"""motord-bus beside a daemon with simulated drives: memory of both, and CPU of each publisher.
 
-python bus_at_work.py memory|cpu|stalled
+python bus_at_work.py memory|cpu
 """
 
 from __future__ import annotations
@@ -11,9 +10,7 @@ import contextlib
 import json
 import os
 import shutil
-import signal
 import socket
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -28,22 +25,8 @@ sys.path.insert(0, str(ROOT))
 from tests.sim.daemon_stage import ROBOT, running, wait_until  # noqa: E402  the path is made above
 
 DOMAIN = 90
-PEER = ROOT / "tests/peers/ros2_peer.py"
 SETTLE_S = 3.0
 DEFAULT_HZ, FAST_HZ = 10, 50
-READER = """
-import json, socket, sys
-from websockets.sync.client import connect
-wire = socket.socket()
-wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)  # it is full soon
-wire.connect(("127.0.0.1", int(sys.argv[1])))
-with connect("ws://localhost/", sock=wire, max_size=None, ping_interval=None) as bus:
-    for topic in ("odom", "tf", "joint_states", "motor_status"):
-        bus.send(json.dumps({"op": "subscribe", "topic": f"/{topic}"}))
-    print("ready", flush=True)
-    for _ in bus:
-        pass
-"""
 
 
 def free_port() -> int:
@@ -68,10 +51,11 @@ def cpu_s(pid: int) -> float:
 
 
 @contextlib.contextmanager
-def stage(*settings: str, options: tuple[str, ...] = ()) -> Iterator[Any]:
+def stage(*settings: str, **more: Any) -> Iterator[Any]:
+    """`more`: as of `running`."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        running(Path(folder), *settings, options=options) as made,
+        running(Path(folder), *settings, **more) as made,
     ):
         made.wait_for("idle")
         yield made
@@ -162,72 +146,6 @@ def cpu(seconds: float) -> dict[str, dict[str, float]]:
     return found
 
 
-# ---------------------------------------------------------------------------------- a stuck reader
-@contextlib.contextmanager
-def reader(*command: str) -> Iterator[subprocess.Popen[str]]:
-    """Once it reads."""
-    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline(), "the reader ended"
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-def one_run(stopped: bool, seconds: float) -> dict[str, float]:
-    """A daemon's life with a reader of DDS and one of rosbridge, which read or are stopped."""
-    port = free_port()
-    settings = (*ros2(FAST_HZ), "publish.w.kind=rosbridge", f"publish.w.port={port}",
-                f"publish.w.rate_hz={6 * FAST_HZ}")  # fmt: skip
-    with stage(*settings) as made, contextlib.ExitStack() as readers:
-        bus_pid(made)
-        processes = [
-            readers.enter_context(reader(str(PEER), str(DOMAIN), "topic", "rt/odom", "Odometry")),
-            readers.enter_context(reader("-c", READER, str(port))),
-        ]
-        if stopped:
-            for process in processes:
-                process.send_signal(signal.SIGSTOP)
-        else:  # whoever prints is read
-            readers.callback(_drain(processes[0]))
-        before = made.robot.status()
-        time.sleep(seconds)
-        after = made.robot.status()
-        counts = [sum(p[key] for p in after["bus"]["publishers"].values()) for key in COUNTED]
-        return {
-            "p50_us": after["loop"]["lateness_us"]["p50"],
-            "p99_us": after["loop"]["lateness_us"]["p99"],
-            "overruns": after["loop"]["overruns"] - before["loop"]["overruns"],
-            "restarts": after["bus"]["restarts"],
-            **dict(zip(COUNTED, counts, strict=True)),
-        }
-
-
-COUNTED = ("taken", "dropped")
-
-
-def _drain(process: subprocess.Popen[str]) -> Any:
-    assert process.stdout is not None
-    sink = subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
-    return sink.kill
-
-
-def stalled(rounds: int, seconds: float) -> dict[str, dict[str, float]]:
-    """Medians of the rounds, reading and stopped in turns."""
-    rows: dict[bool, list[dict[str, float]]] = {False: [], True: []}
-    for _ in range(rounds):
-        for stopped, found in rows.items():
-            found.append(one_run(stopped, seconds))
-    return {
-        name: {
-            key: statistics.median(row[key] for row in rows[stopped]) for key in rows[stopped][0]
-        }
-        for name, stopped in (("reading", False), ("stopped", True))
-    }
-
-
 if __name__ == "__main__":
-    part = {"memory": memory, "cpu": lambda: cpu(5.0), "stalled": lambda: stalled(3, 6.0)}
+    part = {"memory": memory, "cpu": lambda: cpu(5.0)}
     print(json.dumps(part[sys.argv[1]](), indent=1))

@@ -19,11 +19,9 @@ from motord.bus import json_direct
 from motord.bus.messages import Body
 from motord.bus.ros2 import direct
 from motord.bus.topics import TOPICS, View, wall_offset_ns
-from motord.snapshot import JointSnapshot, Snapshot
+from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 
 BODY = Body(robot="bench", joints=("left", "right"))
-FAST = ("odom", "tf", "joint_states", "motor_status")
-"""Topics that come at the section's rate; the others at 1 Hz."""
 CALLS = 2000
 
 
@@ -32,6 +30,15 @@ def joint(turned_rad: float) -> JointSnapshot:
         position_rad=turned_rad, velocity_rad_s=4.0 / 3.0, setpoint_rad_s=1.3, duty=math.nan,
         current_a=0.77, voltage_v=24.1, temperature_c=math.nan, feedback_age_s=0.0041,
         drive_faults=0, enabled=True, stale=False, jumps=0,
+    )  # fmt: skip
+
+
+def imu() -> ImuSnapshot:
+    return ImuSnapshot(
+        stamp_ns=90_122_987_654, angular_rad_s=(0.01 / 3, -0.02 / 3, 0.0913),
+        acceleration_m_s2=(0.1 / 3, 0.2 / 3, 9.81), bias_rad_s=1e-3 / 3,
+        bias_variance_rad2_s2=1e-7 / 3, rate_variance_rad2_s2=1e-5 / 3, state="used",
+        heading_by_gyro=True, still=False, refused=0,
     )  # fmt: skip
 
 
@@ -46,11 +53,16 @@ def moving() -> View:
         heading_rad=0.7, distance_m=12.34, turned_rad=2.2, linear_m_s=0.3331, angular_rad_s=0.0913,
         pose_covariance=(0.1 / 3, 0.2 / 3, 0.3 / 7, 0.4 / 3, 0.5 / 7, 0.6 / 7),
         twist_covariance=(1e-4 / 3, 1e-5 / 3, 1e-4 / 7), joints=(joint(12.3456), joint(-3.21)),
+        imu=imu(),
     )  # fmt: skip
     late = dict.fromkeys(("p50", "p99", "p99_9", "max"), 12.5)
     loop = {"rate_hz": 1000.0, "policy": "SCHED_FIFO", "ticks": 1, "overruns": 0, "page_faults": 0,
             "lateness_us": late, "step_ns": late}  # fmt: skip
-    return View(snapshot=snapshot, status={"loop": loop, "leases": ()}, status_ns=1)
+    battery = {"state": "normal", "voltage_v": 24.31, "current_a": -1.27, "temperature_c": None,
+               "age_s": 0.4, "cells": 7, "capacity_ah": 10.0}  # fmt: skip
+    leases = ({"number": 1, "owner": "fleet", "priority": 70},)
+    status = {"loop": loop, "leases": leases, "battery": battery}
+    return View(snapshot=snapshot, status=status, status_ns=1)
 
 
 def cyclone(topic: str) -> Callable[[], Any]:

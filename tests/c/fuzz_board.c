@@ -3,22 +3,12 @@
  * said only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
  * the end comes. */
 #include "board_wire.h"
+#include "tape.h"
 
 #define FUZZ_NAME "fuzz_board"
 enum { FUZZ_MAX = 256 };
 
-static const uint8_t *tape;
-static size_t tape_left;
 static uint32_t mode_before;
-
-static uint8_t next_byte(void)
-{
-    if (tape_left == 0) {
-        return 0;
-    }
-    tape_left--;
-    return *tape++;
-}
 
 static bool may_move(void)
 {
@@ -107,9 +97,7 @@ static void look(void)
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns);
     uint32_t mode = w.machine.mode;
-    uint32_t wished = w.machine.control.wish.mode;
-    CHECK(mode == mode_before || mode != DRIVE_ARMED || wished == DRIVE_ARMED);
-    CHECK(mode == mode_before || mode != DRIVE_READY || mode_before == DRIVE_ARMED || wished == DRIVE_READY);
+    judge_mode(mode_before, mode, &w.machine.control.wish);
     mode_before = mode;
     CHECK(w.machine.said_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
 }
@@ -156,8 +144,7 @@ static void begin_armed(void)
 
 static void once(const uint8_t *data, size_t size)
 {
-    tape = data;
-    tape_left = size;
+    put_tape(data, size);
     board_table table = next_byte() % 2 == 0 ? frames_table() : text();
     table.imu = (board_imu){.used = next_byte() % 2, .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
     begin_with(table);

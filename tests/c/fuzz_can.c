@@ -4,27 +4,17 @@
  * once or with the first look at which the bus takes it, a job that was overtaken by a stop is not sent, and the end
  * comes. */
 #include "can_wire.h"
+#include "tape.h"
 
 #define FUZZ_NAME "fuzz_can"
 enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
 
 static const float SAID_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
 
-static const uint8_t *tape;
-static size_t tape_left;
 static uint32_t modes[DRIVES];
 static int16_t told[DRIVES];    /* the newest speed that each has been told */
 static uint8_t taking;          /* the bus: 0 takes all, 1 nothing, else every so many */
 static uint32_t offered, refused;
-
-static uint8_t next_byte(void)
-{
-    if (tape_left == 0) {
-        return 0;
-    }
-    tape_left--;
-    return *tape++;
-}
 
 static bool may_move(uint32_t drive)
 {
@@ -200,12 +190,7 @@ static void judge_modes(void)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
         uint32_t now = w.machine.drive[i].mode;
-        const drive_wish *asked = &w.machine.control.drive[i];
-        if (now != modes[i]) {
-            CHECK(now != DRIVE_ARMED || (modes[i] == DRIVE_READY && asked->mode == DRIVE_ARMED));
-            CHECK(now != DRIVE_READY || modes[i] == DRIVE_ARMED || asked->mode == DRIVE_READY);
-            CHECK(now != DRIVE_BACK || modes[i] == DRIVE_QUIET);
-        }
+        judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;
         bool its_own = velocity == (double)(SAID_RAD_S + (float)i) || velocity == (double)GREAT_RAD_S || velocity == 0.0;
@@ -226,13 +211,13 @@ static void judge_stops(bool cycled)
 
 static void look(void)
 {
-    uint64_t cycles = w.machine.cycles;
+    uint64_t cycles = w.machine.cycle.count;
     offered = refused = 0;
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
     judge_modes();
     if (refused == 0 && w.machine.shut < 3) {   /* at the end, a bus that takes nothing has had its time */
-        judge_stops(w.machine.cycles != cycles);
+        judge_stops(w.machine.cycle.count != cycles);
     }
 }
 
@@ -264,8 +249,7 @@ static void get_going(uint8_t how_far)
 
 static void once(const uint8_t *data, size_t size)
 {
-    tape = data;
-    tape_left = size;
+    put_tape(data, size);
     begin();
     get_going(next_byte());
     while (tape_left > 4) {

@@ -5,24 +5,14 @@
 #include <math.h>
 
 #include "line_wire.h"
+#include "tape.h"
 
 #define FUZZ_NAME "fuzz_line"
 enum { FUZZ_MAX = 192, UNITS = 3 };
 
-static const uint8_t *tape;
-static size_t tape_left;
 static int64_t silent_ns;       /* since when nothing was on the wire */
 static uint32_t modes[UNITS];
 static uint8_t late[8], late_bytes;
-
-static uint8_t next_byte(void)
-{
-    if (tape_left == 0) {
-        return 0;
-    }
-    tape_left--;
-    return *tape++;
-}
 
 static void set_points(uint8_t choice)
 {
@@ -135,13 +125,7 @@ static void judge_modes(void)
 {
     for (uint32_t i = 0; i < UNITS; i++) {
         uint32_t now = w.machine.drive[i].mode;
-        const drive_wish *asked = &w.machine.control.drive[i];
-        if (now != modes[i]) {
-            CHECK(now != DRIVE_ARMED || (modes[i] == DRIVE_READY && asked->mode == DRIVE_ARMED));
-            /* from OFF or BACK by its wish alone; both wishes may have come since the last look */
-            CHECK(now != DRIVE_READY || modes[i] == DRIVE_ARMED || asked->mode == DRIVE_READY);
-            CHECK(now != DRIVE_BACK || modes[i] == DRIVE_QUIET);
-        }
+        judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;
         CHECK(isnan(velocity) || fabs(velocity - 0.01 * (101.0 + i)) < 1e-9);
@@ -182,8 +166,7 @@ static void pass_time(uint8_t choice)
 
 static void once(const uint8_t *data, size_t size)
 {
-    tape = data;
-    tape_left = size;
+    put_tape(data, size);
     begin_with(UNITS, next_byte() % 2 == 0 ? 0 : 2);
     silent_ns = w.now_ns;
     late_bytes = 0;

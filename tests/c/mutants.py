@@ -32,10 +32,14 @@ WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 RUN_WITHIN_S = 60.0
 _LINE = ["test_line_stops", "test_line_rates", "test_line_packets", "fuzz_line 2000"]
 _BOARD = ["test_board", "test_board_words", "fuzz_board 3000"]
+_CAN = ["test_can", "test_can_stops", "fuzz_can 2000"]
 TESTS = {
     "rtu.c": ["test_rtu"],
     "arbiter.c": ["test_command"],
     "joints.c": ["test_command"],
+    "gyro.c": ["test_gyro"],
+    "encoder.c": ["test_encoder"],
+    **dict.fromkeys(["can_machine.c", "can_drive.c", "can_values.c", "can_table.c"], _CAN),
     **dict.fromkeys(
         ["line_machine.c", "line_drive.c", "line_quiet.c", "line_end.c", "line_values.c"], _LINE
     ),

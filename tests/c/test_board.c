@@ -20,7 +20,7 @@ static void the_newest_set_points_are_in_the_frame_that_leaves(void)
     begin();
     arm_and_turn();
     for (int32_t i = 1; i < 20; i++) {
-        w.now_ns = w.machine.due_ns;
+        w.now_ns = w.machine.cycle.due_ns;
         w.velocity_rad_s = 0.5 * i;
         step();
         CHECK(told(TARGET, 4, 1) == 500 * i && told(TARGET + 6, 4, 1) == -500 * i);
@@ -48,7 +48,7 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
 {
     begin();
     arm_and_turn();
-    w.now_ns = w.machine.due_ns;
+    w.now_ns = w.machine.cycle.due_ns;
     step();
     w.velocity_rad_s = 0.0;
     w.now_ns += MS;
@@ -152,7 +152,7 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
 {
     begin();
     arm_and_turn();
-    w.now_ns = w.machine.due_ns;
+    w.now_ns = w.machine.cycle.due_ns;
     step();
     w.enabled = 0;
     w.now_ns += MS;
@@ -219,7 +219,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     arm();
     w.velocity_rad_s = 0.0;
     go_on(15 * MS);
-    w.now_ns = w.machine.due_ns;
+    w.now_ns = w.machine.cycle.due_ns;
     step();
     w.now_ns += MS;
     wish(DRIVE_STAND_DOWN);   /* no cycle is due, and nothing is said to turn */
@@ -388,7 +388,7 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     begin_with(table);
     arm();
     go_on(210 * MS);
-    w.now_ns = w.machine.due_ns;
+    w.now_ns = w.machine.cycle.due_ns;
     step();   /* the next cycle is 100 ms away */
     int64_t last_ns = w.machine.newest.stamp_ns;
     w.enabled = 2;

@@ -1,8 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Every line of bridge.c, and the thread of output_pwm.c on plain files. */
 #include <errno.h>
+#include <linux/gpio.h>
 #include <math.h>
+#include <stdarg.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <time.h>
 #include <unistd.h>
@@ -14,6 +17,26 @@ static const int64_t MS = 1000000, START_NS = 5000000000;
 static const uint64_t PERIOD_NS = 50000;
 
 static _Alignas(64) uint8_t exchange_memory[16384];
+
+static const uint64_t WAY_BIT = 1u << 3;
+static _Atomic uint64_t bits_set_to;
+static _Atomic bool was_turned;      /* some request has had WAY_BIT low: backward */
+
+/* In the C library's place: GPIO lines that remember. */
+int ioctl(int fd, unsigned long request, ...)
+{
+    va_list rest;
+    va_start(rest, request);
+    const struct gpio_v2_line_values *values = va_arg(rest, const struct gpio_v2_line_values *);
+    va_end(rest);
+    if (fd != 99 || request != GPIO_V2_LINE_SET_VALUES_IOCTL) {
+        errno = ENOTTY;
+        return -1;
+    }
+    bits_set_to = values->bits;
+    was_turned = was_turned || (values->bits & WAY_BIT) == 0;
+    return 0;
+}
 
 /* One pin with the duty, one that is active low and says backward. */
 static bridge_config config_of(int fd)
@@ -196,6 +219,37 @@ static void the_thread_ends_with_the_errno_and_the_pin(void)
     CHECK(pwm_line_stop(2) == 0 && close(ends[0]) == 0 && close(ends[1]) == 0);
 }
 
+static bool ends(uint32_t line, double duty, bridge_report *report)
+{
+    for (int i = 0; i < 10000 && report->running != 0; i++) {
+        setpoints newest = duty_of(duty, 1, clock_now_ns());
+        exchange_put_setpoints((exchange *)exchange_memory, line, &newest);
+        (void)nanosleep(&(struct timespec){.tv_nsec = MS}, NULL);
+        CHECK(pwm_line_read_report(line, report) == 0);
+    }
+    return report->running == 0;
+}
+
+static void a_motor_whose_duty_cannot_be_taken_back_is_not_turned(void)
+{
+    int fd = memfd_create("duty_cycle", MFD_CLOEXEC), pipe_ends[2];
+    CHECK(pipe(pipe_ends) == 0);
+    bridge_config config = config_of(fd);
+    bridge_report report = {.running = 1};
+    exchange_init((exchange *)exchange_memory);
+    was_turned = false;
+    CHECK(pwm_line_start(1, &config) == 0);
+    CHECK(comes_true(fd, 0, true));
+    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
+    CHECK(comes_true(fd, 25000, true) && bits_set_to == WAY_BIT);
+    CHECK(dup2(pipe_ends[1], fd) == fd);   /* from now on its writes fail, with ESPIPE */
+    CHECK(ends(1, -0.5, &report));
+    CHECK(report.error == ESPIPE && report.error_output == 0);
+    CHECK(!was_turned && bits_set_to == WAY_BIT);
+    CHECK(pwm_line_stop(1) == 0);
+    CHECK(close(fd) == 0 && close(pipe_ends[0]) == 0 && close(pipe_ends[1]) == 0);
+}
+
 int main(void)
 {
     only_armed_enabled_and_fresh_set_points_move();
@@ -205,5 +259,6 @@ int main(void)
     a_config_that_cannot_be_is_refused();
     the_thread_writes_the_files_and_ends_at_rest();
     the_thread_ends_with_the_errno_and_the_pin();
+    a_motor_whose_duty_cannot_be_taken_back_is_not_turned();
     return checks_report("bridge");
 }

@@ -6,6 +6,7 @@
 #include <pthread.h>
 #include <sched.h>
 #include <string.h>
+#include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
@@ -219,7 +220,9 @@ static void the_loop_runs_between_asyncio_and_a_line(void)
     core_config core = base();
     loop_config loop = {.rate_hz = 1000, .notify_every_ticks = 10, .page_fd = memfd_create("page", 0),
                         .journal_fd = memfd_create("journal", 0), .event_fd = eventfd(0, EFD_NONBLOCK),
-                        .command_fd = {door[1], -1, -1}};
+                        .command_fd = epoll_create1(0)};
+    struct epoll_event listened = {.events = EPOLLIN, .data.fd = door[1]};
+    CHECK(epoll_ctl(loop.command_fd, EPOLL_CTL_ADD, door[1], &listened) == 0);
     void *shared_page;
     CHECK(loop.page_fd >= 0 && loop.event_fd >= 0 && ftruncate(loop.page_fd, PAGE_BYTES) == 0);
     shared_page = mmap(NULL, PAGE_BYTES, PROT_READ, MAP_SHARED, loop.page_fd, 0);

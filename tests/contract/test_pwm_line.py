@@ -4,7 +4,11 @@ makes of it is in tests/vm/guest/test_gpio_pwm.py."""
 
 import asyncio
 import contextlib
+import fcntl
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from loop_side import GENEROUS_S, running, until
@@ -23,6 +27,7 @@ from motord_hal.ports import (
 from motord_hal.rt import Exchange
 
 PERIOD_NS = 50_000
+COMM = Path("/proc/self/comm").read_text().strip()
 
 
 class Chip:
@@ -180,6 +185,52 @@ async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
     assert await halt_line(spec) == []
     assert chip.duties() == REST
     assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
+
+
+async def test_a_channel_that_somebody_drives_is_left_alone_and_its_owner_named(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        problems = await halt_line(spec_of(chip))
+        assert chip.duties()[0] == 25_000
+        assert [chip.read(number, "enable") for number in range(4)] == [1] * 4
+    assert len(problems) == 4
+    assert problems[0] == (
+        f"joint left, pin rpwm: PWM channel 0 of {chip.folder} (device): "
+        f"{COMM} (pid {os.getpid()}) drives it: end that first"
+    )
+    assert await halt_line(spec_of(chip)) == []
+
+
+def test_a_channel_whose_owner_was_killed_can_be_had(chip):
+    duty = chip.folder / "pwm0/duty_cycle"
+    hold = "import fcntl, sys; f = open(sys.argv[1], 'r+'); fcntl.flock(f, fcntl.LOCK_EX); "
+    hold += "f.write('30000\\n'); f.flush(); "
+    hold += "print('driven', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(duty)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline() == b"driven\n"
+        (problem,) = asyncio.run(halt_line(spec_of(chip)))
+        assert f"(pid {owner.pid}) drives it" in problem
+        assert chip.duties()[1:] == REST[1:]
+        assert chip.duties()[0] == 30_000
+        owner.kill()
+    assert asyncio.run(halt_line(spec_of(chip))) == []
+    assert chip.duties() == REST
+
+
+async def test_a_line_whose_channel_is_taken_says_so_and_waits(chip):
+    with (chip.folder / "pwm2/duty_cycle").open("r+") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        async with running(spec_of(chip)) as rig:
+            await until(lambda: EventKind.LINE_LOST in rig.kinds())
+            assert "joint right, pin rpwm: PWM channel 2" in rig.events[0].text
+            assert "drives it: end that first" in rig.events[0].text
+            fcntl.flock(other, fcntl.LOCK_UN)
+            await until(lambda: rig.line.state is LineState.READY)
 
 
 async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):

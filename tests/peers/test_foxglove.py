@@ -12,13 +12,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
+from tests.peers.foxglove_wire import MESSAGE_DATA, wired
 from tests.peers.mosquitto import free_port
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
-from websockets.asyncio.client import connect
 
 from motord.bus.topics import TOPICS
 
-MESSAGE_DATA = 1
 MODULES = ROOT / "build/node/node_modules"
 OWN_CLIENT = MODULES / "@foxglove/ws-protocol"
 
@@ -37,42 +36,14 @@ def stage(tmp_path_factory, port):
         yield stage
 
 
-async def connected(port):
-    """Again until it listens."""
-    while True:
-        try:
-            return await connect(
-                f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=1 << 22
-            )
-        except OSError:
-            await asyncio.sleep(0.05)
-
-
-async def advertised(client, count):
-    channels = {}
-    while len(channels) < count:
-        raw = await client.recv()
-        if isinstance(raw, str) and (said := json.loads(raw))["op"] == "advertise":
-            channels |= {channel["topic"]: channel for channel in said["channels"]}
-    return channels
-
-
 async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_says(stage, port):
     typestore = get_typestore(Stores.ROS2_JAZZY)
-    async with asyncio.timeout(DEADLINE_S):
-        client = await connected(port)
-        try:
-            channels = await advertised(client, 7)
-            odom = channels["/odom"]
-            assert (odom["encoding"], odom["schemaEncoding"]) == ("cdr", "ros2msg")
-            assert odom["schemaName"] == "nav_msgs/msg/Odometry"
-            wish = {"op": "subscribe", "subscriptions": [{"id": 5, "channelId": odom["id"]}]}
-            await client.send(json.dumps(wish))
-            raw = await client.recv()
-            while isinstance(raw, str) or raw[0] != MESSAGE_DATA:
-                raw = await client.recv()
-        finally:
-            await client.close()
+    async with asyncio.timeout(DEADLINE_S), wired(port) as client:
+        odom = (await client.advertised(7))["/odom"]
+        assert (odom["encoding"], odom["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert odom["schemaName"] == "nav_msgs/msg/Odometry"
+        await client.send("subscribe", subscriptions=[{"id": 5, "channelId": odom["id"]}])
+        raw = await client.said(MESSAGE_DATA)
     number, log_ns = struct.unpack_from("<IQ", raw, 1)
     message = typestore.deserialize_cdr(raw[13:], "nav_msgs/msg/Odometry")
     assert (number, message.child_frame_id) == (5, "base_link")
@@ -81,15 +52,8 @@ async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_says(sta
 
 
 async def test_nothing_can_be_commanded(stage, port):
-    async with asyncio.timeout(DEADLINE_S):
-        client = await connected(port)
-        try:
-            while True:
-                raw = await client.recv()
-                if isinstance(raw, str) and (info := json.loads(raw))["op"] == "serverInfo":
-                    break
-        finally:
-            await client.close()
+    async with asyncio.timeout(DEADLINE_S), wired(port) as client:
+        info = await client.said("serverInfo")
     assert not {"clientPublish", "services", "parameters"} & set(info["capabilities"])
 
 
@@ -118,19 +82,12 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
 
 
 async def test_whoever_begins_to_read_is_told_what_the_robot_looks_like(stage, port):
-    wish = {"id": 9, "channelId": None}
     for _ in range(2):  # the second who comes, too
-        async with asyncio.timeout(DEADLINE_S):
-            client = await connected(port)
-            try:
-                channels = await advertised(client, len(TOPICS) + 1)
-                wish["channelId"] = channels["/robot_description"]["id"]
-                await client.send(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
-                raw = await client.recv()
-                while isinstance(raw, str) or raw[0] != MESSAGE_DATA:
-                    raw = await client.recv()
-            finally:
-                await client.close()
+        async with asyncio.timeout(DEADLINE_S), wired(port) as client:
+            channels = await client.advertised(len(TOPICS) + 1)
+            wish = {"id": 9, "channelId": channels["/robot_description"]["id"]}
+            await client.send("subscribe", subscriptions=[wish])
+            raw = await client.said(MESSAGE_DATA)
         typestore = get_typestore(Stores.ROS2_JAZZY)
         text = typestore.deserialize_cdr(raw[13:], "std_msgs/msg/String")
         joints = ET.fromstring(text.data).findall("joint[@type='continuous']")

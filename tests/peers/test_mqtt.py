@@ -13,6 +13,7 @@ import time
 import cbor2
 import pytest
 from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import running, wait_until
 
 from motord.bus.topics import TOPICS
@@ -20,14 +21,6 @@ from motord.bus.topics import TOPICS
 pytestmark = needs_mosquitto
 LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
-TOKEN = "a token of sixteen and more"
-
-
-def token_file(folder):
-    path = folder / "token"
-    path.write_text(TOKEN + "\n", encoding="utf-8")
-    path.chmod(0o600)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -194,6 +187,28 @@ def test_who_shows_the_token_drives_and_is_named(stage, peer):
         (lease,) = stage.robot.status()["leases"]
         assert (lease["owner"], lease["priority"]) == ("fleet", 70)
     stage.wait_for("armed")
+
+
+def test_who_shows_the_token_commands_the_wheels_by_the_joints_names(stage, peer):
+    armed(stage, peer)
+
+    def moving():
+        wheels = {"name": ["left", "right"], "velocity": [2.0, 2.0]}
+        command = {"token": TOKEN, "header": stamp()} | wheels
+        peer.pub("site/r2/joint_commands", command)
+        return stage.state() == "moving"
+
+    wait_until(moving, "the wheels turn")
+    stage.wait_for("armed")
+
+
+def test_wheels_without_the_token_are_refused(stage, peer):
+    armed(stage, peer)
+    refused = inputs(stage)["fleet"]["refused"]
+    command = {"header": stamp(), "name": ["left"], "velocity": [2.0]}
+    peer.pub("site/r2/joint_commands", command)
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > refused, "a refusal")
+    assert stage.state() == "armed"
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 from tests.peers.mosquitto import certified, free_port
+from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-TOKEN = "a-token-of-sixteen-and-more"
+from motord.client import Refused
+
 CLIENT = Path(__file__).with_name("ros_client.py")
 ROSLIBJS = ROOT / "build/node/node_modules/roslib/dist/RosLib.js"
 
@@ -30,12 +32,10 @@ def ports():
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, ports):
     folder = tmp_path_factory.mktemp("rosbridge")
-    token = folder / "token"
-    token.write_text(TOKEN, encoding="ascii")
-    token.chmod(0o600)
     settings = (
         "input.web.kind=rosbridge", f"input.web.port={ports[0]}", "input.web.stamped=false",
-        f"input.web.token_file={token}", "input.web.rate_hz=50", "input.web.lease_s=1.0",
+        f"input.web.token_file={token_file(folder)}", "input.web.rate_hz=50",
+        "input.web.lease_s=1.0",
         "safety.command_timeout_s=1.0",
         "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=1000",
     )  # fmt: skip
@@ -88,6 +88,33 @@ def test_a_program_on_it_reads_arms_drives_and_stops_the_robot(stage, ports, lib
     assert said["motor_status"]["commander_priority"] == 100
     assert said["estop"] == {"success": True, "message": "estop"}
     assert said["reset"] == {"success": True, "message": "idle"}
+
+
+async def test_wheels_are_commanded_by_the_joints_names(stage, ports):
+    wheels = {"name": ["right", "left"], "velocity": [2.0, 2.0]}
+    zero = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    message = {"op": "publish", "topic": "/joint_commands", "msg": {"header": zero, **wheels}}
+
+    def armed():
+        with contextlib.suppress(Refused):
+            stage.robot.reset()
+            stage.robot.arm()
+        return stage.state() == "armed"
+
+    wait_until(armed, "armed")
+    async with asyncio.timeout(DEADLINE_S):
+        async with connect(f"ws://127.0.0.1:{ports[0]}/?token={TOKEN}") as client:
+            while stage.state() != "moving":
+                await client.send(json.dumps(message))
+                await asyncio.sleep(0.05)
+    stage.wait_for("armed")
+    stage.robot.disarm()
+
+
+async def test_what_is_not_taken_is_answered_with_what_is(stage, ports):
+    request = {"op": "publish", "topic": "/odom", "msg": {}}
+    answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
+    assert answer["msg"] == "'odom' is not taken; there are: cmd_vel, joint_commands"
 
 
 @pytest.mark.parametrize("query", ["", "?token=", "?token=wrong-token-of-some-length"])

@@ -138,7 +138,7 @@ def test_a_page_that_cannot_be_mapped_leaves_nothing_behind():
     core, config = ffi.new("core_config *", core_config()), ffi.new("loop_config *")
     config.rate_hz, config.event_fd, config.page_fd = 100, -1, 987654
     config.journal_fd = -1
-    config.command_fd = [-1] * lib.COMMAND_SOCKETS
+    config.command_fd = -1
     before = fds()
     assert lib.loop_start(config, core) == -9
     assert fds() == before

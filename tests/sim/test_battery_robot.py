@@ -14,6 +14,11 @@ DRIVES = ("battery.source=drives", "battery.settle_s=0.0", "battery.silent_s=0.5
 FULL = (*DRIVES, "battery.low_v=3.0", "battery.critical_v=2.0")
 EMPTY = (*DRIVES, "battery.low_v=900.0", "battery.critical_v=800.0")
 STOPS = "safety.on_battery_critical=stop"
+REGISTERS = {
+    "voltage": "bus_voltage",
+    "current": "current_1",
+    "temperature": "temperature_1",
+}
 
 
 def level(stage):
@@ -44,6 +49,27 @@ def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_ar
         wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")
         stage.sim.plug()
         wait_until(lambda: level(stage) == "normal", "normal again")
+
+
+def test_what_registers_of_a_drive_say_of_the_pack_is_in_the_battery(tmp_path):
+    named = [f"battery.{key}_from=left.{name}" for key, name in REGISTERS.items()]
+    with running(tmp_path, *FULL, *named) as stage:
+
+        def measured():
+            battery = stage.robot.status()["battery"]
+            return None not in (battery["current_a"], battery["temperature_c"])
+
+        wait_until(measured, "all three")
+        battery = stage.robot.status()["battery"]
+        asked = stage.robot.params_get("drive.left.temperature_1", "drive.left.bus_voltage")
+        assert battery["temperature_c"] == pytest.approx(asked["drive.left.temperature_1"], abs=2.0)
+        assert battery["voltage_v"] == pytest.approx(asked["drive.left.bus_voltage"], abs=0.5)
+        stage.wait_for("idle")
+        set_off(stage)
+        wait_until(lambda: stage.robot.status()["battery"]["current_a"] < 0.0, "a discharge")
+        stage.sim.pull()
+        wait_until(lambda: level(stage) == "unknown", "unknown")
+        assert stage.robot.status()["battery"]["temperature_c"] is None
 
 
 def test_a_critical_battery_is_said_and_lets_the_robot_drive_unless_the_file_says_stop(tmp_path):

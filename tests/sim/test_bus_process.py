@@ -124,47 +124,6 @@ def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
     full(port)
 
 
-def test_a_process_that_hangs_is_replaced(stage, port):
-    before = living(stage)
-    os.kill(before, signal.SIGSTOP)
-    assert living(stage, but=before) != before
-    assert "was silent" in stage.said()
-    assert stage.state() == "idle"
-
-
-LEAK = """
-import asyncio
-
-class Leak:
-    def __init__(self, name, section, station):
-        self.bytes_a_second = section.options["bytes_a_second"]
-
-    async def run(self):
-        kept = []
-        while True:
-            kept.append(bytes(range(256)) * (self.bytes_a_second // 25600))
-            await asyncio.sleep(0.01)
-"""
-
-
-def test_a_leak_in_it_ends_at_its_own_limit_and_costs_the_robot_nothing(tmp_path):
-    (tmp_path / "leaking.py").write_text(LEAK, encoding="ascii")
-    info = tmp_path / "leaking-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Name: leaking\nVersion: 1.0\n", encoding="ascii")
-    points = "[motord.publishers]\nleak = leaking:Leak\n"
-    (info / "entry_points.txt").write_text(points, encoding="ascii")
-    settings = ("publish.bad.kind=other", "publish.bad.adapter=leak",
-                "publish.bad.options.bytes_a_second=512000000")  # fmt: skip
-    with running(tmp_path, *settings, environ={"PYTHONPATH": str(tmp_path)}) as stage:
-        stage.wait_for("idle")
-        ticks_before = ticks(stage)
-        wait_until(lambda: bus(stage)["restarts"] >= 1, stage.said)
-        assert "MemoryError" in stage.said()
-        assert stage.state() == "idle"
-        assert ticks(stage) > ticks_before
-
-
 def test_it_ends_with_its_daemon(tmp_path):
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={free_port()}")
     with running(tmp_path, *settings) as stage:

@@ -12,23 +12,23 @@ PATIENT_S = "5.0"
 """For every time-out: a busy machine that stalls the simulator proves nothing."""
 
 
-@pytest.fixture
-def robot(tmp_path):
-    drive = (config_dir() / "drives" / "odrive-0.6.toml").read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("name", "profile", "line"),
+    [("odrive-two", "odrive-0.6", "can0"), ("cia402-two", "cia402", "can0")],
+)
+def test_a_robot_on_two_drives_drives_its_course_and_stops_clean(tmp_path, name, profile, line):
+    drive = (config_dir() / "drives" / f"{profile}.toml").read_text(encoding="utf-8")
     drive = re.sub(r"silence_s = .*", f"silence_s = {PATIENT_S}", drive)
     (tmp_path / "patient.toml").write_text(
-        drive.replace('name = "odrive-0.6"', 'name = "patient"'), encoding="utf-8"
+        drive.replace(f'name = "{profile}"', 'name = "patient"'), encoding="utf-8"
     )
-    text = (config_dir() / "robots" / "odrive-two.toml").read_text(encoding="utf-8")
+    text = (config_dir() / "robots" / f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"(\w+_timeout_s) = .*", rf"\1 = {PATIENT_S}", text)
-    path = tmp_path / "robot.toml"
-    path.write_text(text.replace('"odrive-0.6"', '"./patient.toml"'), encoding="utf-8")
-    return path
+    robot = tmp_path / "robot.toml"
+    robot.write_text(text.replace(f'"{profile}"', '"./patient.toml"'), encoding="utf-8")
 
-
-def test_a_robot_on_two_odrives_drives_its_course_and_stops_clean(robot):
-    report = run_demo(robot, "odrive-two", 8.0, lambda text: None).to_json()
-    assert report["engine"] == {"can0": "asyncio"}
+    report = run_demo(robot, name, 8.0, lambda text: None).to_json()
+    assert report["engine"] == {line: "asyncio"}
     assert report["safety"]["final_state"] == "idle"
     assert report["safety"]["faults"] == []
     assert report["clean_exit"]

@@ -348,6 +348,21 @@ def test_the_loop_shows_its_histograms(stage):
     assert found["samples"]["lateness"] > 0
     late = found["lateness_us"]
     assert late["p50"] <= late["p99"] <= late["p99_9"] <= late["max"]
+    buckets = found["buckets"]["lateness"]
+    assert sum(samples for _, _, samples in buckets) >= found["samples"]["lateness"]
+    assert buckets[0][0] <= 1e3 * late["p50"] <= 1e3 * late["p99"] <= buckets[-1][1]
+
+
+def test_histograms_only_grow(stage):
+    def lateness():
+        return {low: n for low, _, n in stage.robot.latency()["buckets"]["lateness"]}
+
+    before = lateness()
+    later = wait_until(
+        lambda: now if sum((now := lateness()).values()) > sum(before.values()) + 100 else None,
+        "a hundred ticks",
+    )
+    assert all(later[low] >= samples for low, samples in before.items())
 
 
 def motord(stage, *words):

@@ -27,6 +27,51 @@ ODRIVE_SETS_OFF = {
 }
 """CAN Simple: velocity control, closed loop, a turn a second."""
 
+TWO_CHIPS = """
+[robot]
+name = "two-chips"
+
+[base]
+kind = "differential"
+track_m = 0.3
+wheel_radius_m = 0.05
+
+[limits]
+linear_m_s = 0.5
+linear_m_s2 = 0.5
+linear_deceleration_m_s2 = 1.0
+angular_rad_s = 1.5
+angular_rad_s2 = 3.0
+
+[line.first]
+kind = "pwm"
+pwm_chip = "{folder}/broken"
+
+[line.second]
+kind = "pwm"
+pwm_chip = "{folder}/left_running"
+
+[joint.left]
+line = "first"
+drive = "drv8871"
+unit = 1
+side = "left"
+full_duty_rad_s = 18.0
+pins = {{ in1 = "pwm0", in2 = "pwm1" }}
+
+[joint.right]
+line = "second"
+drive = "drv8871"
+unit = 1
+side = "right"
+full_duty_rad_s = 18.0
+pins = {{ in1 = "pwm0", in2 = "pwm1" }}
+
+[publish.console]
+kind = "stdout"
+rate_hz = 1
+"""
+
 
 def stop_all(*settings, robot=ROBOT):
     """Exit status, and what it says of the lines."""
@@ -144,6 +189,27 @@ def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     status, lines = stop_all(*bus_settings, robot=robot)
     assert status == 3
     assert f"unix:{path}" in lines[0]["problems"][0]
+
+
+def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_told(tmp_path):
+    """A chip whose files no kernel would write, before one whose bridge is left running."""
+    for name, period in (("broken", "no number"), ("left_running", "50000")):
+        for number in range(2):
+            channel = tmp_path / name / f"pwm{number}"
+            channel.mkdir(parents=True)
+            for file, value in (("duty_cycle", "30000"), ("enable", "1"), ("period", period)):
+                (channel / file).write_text(value)
+            (channel / "polarity").write_text("normal")
+    robot = tmp_path / "robot.toml"
+    robot.write_text(TWO_CHIPS.format(folder=tmp_path), encoding="utf-8")
+    status, (first, second) = stop_all(robot=robot)
+    assert status == 3
+    assert first["joints"] == ["left"]
+    assert "ValueError" in first["problems"][0]
+    assert second == {"line": "second", "joints": ["right"], "problems": []}
+    running = tmp_path / "left_running"
+    assert [int((running / f"pwm{n}/duty_cycle").read_text()[0]) for n in range(2)] == [0, 0]
+    assert [int((running / f"pwm{n}/enable").read_text()) for n in range(2)] == [0, 0]
 
 
 def test_a_board_that_streams_is_told_zero_and_stop_by_its_own_line(tmp_path):

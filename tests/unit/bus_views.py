@@ -6,7 +6,7 @@ import math
 
 from motord.bus.messages import Body
 from motord.bus.topics import View
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.snapshot import GYRO_STATES, ImuSnapshot, JointSnapshot, Snapshot
 
 MS = 1_000_000
 BODY = Body(robot="r2", joints=("left", "right"))
@@ -60,6 +60,48 @@ def any_joint(rng):
                  stale=rng.random() < 0.5)  # fmt: skip
 
 
+def any_imu(rng):
+    """Of a sensor that measures all, as a rule."""
+    if rng.random() < 0.1:
+        return None
+    vectors = ("angular_rad_s", "acceleration_m_s2")
+    numbers = ("bias_rad_s", "bias_variance_rad2_s2", "rate_variance_rad2_s2")
+    return dataclasses.replace(
+        imu(rng.randrange(10**9)),
+        state=rng.choice((*GYRO_STATES[1:], "used", "used", "state 9")),
+        heading_by_gyro=rng.random() < 0.5, still=rng.random() < 0.5, refused=rng.randrange(9),
+        **{name: tuple(seldom_odd(rng) for _ in range(3)) for name in vectors},
+        **{name: seldom_odd(rng) for name in numbers},
+    )  # fmt: skip
+
+
+def seldom_odd(rng):
+    return any_number(rng) if rng.random() < 0.1 else rng.gauss(0.0, 1.0)
+
+
+def any_battery(rng):
+    """As the daemon's status has it; None: it does not measure one."""
+    if rng.random() < 0.2:
+        return None
+    numbers = {
+        name: rng.choice((None, any_number(rng), rng.gauss(0.0, 1.0)))
+        for name in ("voltage_v", "current_a", "temperature_c", "capacity_ah")
+    }
+    state = rng.choice(("normal", "warning", "critical", "unknown"))
+    return {"state": state, **numbers, "cells": rng.choice((None, 1, 2, 7))}
+
+
+def any_loop(rng):
+    """As the daemon's status has it."""
+    percentiles = ("p50", "p99", "p99_9", "max")
+    return {
+        "rate_hz": any_number(rng), "policy": rng.choice(("SCHED_FIFO", "SCHED_OTHER", "")),
+        **{key: rng.getrandbits(63) for key in ("ticks", "overruns", "page_faults")},
+        "lateness_us": {name: any_number(rng) for name in percentiles},
+        "step_ns": {name: any_number(rng) for name in percentiles},
+    }  # fmt: skip
+
+
 def any_view(rng, count):
     numbers = {name: any_number(rng) for name in (
         "x_m", "y_m", "heading_rad", "linear_m_s", "angular_rad_s", "command_age_s",
@@ -67,7 +109,8 @@ def any_view(rng, count):
     lease = {"number": 1, "owner": rng.choice(("", "fleet")), "priority": rng.choice((0, 70))}
     return view(
         rng.choice((0, 7, rng.randrange(10**9))),
-        status={"leases": [lease], "loop": LOOP},
+        status={"leases": [lease], "loop": any_loop(rng), "battery": any_battery(rng)},
+        imu=any_imu(rng),
         machine_state=rng.randrange(12), owner=rng.choice((0, 1, 2)),
         armed=rng.random() < 0.5, at_rest=rng.random() < 0.5,
         faults=any_words(rng), reasons=any_words(rng),

@@ -66,6 +66,21 @@ def test_a_dip_that_is_shorter_than_settle_s_changes_nothing():
     assert measured(watch, 19.0, 8.0) == "the battery is critical: 19.00 V (was normal)"
 
 
+def test_what_registers_say_of_the_pack_is_taken_with_the_sign_of_a_discharge():
+    seen = view(1, joints=(joint(voltage_v=23.0), joint(voltage_v=25.0))).snapshot
+    readings = {"voltage_from": 24.5, "current_from": 3.0, "temperature_from": 31.0}
+    named = {"voltage_from": "left.a", "current_from": "left.b", "temperature_from": "left.c"}
+    names = BODY.joints
+    measure = of_drives(section(**named), names, seen, readings)
+    assert (measure.voltage_v, measure.current_a, measure.temperature_c) == (24.5, -3.0, 31.0)
+    assert of_drives(section(**named, inverted=True), names, seen, readings).current_a == 3.0
+    assert math.isnan(of_drives(section(**named), names, seen).voltage_v)
+    plain = of_drives(section(), names, seen)
+    assert plain.voltage_v == 23.0
+    assert math.isnan(plain.current_a)
+    assert math.isnan(plain.temperature_c)
+
+
 @pytest.mark.parametrize("nothing", [None, math.nan, math.inf, 0.0, -1.0])
 def test_without_a_measure_the_battery_is_unknown_which_is_said_once(nothing):
     watch = BatteryWatch(section(silent_s=5.0), 0)

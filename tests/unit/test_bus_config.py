@@ -117,3 +117,26 @@ def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(
     (row,) = errors(tmp_path, text)
     assert row.startswith("input.ros.trust_network: all of the domain could move the robot")
     assert not load_robot(robot_file(tmp_path, text + "trust_network = true\n")).has_bus
+
+
+def test_a_group_is_sparkplugs(tmp_path):
+    text = '[publish.fleet]\nkind = "mqtt"\ngroup = "site"\n'
+    (row,) = errors(tmp_path, text)
+    assert row == 'publish.fleet.group: is of no use without topic_scheme = "sparkplug"'
+    path = robot_file(tmp_path, text + 'topic_scheme = "sparkplug"\n')
+    assert load_robot(path).publish["fleet"].group == "site"
+
+
+@pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
+def test_a_foxglove_server_that_obeys_other_machines_needs_a_certificate(tmp_path, more, count):
+    text = '[input.view]\nkind = "foxglove"\nhost = "0.0.0.0"\ntoken_file = "token"\n' + more
+    if count:
+        (row,) = errors(tmp_path, text)
+        assert row.startswith("input.view.cert_file: commands by 0.0.0.0 would show their token")
+    else:
+        assert load_robot(robot_file(tmp_path, text)).has_bus
+
+
+def test_a_foxglove_server_that_obeys_needs_a_token(tmp_path):
+    (row,) = errors(tmp_path, '[input.view]\nkind = "foxglove"\n')
+    assert row.startswith("input.view.token_file")

@@ -138,6 +138,19 @@ def test_a_command_without_a_stamp_is_refused_unless_the_robot_file_allows_it(st
     assert unstamped._twist(message)[0] == 0.1
 
 
+def test_a_stamp_of_zero_is_none(stamped, unstamped):
+    message = {"header": {"stamp": {"sec": 0, "nanosec": 0}}, "name": [], "velocity": []}
+    with pytest.raises(NotTaken, match="stamp is zero"):
+        stamped._wheels(message)
+    assert unstamped._wheels(message) == ([0.0, 0.0], 0.0)
+
+
+@pytest.mark.parametrize("topic", ["odom", "", "cmd_vel/"])
+def test_other_topics_are_not_taken(unstamped, topic):
+    with pytest.raises(NotTaken, match="there are: cmd_vel, joint_commands"):
+        unstamped.take(topic, {})
+
+
 @given(method=JSON)
 async def test_nothing_but_the_calls_there_are_is_called(stamped, method):
     with pytest.raises(NotTaken, match="is not one of"):

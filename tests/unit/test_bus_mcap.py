@@ -12,7 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 from tests.unit.bus_views import LOOP, MS, view
 
 from motord.bus.publish.mcap import McapRecorder
@@ -152,6 +155,21 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
     assert faults[-1] == ["drive", "estop"]
 
 
+async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(tmp_path):
+    settings = {"mode": "fault", "before_s": 30.0, "after_s": 0.0, "topics": ("odom",)}
+    async with recording(tmp_path, **settings) as stage:
+        old_ms = time.monotonic_ns() // MS - 60_000
+        stage.feed.offer(view(old_ms, x_m=1.0))
+        async with asyncio.timeout(DEADLINE_S):
+            while stage.feed.taken == 0:
+                await asyncio.sleep(0.005)
+        await stage.until(lambda: stage.feed.taken > 20, x_m=2.0)
+        await stage.until(stage.files, x_m=2.0, faults=("drive",))
+        await stage.until(lambda: stage.recorder._recording is None, faults=("drive",))
+    (path,) = stage.files()
+    assert {row[3].pose.pose.position.x for row in read(path)} == {2.0}
+
+
 STATUS = {"loop": LOOP, "leases": []}
 
 
@@ -167,7 +185,7 @@ async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
             seen[channel.topic] = (schema.name, message)
     assert {topic: name for topic, (name, _) in seen.items()} == {
         f"/{topic.name}": topic.type_name for topic in TOPICS.values()
-    } | {"/robot_description": "std_msgs/msg/String"}
+    } | {"/robot_description": "std_msgs/msg/String", "/tf_static": "tf2_msgs/msg/TFMessage"}
     assert seen["/joint_states"][1].name == ["left", "right"]
     assert seen["/motor_status"][1].state == "idle"
 
@@ -186,3 +204,44 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
         ]
     assert len(found) == stage.feed.taken
     assert {message.pose.pose.position.x for message in found} == {1.25}
+
+
+def qualities(path):
+    """What rosbag2 would offer each topic with, as others read it: by topic."""
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        found = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
+    assert {len(profiles) for profiles in found.values()} == {1}
+    return {topic: profile for topic, (profile,) in found.items()}
+
+
+async def test_what_was_latched_is_latched_again_when_it_is_played(tmp_path):
+    async with recording(tmp_path, journal=False) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
+    (path,) = stage.files()
+    found = qualities(path)
+    assert {
+        topic for topic, one in found.items() if one.durability is QosDurability.TRANSIENT_LOCAL
+    } == {"/robot_description", "/tf_static"}
+    assert {one.reliability for one in found.values()} == {QosReliability.RELIABLE}
+    assert found["/tf"].depth == 100
+    assert found["/odom"].deadline == found["/odom"].lifespan == (9223372036, 854775807)
+
+
+async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
+    """By numbers, and a record that says so: Humble knows no names, Jazzy takes it for names."""
+    async with recording(tmp_path) as stage:
+        await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
+    (path,) = stage.files()
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        channels = {one.topic: one for one in reader.get_summary().channels.values()}
+        schemas = reader.get_summary().schemas
+        (record,) = [one.metadata for one in reader.iter_metadata() if one.name == "rosbag2"]
+    yaml, jazzy = YAML(typ="safe"), get_typestore(Stores.ROS2_JAZZY)
+    assert yaml.load(record["serialized_metadata"])["version"] == 8
+    for topic, profile in qualities(path).items():
+        metadata = channels[topic].metadata
+        assert yaml.load(metadata["offered_qos_profiles"]) == yaml.load(dump_qos_v8([profile]))
+        name = schemas[channels[topic].schema_id].name
+        if name in jazzy.fielddefs:
+            assert metadata["topic_type_hash"] == jazzy.hash_rihs01(name)

@@ -344,6 +344,31 @@ def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
     assert said in errors(edited(tmp_path, "demo", *edits))
 
 
+@pytest.mark.parametrize(
+    ("reading", "said"),
+    [
+        ('current_from = "lefft.current_1"', 'battery.current_from: there is no joint "lefft"'),
+        ('current_from = "left"', "battery.current_from: "),
+        (
+            'temperature_from = "left.temperatur_1"',
+            'battery.temperature_from: drive "zlac8015d" has no register "temperatur_1" to read',
+        ),
+        (
+            'current_from = "left.bus_voltage"',
+            'battery.current_from: register "bus_voltage" is in V, not in A',
+        ),
+        (
+            'joints = ["left"]\nvoltage_from = "left.bus_voltage"',
+            "battery.joints: the voltage is that of voltage_from",
+        ),
+    ],
+)
+def test_a_reading_of_the_battery_that_no_drive_has_is_named(tmp_path, reading, said):
+    section = BATTERY.replace("low_v", f"{reading}\nlow_v")
+    found = errors(edited(tmp_path, "demo", ("[line.rs485]", section)))
+    assert any(row.startswith(said) for row in found), found
+
+
 def test_a_battery_that_fits_is_taken(tmp_path):
     path = edited(tmp_path, "demo", ("[line.rs485]", BATTERY))
     assert load_robot(path).battery.low_v == 22.0
@@ -384,4 +409,4 @@ def test_the_level_that_stops_follows_from_the_wiring(tmp_path, contact, switche
 
 def test_one_line_cannot_be_both_pins_of_safety(tmp_path):
     path = with_pins(tmp_path, ESTOP + WATCHDOG.replace('"W"', '"E"'))
-    assert "safety.watchdog.gpio_line: is the emergency stop's line" in errors(path)
+    assert "safety.watchdog.gpio_line: E is taken already (safety.estop)" in errors(path)

@@ -73,8 +73,11 @@ def test_with_encoders_nothing_is_said_of_missing_counters(load):
 @pytest.mark.parametrize(
     ("edits", "words"),
     [
-        ([('a = "GPIO17"', 'a = "GPIO27"')], "a and b are the same line (GPIO27)"),
-        ([('a = "GPIO17"', 'a = "GPIO5"')], "GPIO5 is pin in1 already"),
+        (
+            [('a = "GPIO17"', 'a = "GPIO27"')],
+            "b: GPIO27 is taken already (joint left, encoder's a)",
+        ),
+        ([('a = "GPIO17"', 'a = "GPIO5"')], "a: GPIO5 is taken already (joint left, pin in1)"),
         (
             [("full_duty_rad_s = 18.0", "full_duty_rad_s = 18.0\ncounts_per_turn = 5")],
             "is that of the encoder: say it there",

@@ -2,6 +2,7 @@
 """Pins of motor bridges: what a robot file may name, how chips are found, what is said."""
 
 import asyncio
+import errno
 import os
 from pathlib import Path
 
@@ -10,14 +11,24 @@ import pytest
 from motord.config import ConfigError, load_robot
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import PortError, ProfileError
-from motord_hal.gpio.lines import Wanted, request_outputs
-from motord_hal.ports import JointSpec
-from motord_hal.pwm.pins import places_of
-from motord_hal.pwm.sysfs import find_chip, open_channel, overlay_hint
+from motord_hal.gpio.chip import Chip
+from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
+from motord_hal.pinmux import freeing_step, pwm_step
+from motord_hal.ports import JointSpec, LineSpec, PinsSpec
+from motord_hal.pwm.pins import open_pins, places_of
+from motord_hal.pwm.sysfs import _why, find_chip, open_channel
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
 LEFT = 'pins = { rpwm = "pwm0", lpwm = "pwm1", r_en = "GPIO5", l_en = "GPIO6" }'
+
+RS485 = """[line.rs485]
+kind = "modbus-rtu"
+port = "/dev/ttyAMA0"
+direction = "gpio"
+direction_gpio_chip = "pinctrl-rp1"
+direction_gpio_line = "GPIO24"
+"""
 
 
 def joint(drive, **pins):
@@ -86,19 +97,24 @@ def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
         find_chip("fe20c000.pwm", root)
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        ("Raspberry Pi 5 Model B Rev 1.0\0", "dtoverlay=pwm-2chan"),
-        ("NVIDIA Jetson Orin Nano\0", "jetson-io"),
-        ("", "device tree"),
-    ],
-)
-def test_the_step_that_gives_pins_to_pwm_is_that_of_the_machine(tmp_path, model, words):
-    path = tmp_path / "model"
-    path.write_text(model)
-    assert words in overlay_hint(path)
-    assert "device tree" in overlay_hint(tmp_path / "none")
+def test_a_chip_that_is_not_there_is_said_with_joint_pin_and_step():
+    robot_joint = joint("drv8871", in1="pwm0", in2="pwm1")
+    spec = LineSpec(
+        index=0, name="pins", kind="pwm", port="", baudrate=115200, parity="none", stop_bits=1,
+        cycle_hz=200.0, gap_s=None, engine="auto", joints=(robot_joint,), watchdog_s=0.5,
+        pins=PinsSpec(pwm_chip="no-such.pwm"),
+    )  # fmt: skip
+    with pytest.raises(PortError) as caught:
+        asyncio.run(open_pins(spec))
+    assert str(caught.value).startswith('joint left, pin in1: no PWM chip "no-such.pwm"; there: ')
+    assert str(caught.value).endswith(pwm_step("no-such.pwm", [0, 1]))
+
+
+def test_a_channel_that_the_kernel_has_is_said_with_what_frees_it(tmp_path):
+    chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
+    busy = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    assert _why(busy, chip, 0).startswith("a driver of the kernel has it (a fan, a backlight): ")
+    assert _why(busy, chip, 0).endswith(freeing_step(""))
 
 
 def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
@@ -108,6 +124,23 @@ def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
     with pytest.raises(PortError, match=r"PWM channel 5 of .*pwmchip0 \(1f00098000.pwm\)"):
         asyncio.run(open_channel(chip, 5, 50_000, 0))
     assert not os.path.lexists(chip / "pwm5")
+
+
+def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_path):
+    chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
+    no_device = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+    assert _why(no_device, chip, 5) == "the chip has 2 channels, from 0 on"
+    (chip / "npwm").unlink()
+    assert _why(no_device, chip, 5) == "the chip is gone"
+
+
+def test_a_gpio_chip_that_says_no_owner_any_more_is_named_with_its_lines(tmp_path):
+    nowhere = os.open(tmp_path, os.O_RDONLY)
+    os.close(nowhere)
+    chip = Chip(nowhere, Path("/dev/gpiochip0"), "pinctrl-rp1", 54)
+    taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    said = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
+    assert '/dev/gpiochip0 "pinctrl-rp1", lines GPIO5' in said
 
 
 def test_an_absent_gpio_chip_is_said(tmp_path):
@@ -135,11 +168,45 @@ def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
 
 
 # -------------------------------------------------------------------------------------- robot files
+def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
+    chip = 'pwm_chip = "1f00098000.pwm"'
+    other = f'[line.more]\nkind = "pwm"\n{chip}\ngpio_chip = "other"\n'
+    left, right = ROBOT.split("[joint.right]")
+    right = right.replace('line = "pins"', 'line = "more"').replace('"pwm2"', '"pwm0"')
+    path = tmp_path / "robot.toml"
+    path.write_text(f"{left}{other}[joint.right]{right}", encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    assert [problem.text for problem in caught.value.problems] == [
+        "pin rpwm: pwm0 is taken already (joint left, pin rpwm)"
+    ]
+
+
 @pytest.mark.parametrize(
     ("right", "wrong", "row"),
     [
         (LEFT, 'pins = { rpwm = "pwm0" }', "joint.left.pins: pin lpwm of bts7960 is not given"),
         ('r_en = "GPIO16"', 'r_en = "GPIO5"', "joint.right.pins: pin r_en: GPIO5 is taken already"),
+        (
+            "[publish.console]",
+            '[safety.estop]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO5"\n[publish.console]',
+            "safety.estop.gpio_line: GPIO5 is taken already (joint left, pin r_en)",
+        ),
+        (
+            "[publish.console]",
+            '[safety.watchdog]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO17"\n[publish.console]',
+            "safety.watchdog.gpio_line: GPIO17 is taken already (joint left, encoder's a)",
+        ),
+        (
+            'a = "GPIO23"',
+            'a = "GPIO6"',
+            "joint.right.encoder: a: GPIO6 is taken already (joint left, pin l_en)",
+        ),
+        (
+            "[publish.console]",
+            f"{RS485}[publish.console]",
+            "line.rs485.direction_gpio_line: GPIO24 is taken already (joint right, encoder's b)",
+        ),
         ('pwm_chip = "1f00098000.pwm"\n', "", "line.pins.pwm_chip: is missing: joint left, pin"),
         ('kind = "pwm"', 'kind = "pwm"\npwm_hz = 90000', "line.pins.pwm_hz: 90000 Hz is out of"),
         ('drive = "bts7960"', 'drive = "zlac8015d"', "joint.left.drive: drive"),

@@ -43,6 +43,12 @@ COMPARED = sorted(
 )
 
 
+def test_no_type_is_defined_twice():
+    names = [name for name, _ in types._parsed(types.COMMON + types.OWN + types.SERVICES
+                                               + types.ACTIONS + types.GRAPH)]  # fmt: skip
+    assert len(names) == len(set(names))
+
+
 @pytest.mark.parametrize("name", SEEN)
 def test_a_hash_is_the_one_that_ros_2_shows(name):
     assert type_hash(name) == f"RIHS01_{SEEN[name]}"

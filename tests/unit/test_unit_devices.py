@@ -49,12 +49,12 @@ def test_pins_encoders_and_a_sensor_are_allowed_and_sysfs_can_be_written():
     assert devices("pi4-encoders") == ["char-gpiochip", "char-i2c"]
     said = CliRunner().invoke(unit, [str(ROBOTS / "pi4-encoders.toml")]).stdout.splitlines()
     assert said[:3] == ["[Service]", "DeviceAllow=", "DeviceAllow=/dev/cpu_dma_latency rw"]
-    assert said[-1] == "ProtectKernelTunables=no"
+    assert said[-1] == "ReadWritePaths=/sys/devices"
 
 
 def test_a_robot_without_pins_keeps_sysfs_read_only():
     said = CliRunner().invoke(unit, [str(ROBOTS / "demo.toml")]).stdout
-    assert "ProtectKernelTunables" not in said
+    assert "ReadWritePaths" not in said
     assert "char-gpiochip" not in said
 
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 OR GPL-2.0-only
- * pwm-sim.c: a PWM chip of four channels that drives nothing, for the guest's kernel (6.1), which has none like it. The PWM
+ * pwm-sim.c: a PWM chip of twelve channels that drives nothing, for the guest's kernel (6.1), which has none like it. The PWM
  * core and its files in sysfs are the kernel's own. /sys/module/pwm_sim/parameters/fail: the errno with which it refuses. */
 #include <linux/module.h>
 #include <linux/platform_device.h>
@@ -19,7 +19,7 @@ static int take(struct pwm_chip *chip, struct pwm_device *channel, const struct 
 }
 
 static const struct pwm_ops operations = {.apply = take, .owner = THIS_MODULE};
-static struct pwm_chip channels = {.npwm = 4, .ops = &operations};
+static struct pwm_chip channels = {.npwm = 12, .ops = &operations};
 
 static int __init begin(void)
 {

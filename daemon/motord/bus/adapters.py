@@ -12,7 +12,7 @@ from typing import Any, Protocol
 # Tables of strings: a robot loads only the buses that it has.
 PUBLISHERS = MappingProxyType(
     {
-        "foxglove": "motord.bus.publish.foxglove:FoxgloveServer",
+        "foxglove": "motord.bus.foxglove:FoxgloveAdapter",
         "mcap": "motord.bus.publish.mcap:McapRecorder",
         "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
         "ros2": "motord.bus.ros2.publisher:Ros2Publisher",
@@ -23,6 +23,7 @@ PUBLISHERS = MappingProxyType(
 )
 INPUTS = MappingProxyType(
     {
+        "foxglove": "motord.bus.foxglove:FoxgloveAdapter",
         "joystick": "motord.bus.inputs.joystick:Joystick",
         "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
         "ros2": "motord.bus.ros2.commands:Ros2Commands",

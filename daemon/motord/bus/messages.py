@@ -154,7 +154,10 @@ def joint_state(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> JointSta
     )
 
 
-_NOT_MEASURED = (-1.0, *[0.0] * 8)
+NOT_MEASURED = (-1.0, *[0.0] * 8)
+"""As the covariance of what an Imu does not say."""
+NOT_TOLD = ("stale", "reversed")
+"""States of a sensor that nobody should believe."""
 _ERROR_UNKNOWN = (0.0,) * 9
 
 
@@ -163,11 +166,7 @@ def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
     measured has the variance UNMEASURED. None: no sensor, one that turns
     against the wheels, or its last good sample is old."""
     found = snapshot.imu
-    if (
-        found is None
-        or found.state in ("stale", "reversed")
-        or not math.isfinite(found.angular_rad_s[2])
-    ):
+    if found is None or found.state in NOT_TOLD or not math.isfinite(found.angular_rad_s[2]):
         return None
     variances = (*[math.nan] * 2, found.rate_variance_rad2_s2 + found.bias_variance_rad2_s2)
     felt = found.acceleration_m_s2
@@ -175,11 +174,11 @@ def imu(snapshot: Snapshot, body: Body, wall_offset_ns: int) -> Imu | None:
     return Imu(
         header=Header(wall_time(found.stamp_ns, wall_offset_ns), body.base_frame),
         orientation=Quaternion(),
-        orientation_covariance=_NOT_MEASURED,
+        orientation_covariance=NOT_MEASURED,
         angular_velocity=Vector3(*(_or_zero(rate) for rate in found.angular_rad_s)),
         angular_velocity_covariance=_rate_covariance(found.angular_rad_s, variances),
         linear_acceleration=Vector3(*felt) if feels else Vector3(),
-        linear_acceleration_covariance=_ERROR_UNKNOWN if feels else _NOT_MEASURED,
+        linear_acceleration_covariance=_ERROR_UNKNOWN if feels else NOT_MEASURED,
     )
 
 
@@ -230,6 +229,13 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
+def power_supply_status(current_a: float | None) -> PowerSupply:
+    """By the current into the battery."""
+    if current_a is None or current_a == 0.0 or not math.isfinite(current_a):
+        return PowerSupply.UNKNOWN
+    return PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
+
+
 def _battery_message(
     stamp: Time,
     voltage_v: float,
@@ -240,9 +246,6 @@ def _battery_message(
     cells: int = 0,
 ) -> BatteryState:
     """Cells that nobody measures one by one are NaN each, as the message's definition has it."""
-    status = PowerSupply.UNKNOWN
-    if math.isfinite(current_a) and current_a != 0.0:
-        status = PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
     return BatteryState(
         header=Header(stamp, ""),
         voltage=voltage_v,
@@ -252,7 +255,7 @@ def _battery_message(
         capacity=math.nan,
         design_capacity=capacity_ah,
         percentage=math.nan,
-        power_supply_status=status,
+        power_supply_status=power_supply_status(current_a),
         power_supply_health=PowerSupply.UNKNOWN,
         power_supply_technology=PowerSupply.UNKNOWN,
         present=True,

@@ -16,6 +16,7 @@ from motord.bus import json_form
 from motord.bus.feed import Form, Make, as_message
 from motord.bus.json_direct import encoder as json_encoder
 from motord.bus.messages import Body
+from motord.bus.mqtt_names import names_of
 from motord.bus.secret import read_secret
 from motord.bus.topics import Topic, View
 from motord.config import MqttBroker
@@ -41,7 +42,6 @@ class MqttConnection:
         that cannot be used, ImportError where the encoding's package is missing."""
         self._where = where
         robot = station.robot.robot.name
-        self.prefix = section.topic_prefix or f"motord/{robot}"
         self._section = section
         self._identifier = f"motord-{robot}-{where}"
         self._password = None
@@ -49,6 +49,7 @@ class MqttConnection:
             self._password = read_secret(station.beside_robot_file(section.password_file))
         self._tls = _tls_context(section, station) if section.tls else None
         self.encode = encoder(section.encoding)
+        self.names = names_of(section, robot, self.encode)
         self.form: Form = json_encoder if section.encoding == "json" else self._as_cbor
         self.decode = decoder(section.encoding)
 
@@ -62,13 +63,16 @@ class MqttConnection:
         return encoded
 
     async def keep(
-        self, use: Callable[[aiomqtt.Client], Awaitable[None]], will: aiomqtt.Will | None = None
+        self,
+        use: Callable[[aiomqtt.Client], Awaitable[None]],
+        will: Callable[[], aiomqtt.Will | None] = lambda: None,
     ) -> None:
-        """Until cancelled: connect, use, and again. What is wrong is said once."""
+        """Until cancelled: connect, use, and again; `will` is of one connection. What is wrong is
+        said once."""
         again_s, failing = AGAIN_MIN_S, False
         while True:
             try:
-                async with self._connected(will) as client:
+                async with self._connected(will()) as client:
                     if failing:
                         _log.info("%s: connected again", self._where)
                     again_s, failing = AGAIN_MIN_S, False

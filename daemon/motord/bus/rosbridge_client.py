@@ -14,14 +14,11 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 
 from motord.bus import json_form
-from motord.bus.inputs.desk import Desk, NotTaken, short, tag
+from motord.bus.inputs.desk import TRIGGERS, Desk, NotTaken, short, tag
 from motord.bus.topics import TOPICS
 
 CALLS_MAX = 16
 THROTTLE_MAX_MS = 3_600_000
-CMD_VEL = "cmd_vel"
-_TRIGGER = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
-"""Services of type std_srvs/srv/Trigger."""
 
 
 class RosbridgeClient:
@@ -112,11 +109,9 @@ class RosbridgeClient:
     async def _publish(self, topic: str, message: object) -> None:
         if self._desk is None:
             await self._say("error", "this server only tells: nothing can be published here")
-        elif topic != CMD_VEL:
-            await self._say("error", f"{short(topic)} is not taken; there is: /{CMD_VEL}")
         else:
             try:
-                self._desk.drive(message)
+                self._desk.take(topic, message)
             except NotTaken as error:
                 await self._say("error", str(error))
 
@@ -144,7 +139,7 @@ class RosbridgeClient:
             return {"services": list(self._services())}
         if self._desk is None:
             raise NotTaken("this server only tells: no service of it moves the robot")
-        if service not in _TRIGGER:
+        if service not in TRIGGERS:
             raise NotTaken(f"no service {short(service)}; there are: {', '.join(self._services())}")
         try:
             done = await self._desk.act(service)
@@ -155,7 +150,7 @@ class RosbridgeClient:
     def _services(self) -> Iterator[str]:
         yield from ("/rosapi/topics", "/rosapi/services")
         if self._desk is not None:
-            yield from (f"/{name}" for name in _TRIGGER)
+            yield from (f"/{name}" for name in TRIGGERS)
 
     async def _say(self, level: str, text: str, number: object = None) -> None:
         await self._send({"op": "status", "level": level, "msg": text, "id": tag(number)})

@@ -3,11 +3,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from types import MappingProxyType
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from motord.config.section import Section, number
+
+READING_UNITS = MappingProxyType(
+    {"voltage_from": "V", "current_from": "A", "temperature_from": "°C"}
+)
+"""Keys that name a register, and the SI unit that it must have."""
 
 
 class Battery(Section):
@@ -35,12 +41,31 @@ class Battery(Section):
     capacity_ah: float | None = number("what it holds when it is new", 0.01, 10000, "Ah", None)
 
 
+Reading = Annotated[str, Field(pattern=r"^[^.\s]+\.[^.\s]+$")]
+"""JOINT.REGISTER: a register of a joint's drive by its profile's name."""
+
+
 class DrivesBattery(Battery):
-    """The supply voltage that the drives measure: the lowest one of those that are heard."""
+    """The supply voltage that the drives measure: the lowest one of those that are heard; and what
+    registers of theirs, or fields of a board, say of the pack itself."""
 
     source: Literal["drives"]
     joints: tuple[str, ...] = Field(default=(), strict=False)
     """Whose drives; none: all that measure a voltage."""
+    voltage_from: Reading | None = None
+    """The register that measures the pack's voltage, instead of the lowest supply voltage."""
+    current_from: Reading | None = None
+    """The register that measures the pack's current, as left.battery_current; none: not known."""
+    temperature_from: Reading | None = None
+    """The register that measures the pack's temperature; none: not known."""
+    inverted: bool = False
+    """The register of current_from is negative while the battery is discharged."""
+
+    @property
+    def readings(self) -> dict[str, str]:
+        """By key, those that are given."""
+        given = {key: getattr(self, key) for key in READING_UNITS}
+        return {key: where for key, where in given.items() if where is not None}
 
 
 class InaBattery(Battery):

@@ -9,7 +9,8 @@ from importlib.util import find_spec
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
-    FoxglovePublish,
+    FoxgloveInput,
+    FoxgloveServer,
     JoystickInput,
     MqttBroker,
     PrometheusPublish,
@@ -35,12 +36,13 @@ _PACKAGES = {
     "rosbridge": "websockets",
     "joystick": "evdev",
 }
-AnyServer = PrometheusPublish | FoxglovePublish | RosbridgeServer
+TokenBus = MqttBroker | RosbridgeInput | FoxgloveInput
+AnyServer = PrometheusPublish | FoxgloveServer | RosbridgeServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
     for name, section in robot.input.items():
-        if not isinstance(section, MqttBroker | RosbridgeInput) or section.host in LOOPBACK:
+        if not isinstance(section, TokenBus) or section.host in LOOPBACK:
             continue
         key = "tls" if isinstance(section, MqttBroker) else "cert_file"
         if not getattr(section, key):
@@ -70,6 +72,13 @@ def _mqtt_credentials(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*path, "tls")), "is of no use without tls = true")
 
 
+def _groups_are_sparkplugs(robot: Robot) -> Iterator[Finding]:
+    for path, section in _mqtt(robot):
+        if section.group is not None and section.topic_scheme != "sparkplug":
+            text = 'is of no use without topic_scheme = "sparkplug"'
+            yield Finding(((*path, "group"), (*path, "topic_scheme")), text)
+
+
 def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
     for name, section in robot.publish.items():
         if isinstance(section, BusPublish):
@@ -97,11 +106,11 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, FoxglovePublish | RosbridgeServer):
+        if isinstance(section, FoxgloveServer | RosbridgeServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | FoxglovePublish | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | FoxgloveServer | RosbridgeServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
@@ -218,6 +227,7 @@ def _remaps_agree(robot: Robot) -> Iterator[Finding]:
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
     _mqtt_credentials,
+    _groups_are_sparkplugs,
     _rates_of_published_topics,
     _one_port_a_server,
     _certificates,

@@ -76,6 +76,9 @@ class BusInput(Section):
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
 
 
 class StampedInput(BusInput):
@@ -114,7 +117,13 @@ class MqttBroker(Section):
     password_file: str | None = None
     """File with our password, readable by the daemon's user alone."""
     topic_prefix: str | None = Field(default=None, pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$")
-    """What every topic begins with; motord/ROBOT where it is not given."""
+    """What every topic begins with; where it is not given motord/ROBOT, and spBv1.0 in Sparkplug's
+    names."""
+    topic_scheme: Literal["plain", "sparkplug"] = "plain"
+    """How topics are named: PREFIX/odom, or as Sparkplug has it PREFIX/GROUP/DDATA/ROBOT/odom with
+    births and deaths. The messages are the same."""
+    group: str | None = Field(default=None, pattern=r"^[^+#\s/]+$")
+    """Sparkplug's group; motord where it is not given."""
     encoding: Literal["json", "cbor"] = "json"
     """Of the messages."""
 
@@ -174,11 +183,23 @@ class Server(BusPublish):
     """Key of cert_file."""
 
 
-class FoxglovePublish(Server):
-    """A WebSocket to which Foxglove connects. It only tells: its protocol knows no token."""
+class FoxgloveServer(Server):
+    """A WebSocket to which Foxglove connects."""
+
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class FoxglovePublish(FoxgloveServer):
+    """A WebSocket to which Foxglove connects, and that only tells."""
 
     kind: Literal["foxglove"]
-    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class FoxgloveInput(TokenInput, FoxgloveServer):
+    """A WebSocket to which Foxglove connects: it tells whoever connects, and obeys who shows the
+    token to its service authorize, or in the command itself."""
+
+    kind: Literal["foxglove"]
 
 
 class RosbridgeServer(Server):

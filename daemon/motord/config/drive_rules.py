@@ -7,6 +7,7 @@ import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
+from motord.config.battery_rules import battery_readings
 from motord.config.can_rules import CAN_RULES
 from motord.config.finding import Finding
 from motord.config.model import Joint, Robot
@@ -278,5 +279,6 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _times,
     _budget,
     _watchdogs,
+    battery_readings,
     *CAN_RULES,
 )

@@ -18,6 +18,7 @@ from pydantic import Field, PrivateAttr
 from motord.config.battery_section import DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
+    FoxgloveInput,
     FoxglovePublish,
     JoystickInput,
     McapPublish,
@@ -293,6 +294,9 @@ class RtInput(Section):
     lease_s: float = number(
         "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
     )
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
     udp_port: int | None = number(
         "UDP port on 127.0.0.1; where it is not given, the Unix socket only", 1024, 65535, "1", None
     )
@@ -303,6 +307,7 @@ Input = (
     | RtInput
     | MqttInput
     | RosbridgeInput
+    | FoxgloveInput
     | JoystickInput
     | Ros2Input
     | ZenohInput

@@ -9,6 +9,7 @@ from motord.config.encoder_section import GpioEncoder
 from motord.config.finding import Finding
 from motord.config.line_sections import PwmLine
 from motord.config.model import Robot
+from motord.config.pin_owners import pins_have_one_owner
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
@@ -17,7 +18,6 @@ from motord_hal.pwm.pins import Place, bridge_of, places_of
 
 
 def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    taken: dict[tuple[str, str], str] = {}
     for spec in line_specs(robot, profiles):
         kind = robot.line[spec.name].kind
         for number, joint in enumerate(spec.joints):
@@ -27,24 +27,16 @@ def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                     text = f'is only for a line of kind "pwm": this one is "{kind}"'
                     yield Finding((at, ("line", spec.name, "kind")), text)
             elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
-                yield from _bridge(spec, number, joint, taken)
+                yield from _bridge(spec, number, joint)
 
 
-def _bridge(
-    spec: LineSpec, number: int, joint: JointSpec, taken: dict[tuple[str, str], str]
-) -> Iterator[Finding]:
+def _bridge(spec: LineSpec, number: int, joint: JointSpec) -> Iterator[Finding]:
     at: Path = ("joint", joint.name, "pins")
     try:
         places = places_of(number, joint)
     except ValueError as error:
         yield Finding((at, ("joint", joint.name, "drive")), str(error))
         return
-    for place in places:
-        where = (spec.name, place.gpio or f"pwm{place.channel}")
-        if where in taken:
-            text = f"pin {place.pin}: {where[1]} is taken already ({taken[where]})"
-            yield Finding((at,), text)
-        taken.setdefault(where, place.purpose)
     yield from _chips(spec, places)
     yield from _carrier(spec, joint)
 
@@ -88,13 +80,10 @@ def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Fi
     at: Path = ("joint", joint.name, "encoder")
     if not (encoder.gpio_chip or line.gpio_chip):
         yield Finding((at,), "gpio_chip is missing, here and on the line")
-    if encoder.a == encoder.b:
-        yield Finding((at,), f"a and b are the same line ({encoder.a})")
-    same_chip = encoder.gpio_chip in (None, line.gpio_chip)
-    pins = {where.removeprefix("!"): pin for pin, where in joint.pins.items()}
-    for channel in (encoder.a, encoder.b) if same_chip else ():
-        if channel in pins:
-            yield Finding((at,), f"{channel} is pin {pins[channel]} already")
 
 
-PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_pins, _encoders)
+PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
+    _pins,
+    _encoders,
+    pins_have_one_owner,
+)

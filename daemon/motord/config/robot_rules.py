@@ -69,17 +69,20 @@ def _battery(robot: Robot) -> Iterator[Finding]:
     for name in battery.joints if isinstance(battery, DrivesBattery) else ():
         if name not in robot.joint:
             yield Finding((("battery", "joints"), ("joint",)), f'there is no joint "{name}"')
+    if isinstance(battery, DrivesBattery) and battery.voltage_from and battery.joints:
+        paths = (("battery", "joints"), ("battery", "voltage_from"))
+        yield Finding(paths, "the voltage is that of voltage_from")
+    for key, where in battery.readings.items() if isinstance(battery, DrivesBattery) else ():
+        name = where.partition(".")[0]
+        if name not in robot.joint:
+            yield Finding((("battery", key), ("joint",)), f'there is no joint "{name}"')
 
 
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
-    estop, watchdog = robot.safety.estop, robot.safety.watchdog
+    estop = robot.safety.estop
     if estop is not None and estop.contact == "normally-open":
         text = "a broken wire of a normally-open contact is not noticed: nothing would stop"
         yield Finding((("safety", "estop", "contact"),), text, warning=True)
-    places = [(pin.gpio_chip, pin.gpio_line) for pin in (estop, watchdog) if pin is not None]
-    if len(places) != len(set(places)):
-        at = (("safety", "watchdog", "gpio_line"), ("safety", "estop", "gpio_line"))
-        yield Finding(at, "is the emergency stop's line")
 
 
 ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (

@@ -38,15 +38,25 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     else:
         raise DaemonRuns(f"the daemon of {name} runs ({socket}): motord estop tells it")
     specs = line_specs(robot, profiles_of(robot))
-    return tuple(await asyncio.gather(*(_halted(spec, within_s) for spec in specs)))
+    # exceptions come back as values, of whatever kind: one that nobody foresaw on one line must not
+    # leave the motors of the other lines running
+    said = await asyncio.gather(
+        *(_problems(spec, within_s) for spec in specs), return_exceptions=True
+    )
+    return tuple(_halted(spec, result) for spec, result in zip(specs, said, strict=True))
 
 
-async def _halted(spec: LineSpec, within_s: float) -> Halted:
+async def _problems(spec: LineSpec, within_s: float) -> list[str]:
     try:
         async with asyncio.timeout(within_s):
-            problems = await halt_line(spec)
+            return await halt_line(spec)
+    except HalError as error:  # before TimeoutError: NoReply is both
+        return [str(error)]
     except TimeoutError:
-        problems = [f"{spec.name}: not all was said within {within_s:g} s"]
-    except HalError as error:
-        problems = [str(error)]
-    return Halted(spec.name, tuple(joint.name for joint in spec.joints), tuple(problems))
+        return [f"{spec.name}: not all was said within {within_s:g} s"]
+
+
+def _halted(spec: LineSpec, said: list[str] | BaseException) -> Halted:
+    if isinstance(said, BaseException):
+        said = [f"{spec.name}: {type(said).__name__}: {said}"]
+    return Halted(spec.name, tuple(joint.name for joint in spec.joints), tuple(said))

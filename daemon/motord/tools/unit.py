@@ -23,7 +23,8 @@ def drop_in(robot: Robot) -> str:
     rows = ["[Service]", "DeviceAllow="]
     rows += [f"DeviceAllow={device} rw" for device in devices(robot)]
     if _writes_sysfs(robot):
-        rows += ["# it writes /sys/class/pwm or /sys/bus/counter", "ProtectKernelTunables=no"]
+        rows += ["# the files of PWM channels and counters; the rest of /sys stays read-only"]
+        rows += ["ReadWritePaths=/sys/devices"]
     return "\n".join(rows) + "\n"
 
 

@@ -22,6 +22,7 @@ from motord_hal.gpio.chip import (
     read_levels,
     why,
 )
+from motord_hal.pinmux import freeing_step, mux_owner
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,9 +138,19 @@ def _check_twice(offsets: Sequence[int], wanted: Sequence[Wanted]) -> None:
 def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error: OSError) -> str:
     if error.errno == errno.EBUSY:
         for line, offset in zip(wanted, offsets, strict=True):
-            name, owner = chip.info(offset)
+            name, owner = _name_and_owner(chip, offset)
             if owner:
                 where = f'line {offset} ("{name}") of {chip.path} "{chip.label}"'
-                return f'{line.purpose}: {where} is in use by "{owner}": end it, or free the pin'
+                way = f"end it, or free the pin: {freeing_step(owner)}"
+                return f'{line.purpose}: {where} is in use by "{owner}": {way}'
     names = ", ".join(line.line for line in wanted)
     return f'{chip.path} "{chip.label}", lines {names}: {why(error)}'
+
+
+def _name_and_owner(chip: Chip, offset: int) -> tuple[str, str]:
+    """The owner of the line, else of the pin that it is; empty where the chip does not say."""
+    try:
+        name, owner = chip.info(offset)
+    except OSError:
+        return "", ""
+    return name, owner or mux_owner(chip.label, offset)

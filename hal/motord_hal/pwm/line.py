@@ -138,6 +138,8 @@ class PwmLine(LineTask):
         """Say what changes, until the pins are gone."""
         self._backoff.reset()
         self._say_all(EventKind.DRIVE_READY, f"{', '.join(self._names)}: no power")
+        if self._pins is not None and self._pins.doubt:
+            self._say_all(EventKind.DRIVE_WARNING, f"{self.spec.name}: {self._pins.doubt}")
         while (report := self._thread.report()).running:
             self._note(report)
             await asyncio.sleep(WATCH_EVERY_S)

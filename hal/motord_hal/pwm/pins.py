@@ -15,8 +15,9 @@ from motord_hal.encoder.counter import open_counter
 from motord_hal.encoder.edges import open_edges
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
+from motord_hal.pinmux import not_muxed, pwm_step
 from motord_hal.ports import CounterEncoder, JointSpec, LineSpec
-from motord_hal.pwm.sysfs import Channel, find_chip, open_channel
+from motord_hal.pwm.sysfs import Channel, ChipAbsent, device_of, find_chip, open_channel
 from motord_hal.rt_pwm import EncoderConfig, Pin
 
 FAULT = "fault"
@@ -107,6 +108,8 @@ class OpenPins:
     channels: list[Channel] = field(default_factory=list)
     encoders: list[EncoderConfig | None] = field(default_factory=list)
     """By joint's place."""
+    doubt: str = ""
+    """Why pulses may not reach the pins, in a sentence; empty: there is no reason."""
 
     def close(self) -> None:
         """The thread has let them rest."""
@@ -190,7 +193,7 @@ def _open_outputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None
 async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
     if not places:
         return
-    chip = find_chip(spec.pins.pwm_chip)
+    chip = _find_chip(spec)
     for place in places:
         channel = await _open_channel(spec, chip, place)
         opened.channels.append(channel)
@@ -199,6 +202,22 @@ async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) 
             Pin(joint=place.joint, fd=channel.duty_fd, bit=0, inverted=place.inverted,
                 period_ns=period_ns(spec, place), levels=_levels(spec, place))
         )  # fmt: skip
+    opened.doubt = not_muxed(device_of(chip), _channels(spec))
+
+
+def _channels(spec: LineSpec) -> list[int]:
+    return [place.channel for place in _places(spec) if place.channel is not None]
+
+
+def _find_chip(spec: LineSpec) -> Path:
+    """Raises PortError with the step that gives the wanted channels their pins."""
+    try:
+        return find_chip(spec.pins.pwm_chip)
+    except ChipAbsent as error:
+        first = next(place for place in _places(spec) if place.channel is not None)
+        lines = [place.gpio for place in _places(spec)]
+        step = pwm_step(spec.pins.pwm_chip, _channels(spec), lines)
+        raise PortError(f"{first.purpose}: {error}. {step}") from error
 
 
 async def rest_pins(spec: LineSpec) -> list[str]:
@@ -208,7 +227,7 @@ async def rest_pins(spec: LineSpec) -> list[str]:
     chip: Path | None = None
     for place in [place for place in _places(spec) if place.channel is not None]:
         try:
-            chip = chip or find_chip(spec.pins.pwm_chip)
+            chip = chip or _find_chip(spec)
             (await _open_channel(spec, chip, place)).close()
         except PortError as error:
             problems.append(str(error))

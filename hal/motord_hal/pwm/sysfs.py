@@ -11,6 +11,7 @@ the write to `export` has returned.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 from dataclasses import dataclass
@@ -18,9 +19,10 @@ from pathlib import Path
 
 from motord_hal.clock import now_s
 from motord_hal.errors import PortError
+from motord_hal.pinmux import freeing_step, pwm_owner
+from motord_hal.pwm.claim import claim
 
 CLASS = Path("/sys/class/pwm")
-MODEL = Path("/proc/device-tree/model")
 WRITABLE_WITHIN_S = 2.0
 """Until udev has given the files of a new channel to their group."""
 LOOK_EVERY_S = 0.01
@@ -28,7 +30,8 @@ LOOK_EVERY_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel that is set up. The descriptor of `duty_cycle` is this object's."""
+    """A channel that is set up. The descriptor of `duty_cycle` is this object's, and keeps others
+    from the channel."""
 
     folder: Path
     duty_fd: int
@@ -37,18 +40,23 @@ class Channel:
     def close(self) -> None:
         """No pulses, then let it go. What the channel was told last is the caller's care. One that
         rests high stays enabled: disabled it would be low, and an active-low pin have power."""
-        os.close(self.duty_fd)
-        if not self.rests_low:
-            return
         try:
-            (self.folder / "enable").write_text("0")
+            if self.rests_low:
+                (self.folder / "enable").write_text("0")
         except OSError:
             return  # the chip is gone, and its pulses with it
+        finally:
+            os.close(self.duty_fd)
 
 
-def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
+class ChipAbsent(PortError):
+    """There is no such chip."""
+
+
+def find_chip(wanted: str, root: Path = CLASS) -> Path:
     """The chip whose device has `wanted` in its path (the numbers of chips change from boot to
-    boot), or pwmchipN by its number, or a folder by its whole path. Raises PortError."""
+    boot), or pwmchipN by its number, or a folder by its whole path. Raises ChipAbsent, or PortError
+    where several fit."""
     if wanted.startswith("/"):
         return Path(wanted)
     chips = {path.name: path.resolve() for path in sorted(root.glob("pwmchip*"))}
@@ -59,36 +67,27 @@ def find_chip(wanted: str, root: Path = CLASS, model: Path = MODEL) -> Path:
     if len(found) == 1:
         return chips[found[0]]
     there = ", ".join(f"{name} ({Path(device).name})" for name, device in devices.items())
-    what = f"{len(found)} PWM chips fit" if found else "no PWM chip"
-    text = f'{what} "{wanted}"; there: {there or "none"}'
-    raise PortError(text if found else f"{text}. {overlay_hint(model)}")
-
-
-def overlay_hint(model: Path = MODEL) -> str:
-    """What makes the pins of this machine carry PWM."""
-    try:
-        name = model.read_text(errors="replace").rstrip("\0")
-    except OSError:
-        name = ""
-    if "Raspberry Pi" in name:
-        overlay = "dtoverlay=pwm-2chan,pin=12,func=4,pin2=13,func2=4"
-        return f"Add {overlay} to /boot/firmware/config.txt and start again"
-    if "Jetson" in name or "NVIDIA" in name:
-        return "Give the pins to PWM with: sudo /opt/nvidia/jetson-io/jetson-io.py"
-    return "The board's device tree must give a pin to PWM"
+    if found:
+        raise PortError(f'{len(found)} PWM chips fit "{wanted}"; there: {there}')
+    raise ChipAbsent(f'no PWM chip "{wanted}"; there: {there or "none"}')
 
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:
-    """Export it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises PortError."""
+    """Export it, claim it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises
+    PortError; a channel that somebody else drives is not touched."""
     folder = chip / f"pwm{number}"
-    try:
-        _export(chip, number, folder)
-        await _until_writable(folder)
-        _set_up(folder, period_ns, rest_ns)
-        fd = os.open(folder / "duty_cycle", os.O_WRONLY | os.O_CLOEXEC)
-    except OSError as error:
-        what = f"PWM channel {number} of {chip} ({_device(chip)})"
-        raise PortError(f"{what}: {_why(error, chip)}") from error
+    with contextlib.ExitStack() as undo:
+        try:
+            _export(chip, number, folder)
+            await _until_writable(folder)
+            fd = os.open(folder / "duty_cycle", os.O_WRONLY | os.O_CLOEXEC)
+            undo.callback(os.close, fd)
+            claim(fd)
+            _set_up(folder, period_ns, rest_ns)
+        except OSError as error:
+            what = f"PWM channel {number} of {chip} ({device_of(chip)})"
+            raise PortError(f"{what}: {_why(error, chip, number)}") from error
+        undo.pop_all()
     return Channel(folder, fd, rests_low=rest_ns == 0)
 
 
@@ -123,17 +122,27 @@ def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
     (folder / "enable").write_text("1")
 
 
-def _device(chip: Path) -> str:
+def device_of(chip: Path) -> str:
+    """The name of a chip's device."""
     return Path(os.path.realpath(chip / "device")).name
 
 
-def _why(error: OSError, chip: Path) -> str:
+def _why(error: OSError, chip: Path, number: int) -> str:
     if error.errno == errno.EBUSY:
-        return "a driver of the kernel has it (a fan, a backlight): take it out of the device tree"
+        owner = pwm_owner(device_of(chip), number)
+        who = owner or "a fan, a backlight"
+        return f"a driver of the kernel has it ({who}): {freeing_step(owner)}"
     if error.errno == errno.ENODEV:
-        return f"the chip has {(chip / 'npwm').read_text().strip()} channels, from 0 on"
+        return _how_many(chip)
     if error.errno == errno.EINVAL:
         return "this chip cannot make pulses at that frequency (line's pwm_hz)"
     if error.errno in (errno.EACCES, errno.EPERM):
         return "no permission: put this user into the group gpio, or see the udev rules"
     return error.strerror or str(error)
+
+
+def _how_many(chip: Path) -> str:
+    try:
+        return f"the chip has {(chip / 'npwm').read_text().strip()} channels, from 0 on"
+    except OSError:
+        return "the chip is gone"

@@ -17,7 +17,7 @@ from motord_hal.errors import HalError, NoReply
 from motord_hal.rt_can import CanDriveReport, CanThread
 from motord_hal.rt_engine.can_table import packet, write
 from motord_hal.rt_engine.jobs import Check, always
-from motord_hal.rt_line import Plain
+from motord_hal.rt_thread import Plain
 
 ORDER_WITHIN_S = 0.5
 """So long a frame may wait while the bus takes nothing."""

@@ -4,6 +4,7 @@ when it is stopped, starved, killed, or its pins are somebody else's."""
 
 import asyncio
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
@@ -70,13 +71,18 @@ async def reaches(line, condition, what):
         raise AssertionError(f"never came true: {what}") from None
 
 
+def laid_out(drives):
+    """Of each: a PWM channel for each pin that needs one, a GPIO line for each other one."""
+    channels, lines = (f"pwm{n}" for n in itertools.count()), iter(LINES)
+    bridges = {drive: find_profile(drive).bridge for drive in drives}
+    return {
+        drive: {pin: next(channels if bridge.needs_pwm(pin) else lines) for pin in bridge.levels}
+        for drive, bridge in bridges.items()
+    }
+
+
 def places(drive, fault=False):
-    """A PWM channel for each pin that needs one, a GPIO line for each other one."""
-    bridge = find_profile(drive).bridge
-    channels = (f"pwm{n}" for n in range(4))
-    lines = iter(LINES)
-    where = {pin: next(channels if bridge.needs_pwm(pin) else lines) for pin in bridge.levels}
-    return where | ({"fault": "!PIN11"} if fault else {})
+    return laid_out([drive])[drive] | ({"fault": "!PIN11"} if fault else {})
 
 
 def spec_of(rig, drive, **changes):
@@ -91,17 +97,30 @@ def spec_of(rig, drive, **changes):
     return LineSpec(**{**values, **changes})
 
 
-def are(rig, drive, mode, duty=0.0):
+def all_bridges(rig):
+    """Every bridge that there is, a joint each, on one line."""
+    joints = tuple(
+        JointSpec(index=index, name=drive, profile=find_profile(drive), unit=index + 1, pins=where)
+        for index, (drive, where) in enumerate(laid_out(BRIDGES).items())
+    )
+    return spec_of(rig, BRIDGES[0], joints=joints)
+
+
+def are(rig, drive, mode, duty=0.0, where=None):
     """Whether all pins have the levels of a mode."""
     levels = find_profile(drive).bridge.levels
 
     def check():
         return all(
-            abs(rig.level(where) - (levels[pin][mode][0] + levels[pin][mode][1] * duty)) < NEAR
-            for pin, where in places(drive).items()
+            abs(rig.level(place) - (levels[pin][mode][0] + levels[pin][mode][1] * duty)) < NEAR
+            for pin, place in (where or places(drive)).items()
         )
 
     return check
+
+
+def levels(rig, where):
+    return {pin: rig.level(place) for pin, place in where.items()}
 
 
 @pytest.mark.parametrize("drive", BRIDGES)
@@ -251,28 +270,37 @@ from pin_rig import Pins
 from pathlib import Path
 rig = Pins(Path({lines!r}), Path({chip!r}))
 async def main():
-    async with here.running(here.spec_of(rig, "bts7960")) as line:
+    async with here.running(here.all_bridges(rig)) as line:
         await here.armed(line)
-        line.loop.enabled, line.loop.duty = True, {{0: 0.5}}
-        await here.reaches(line, here.are(rig, "bts7960", "forward", 0.5), "forward")
+        line.loop.enabled, line.loop.duty = True, {{n: 0.5 for n in range(len(here.BRIDGES))}}
+        for drive, where in here.laid_out(here.BRIDGES).items():
+            await here.reaches(line, here.are(rig, drive, "forward", 0.5, where), drive)
         print("turning", flush=True)
         await asyncio.sleep(600)
 asyncio.run(main())
 """
 
 
-def test_what_kill_9_leaves_behind_is_known_and_stop_all_ends_it(rig):
-    """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here, so the
-    bridge's enables go low; not every chip does that."""
+def test_what_kill_9_leaves_behind_is_known_of_every_bridge_and_stop_all_ends_it(rig, capsys):
+    """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here; not every
+    chip does that."""
     code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         assert child.stdout.readline().strip() == b"turning"
+        before = {drive: levels(rig, where) for drive, where in laid_out(BRIDGES).items()}
         child.send_signal(signal.SIGKILL)
         child.wait()
-    assert rig.level("pwm0") == pytest.approx(0.5, abs=NEAR)
-    wait_until(lambda: rig.level("PIN0") == 0.0, "the enables fall back to their pull")
+    wait_until(lambda: not any(map(rig.level, LINES)), "the lines fall back to their pull")
+    for drive, where in laid_out(BRIDGES).items():
+        after = levels(rig, where)
+        assert after == {
+            pin: 0.0 if where[pin] in LINES else level for pin, level in before[drive].items()
+        }
+        with capsys.disabled():
+            print(f"\n{drive}: kill -9:", *(f"{pin} {level:g}" for pin, level in after.items()))
 
     with contextlib.closing(asyncio.new_event_loop()) as loop:
-        assert loop.run_until_complete(halt_line(spec_of(rig, "bts7960"))) == []
-    assert are(rig, "bts7960", "coast")()
-    assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
+        assert loop.run_until_complete(halt_line(all_bridges(rig))) == []
+    for drive, where in laid_out(BRIDGES).items():
+        assert are(rig, drive, "coast", where=where)(), drive
+    assert {path.read_text().strip() for path in rig.chip.glob("pwm*/enable")} == {"0"}

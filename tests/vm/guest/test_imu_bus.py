@@ -66,6 +66,11 @@ def reading(bus, exchange):
     return ImuReader(spec, lambda: I2cDevice.open(bus, ADDRESS), exchange)
 
 
+def test_the_bus_belongs_to_the_group_of_the_daemon(bus):
+    wait_until(lambda: bus.group() == "i2c", "the package's rule for the device file")
+    assert bus.stat().st_mode & 0o777 == 0o660
+
+
 def test_samples_come_over_the_kernels_bus_in_si(bus):
     chip, exchange = Stub(bus), Exchange.private()
     reader = reading(bus, exchange)

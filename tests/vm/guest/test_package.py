@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from shell import output
+from unit import prepared
 
 PACKAGE = "/project/motord.deb"
 
@@ -20,10 +21,22 @@ def test_the_installed_program_reads_a_robot_file_of_its_own_examples():
     assert "demo" in said
 
 
-def test_the_unit_is_hardened():
-    table = output("systemd-analyze", "security", "motord@demo.service", "--no-pager")
-    score = float(table.split("exposure level for motord@demo.service:")[1].split()[0])
+def exposure(unit):
+    table = output("systemd-analyze", "security", unit, "--no-pager")
+    score = float(table.split(f"exposure level for {unit}:")[1].split()[0])
     assert score <= 2.0, table
+
+
+def test_the_unit_is_hardened():
+    exposure("motord@demo.service")
+
+
+def test_the_unit_is_hardened_also_where_its_robot_needs_most():
+    robot = "pi4-encoders"
+    drop_in = output("motord", "unit", f"/usr/share/motord/robots/{robot}.toml")
+    assert "ReadWritePaths" in drop_in
+    with prepared(robot, drop_in):
+        exposure(f"motord@{robot}.service")
 
 
 def test_the_unit_is_well_formed():

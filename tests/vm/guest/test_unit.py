@@ -87,6 +87,12 @@ def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
     unit.drive_on()
 
 
+def latched() -> str:
+    """The last fault of the journal."""
+    faults = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
+    return json.dumps(faults[-1]["MOTORD_FAULT"]) if faults else ""
+
+
 def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     unit.drive_on()
     unit.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
@@ -97,10 +103,18 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     )
     assert entries[0]["MOTORD_LINE"] == "rs485"
     assert "left" in entries[0]["MOTORD_JOINT"]
-    latched = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
-    assert "over-current" in json.dumps(latched[-1]["MOTORD_FAULT"])
+    wait_until(lambda: "over-current" in latched(), "the fault by its name", unit.said)
     unit.sim.clear_faults_script()
     granted(unit.robot.reset, "a reset", unit.said)
+
+
+def test_an_upgrade_brings_the_robot_to_rest_first_and_starts_it_again_disarmed(unit):
+    unit.drive_on()
+    pid = unit.main_pid()
+    output("dpkg", "-i", "/project/motord.deb")
+    unit.again(pid).wait_for("idle")
+    assert unit.rests_without_power()
+    assert "comes to rest" in unit.said()
 
 
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.link import Source
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
 """What may be called."""
+TRIGGERS = tuple(method for method in METHODS if method != "status")
+"""Those that are services of type std_srvs/srv/Trigger."""
+COMMANDS = ("cmd_vel", "joint_commands")
+"""Topics that are taken: Desk.take."""
 URGENT = ("estop", "stop")
 CALLS_MAX = 4
 FUTURE_S = 0.5
@@ -56,6 +60,16 @@ class Desk:
         """Raises NotTaken for who does not show the token."""
         if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
+
+    def take(self, topic: str, message: object) -> None:
+        """A message on one of COMMANDS, as `drive` or `drive_joints`. Raises NotTaken."""
+        match topic:
+            case "cmd_vel":
+                self.drive(message)
+            case "joint_commands":
+                self.drive_joints(message)
+            case other:
+                raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
     def drive(self, message: object) -> None:
         """Pass a Twist or a TwistStamped on. Raises NotTaken."""
@@ -106,10 +120,10 @@ class Desk:
 
     def _age_s(self, said_s: float | None) -> float:
         """Of what was given at that wall time. None: it did not say."""
-        if said_s is None:
-            if self._stamped:
-                raise self._no("it has no stamp (header.stamp, or stamped = false)")
+        if not self._stamped and not said_s:
             return 0.0
+        if said_s is None:
+            raise self._no("it has no stamp (header.stamp, or stamped = false)")
         if said_s == 0.0:
             raise self._no("its stamp is zero: when was it given? (or stamped = false)")
         age_s = time.time() - said_s
@@ -155,6 +169,18 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{short(value)} is no number")
     return float(value)
+
+
+def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> Mapping[str, Any]:
+    """What a stranger sent; nothing that could have a token: an empty one. `decode` raises
+    ValueError."""
+    if not isinstance(raw, bytes) or len(raw) > bytes_max:
+        return {}
+    try:
+        request = decode(raw)
+    except ValueError:
+        return {}
+    return request if isinstance(request, Mapping) else {}
 
 
 def short(value: object) -> str:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands from an MQTT broker, each with the token:
 
-    PREFIX/cmd_vel   {"token": ..., "header": {"stamp": ...}, "twist": {"linear": ..., ...}}
-    PREFIX/call      {"token": ..., "method": "arm", "id": 7}, answered on PREFIX/answer
+    cmd_vel         {"token": ..., "header": {"stamp": ...}, "twist": {"linear": ..., ...}}
+    joint_commands  {"token": ..., "header": {"stamp": ...}, "name": ["left"], "velocity": [2.5]}
+    call            {"token": ..., "method": "arm", "id": 7}, which is answered
 
-A retained message is none of now and is not obeyed; nor is what is older than the lease's lifetime.
+on topics by mqtt_names.py. A retained message is none of now and is not obeyed; nor is what is
+older than the lease's lifetime.
 """
 
 from __future__ import annotations
@@ -17,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import Desk, NotTaken, tag
+from motord.bus.inputs.desk import COMMANDS, Desk, NotTaken, request_of, tag
 from motord.bus.mqtt_connection import MqttConnection
+from motord.bus.mqtt_names import CALL
 from motord.config import MqttInput
 
 if TYPE_CHECKING:
@@ -35,9 +38,9 @@ class MqttCommands:
         """Raises as MqttConnection and Desk."""
         self._connection = MqttConnection(f"input.{name}", section, station)
         self._desk = Desk(name, section, station)
-        self._drive_topic = f"{self._connection.prefix}/cmd_vel"
-        self._call_topic = f"{self._connection.prefix}/call"
-        self._answer_topic = f"{self._connection.prefix}/answer"
+        names = self._connection.names
+        self._commands = {names.heard(topic): topic for topic in COMMANDS}
+        self._call_topic = names.heard(CALL)
         self._calls: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
@@ -47,7 +50,8 @@ class MqttCommands:
             tasks.create_task(self._connection.keep(self._use))
 
     async def _use(self, client: aiomqtt.Client) -> None:
-        await client.subscribe([(self._drive_topic, 0), (self._call_topic, 1)])
+        commands = [(topic, 0) for topic in self._commands]
+        await client.subscribe([*commands, (self._call_topic, 1)])
         async with asyncio.TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:
@@ -59,24 +63,14 @@ class MqttCommands:
     def _take(
         self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: asyncio.TaskGroup
     ) -> None:
-        request = self._request(message.payload)
+        request = request_of(self._connection.decode, message.payload, PAYLOAD_BYTES_MAX)
         self._desk.admit(request.get("token"))
-        if str(message.topic) == self._drive_topic:
-            self._desk.drive(request)
+        if (topic := self._commands.get(str(message.topic))) is not None:
+            self._desk.take(topic, request)
         elif len(self._calls) < TASKS_MAX:
             call = tasks.create_task(self._act(client, request))
             self._calls.add(call)
             call.add_done_callback(self._calls.discard)
-
-    def _request(self, payload: Any) -> Mapping[str, Any]:
-        """Nothing that could have a token: an empty one."""
-        if not isinstance(payload, bytes) or len(payload) > PAYLOAD_BYTES_MAX:
-            return {}
-        try:
-            request = self._connection.decode(payload)
-        except ValueError:
-            return {}
-        return request if isinstance(request, Mapping) else {}
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
         number, method = tag(request.get("id")), tag(request.get("method"))
@@ -85,4 +79,4 @@ class MqttCommands:
             answer["result"] = await self._desk.act(method)
         except NotTaken as error:
             answer["error"] = str(error)
-        await client.publish(self._answer_topic, self._connection.encode(answer), 1)
+        await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)

@@ -18,9 +18,13 @@ from typing import TYPE_CHECKING
 
 from motord.bus.feed import Sample
 from motord.bus.journal import TOPIC, TYPE_NAME, Journal, NoJournal
+from motord.bus.messages import wall_time
 from motord.bus.publish.mcap_files import Entry, Folder, Recording
+from motord.bus.ros2.cdr import encode
 from motord.bus.ros2.direct import encoder, stamp_ns
-from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
+from motord.bus.ros2.static_frames import STATIC, static_transforms
+from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
+from motord.bus.topics import TOPICS
 from motord.config import McapPublish
 
 if TYPE_CHECKING:
@@ -48,7 +52,11 @@ class McapRecorder:
             total_max_mb=section.total_max_mb,
             free_min_mb=section.free_min_mb,
         )
-        self._description = description(station.robot)
+        self._latched = [(DESCRIPTION, STRING, description(station.robot))]
+        if "tf" in section.topics:
+            kind = TOPICS["tf"].type_name
+            frames = static_transforms(urdf(station.robot), wall_time(time.time_ns(), 0))
+            self._latched.append((STATIC, kind, bytes(encode(kind, frames))))
         self._waiting: deque[Entry] = deque(maxlen=WAITING_MAX)
         self._recording: Recording | None = None
         self._since_s = 0.0
@@ -116,7 +124,7 @@ class McapRecorder:
                 recording.close()
             if self._recording is None:
                 self._recording = self._folder.open("all")
-                self._recording.add([self._described(batch)])
+                self._recording.add(self._described(batch))
                 self._since_s = time.monotonic()
             else:
                 self._folder.make_room(keep=self._recording.path)
@@ -160,16 +168,16 @@ class McapRecorder:
         """In the thread. Raises OSError."""
         with self._writing:
             self._recording = self._folder.open(what)
-            self._recording.add([self._described(batch), *batch])
+            self._recording.add([*self._described(batch), *batch])
             recording, self._recording = self._recording, None
             recording.close()
             return str(recording.path)
 
     # -------------------------------------------------------------------------------------- both
-    def _described(self, batch: list[Entry]) -> Entry:
+    def _described(self, batch: list[Entry]) -> list[Entry]:
         """Each file begins with what the robot looks like."""
         log_ns = batch[0].log_ns if batch else time.time_ns()
-        return Entry(DESCRIPTION, STRING, log_ns, self._description)
+        return [Entry(topic, kind, log_ns, message) for topic, kind, message in self._latched]
 
     def _taken(self) -> list[Entry]:
         batch = list(self._waiting)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
+from motord.bus.publish.rosbag2 import METADATA, RECORD, channel_metadata
 from motord.bus.ros2.types import definition
 from motord.snapshot import SNAPSHOT_VERSION
 
@@ -41,6 +42,7 @@ class Recording:
         self._file: BufferedWriter = path.open("xb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="motord")
+        self._writer.add_metadata(RECORD, METADATA)
         self._writer.add_metadata(
             "motord", {"robot": robot, "snapshot_version": str(SNAPSHOT_VERSION)}
         )
@@ -64,7 +66,7 @@ class Recording:
         if topic not in self._channels:
             number = self._writer.register_schema(name, "ros2msg", definition(name).encode())
             self._channels[topic] = self._writer.register_channel(
-                f"/{topic}", "cdr", number, {"offered_qos_profiles": ""}
+                f"/{topic}", "cdr", number, channel_metadata(topic, name)
             )
         return self._channels[topic]
 

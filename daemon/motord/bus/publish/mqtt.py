@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics on an MQTT broker. PREFIX/status says, retained, whether we are there (the broker itself
-says "offline" when we are not), PREFIX/description what there is; the rest is PREFIX/TOPIC."""
+"""Topics on an MQTT broker. What is retained says whether we are there (the broker itself says that
+we are gone) and what there is: mqtt_names.py."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from motord.snapshot import SNAPSHOT_VERSION
 if TYPE_CHECKING:
     from motord.bus.station import Station
 
-ONLINE, OFFLINE = b"online", b"offline"
-
 
 class MqttPublisher:
     def __init__(self, name: str, section: MqttPublish, station: Station) -> None:
@@ -30,23 +28,22 @@ class MqttPublisher:
 
     async def run(self) -> None:
         """As Adapter.run."""
-        await self._connection.keep(
-            self._use, will=aiomqtt.Will(self._topic("status"), OFFLINE, qos=1, retain=True)
-        )
+        await self._connection.keep(self._use, self._will)
 
-    def _topic(self, name: str) -> str:
-        return f"{self._connection.prefix}/{name}"
+    def _will(self) -> aiomqtt.Will:
+        self._death = self._connection.names.death()
+        return aiomqtt.Will(*self._death, qos=1, retain=True)
 
     async def _use(self, client: aiomqtt.Client) -> None:
-        encode = self._connection.encode
-        await client.publish(self._topic("description"), encode(self._description), 1, retain=True)
-        await client.publish(self._topic("status"), ONLINE, 1, retain=True)
+        names = self._connection.names
+        for topic, message in names.births(self._description):
+            await client.publish(topic, message, 1, retain=True)
         try:
             async for sample in self._feed:
-                await client.publish(self._topic(sample.topic.name), sample.message, self._qos)
+                await client.publish(names.data(sample.topic.name), sample.message, self._qos)
         finally:
             with contextlib.suppress(aiomqtt.MqttError):
-                await client.publish(self._topic("status"), OFFLINE, 0, retain=True)
+                await client.publish(*self._death, 0, retain=True)
 
 
 def _description(section: MqttPublish, station: Station) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.desk import METHODS, URGENT, Desk, NotTaken
+from motord.bus.inputs.desk import TRIGGERS, URGENT, Desk, NotTaken
 from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.moves import Moves
@@ -32,7 +32,6 @@ from motord.config import Ros2Input, ZenohInput
 if TYPE_CHECKING:
     from motord.bus.station import Station
 
-TRIGGERS = tuple(method for method in METHODS if method != "status")
 NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
 

@@ -1,49 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the node: the limits, which may be changed while the robot runs, and measures of
-the robot file, which may not. What may be is the daemon's decision, and so are the reasons."""
+"""Parameters of the node, as the services and the topic that every ROS 2 node has for them."""
 
 from __future__ import annotations
 
-import logging
 import math
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
+from motord.bus.inputs.desk import NotTaken
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
-from motord.client import ClientError
+from motord.bus.tunable import Call, Tunable, value_of
 from motord.config import Robot
 
 NOT_SET, DOUBLE = 0, 3
 """rcl_interfaces/msg/ParameterType."""
 DEPTH = 1000
 """rmw_qos_profile_parameters."""
-_LIMITS = "limits."
-_FIXED = ("track_m", "wheel_radius_m")
 _EMPTY: dict[str, Any] = {
     "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
     "byte_array_value": (), "bool_array_value": (), "integer_array_value": (),
     "double_array_value": (), "string_array_value": (),
 }  # fmt: skip
-Call = Callable[..., Awaitable[Any]]
-
-_log = logging.getLogger(__name__)
 
 
 class Parameters:
     def __init__(self, robot: Robot, call: Call) -> None:
         """`call` asks the daemon; it raises ClientError."""
-        self._call = call
-        self._fixed = {
-            f"base.{key}": {
-                "value": getattr(robot.base, key),
-                "unit": "m",
-                "description": "of the robot file",
-            }
-            for key in _FIXED
-        }
+        self._tunable = Tunable(robot, call)
 
     def serve(self, node: Node) -> None:
         """The services that every ROS 2 node has for it. Raises DdsError."""
@@ -61,37 +47,31 @@ class Parameters:
             "/parameter_events", "rcl_interfaces/msg/ParameterEvent", Quality(depth=DEPTH)
         )
 
-    async def _known(self) -> dict[str, dict[str, Any]]:
-        """By name; without the daemon's, when it does not answer."""
-        try:
-            listed: Mapping[str, dict[str, Any]] = await self._call("params.list")
-        except ClientError as error:
-            _log.warning("parameters: %s", error)
-            listed = {}
-        limits = {name: about for name, about in listed.items() if name.startswith(_LIMITS)}
-        return limits | self._fixed
-
     async def _list(self, request: SimpleNamespace) -> SimpleNamespace:
         names = [
-            name for name in await self._known() if _listed(name, request.prefixes, request.depth)
+            name
+            for name in await self._tunable.known()
+            if _listed(name, request.prefixes, request.depth)
         ]
         prefixes = sorted({name.rpartition(".")[0] for name in names})
         return SimpleNamespace(result=SimpleNamespace(names=names, prefixes=prefixes))
 
     async def _get(self, request: SimpleNamespace) -> SimpleNamespace:
-        known = await self._known()
+        known = await self._tunable.known()
         return SimpleNamespace(values=[_value(known.get(name)) for name in request.names])
 
     async def _types(self, request: SimpleNamespace) -> SimpleNamespace:
-        known = await self._known()
+        known = await self._tunable.known()
         types = [DOUBLE if name in known else NOT_SET for name in request.names]
         return SimpleNamespace(types=types)
 
     async def _describe(self, request: SimpleNamespace) -> SimpleNamespace:
-        known = await self._known()
+        known = await self._tunable.known()
         found = [name for name in request.names if name in known]
         return SimpleNamespace(
-            descriptors=[_descriptor(name, known[name], name in self._fixed) for name in found]
+            descriptors=[
+                _descriptor(name, known[name], name in self._tunable.fixed) for name in found
+            ]
         )
 
     async def _set(self, request: SimpleNamespace) -> SimpleNamespace:
@@ -102,31 +82,24 @@ class Parameters:
         return SimpleNamespace(result=await self._change(request.parameters))
 
     async def _change(self, parameters: Sequence[SimpleNamespace]) -> SimpleNamespace:
-        wanted: dict[str, float | None] = {}
+        wanted: dict[str, float] = {}
         for parameter in parameters:
             if (reason := self._problem(parameter)) is not None:
                 return SimpleNamespace(successful=False, reason=reason)
-            value = parameter.value.double_value
-            wanted[parameter.name] = value if math.isfinite(value) else None
+            wanted[parameter.name] = parameter.value.double_value
         try:
-            await self._call("params.set", **wanted)
-        except ClientError as error:
+            await self._tunable.change(wanted)
+        except NotTaken as error:
             return SimpleNamespace(successful=False, reason=str(error))
         self._events.publish(_event(self._node, parameters))
         return SimpleNamespace(successful=True, reason="")
 
     def _problem(self, parameter: SimpleNamespace) -> str | None:
         """What the daemon need not be asked for."""
-        name, value = parameter.name, parameter.value
-        if name in self._fixed:
-            return f"{name} is the robot file's and cannot be changed while the daemon runs"
-        if not name.startswith(_LIMITS):
-            return f"no parameter {name!r}: they begin with {_LIMITS}"
-        if value.type != DOUBLE:
-            return f"{name} is a double (write 1.0, not 1)"
-        if math.isnan(value.double_value) or value.double_value == -math.inf:
-            return f"{name}: {value.double_value} is not a number to go by"
-        return None
+        name = parameter.name
+        if (reason := self._tunable.problem(name)) is not None:
+            return reason
+        return None if parameter.value.type == DOUBLE else f"{name} is a double (write 1.0, not 1)"
 
 
 def _event(node: str, changed: Sequence[SimpleNamespace]) -> SimpleNamespace:
@@ -158,8 +131,7 @@ def _value(about: Mapping[str, Any] | None) -> SimpleNamespace:
     """Of nothing: NOT_SET. JSON has no infinity: null is one."""
     if about is None:
         return SimpleNamespace(**_EMPTY | {"type": NOT_SET})
-    value = math.inf if about["value"] is None else about["value"]
-    return SimpleNamespace(**_EMPTY | {"type": DOUBLE, "double_value": value})
+    return SimpleNamespace(**_EMPTY | {"type": DOUBLE, "double_value": value_of(about)})
 
 
 def _descriptor(name: str, about: Mapping[str, Any], fixed: bool) -> SimpleNamespace:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 from motord.bus.messages import wall_time
 from motord.bus.ros2.direct import encoder
 from motord.bus.ros2.nodes import Teller, node_of
-from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.static_frames import static_transforms
-from motord.bus.ros2.urdf import urdf
+from motord.bus.ros2.quality import offered
+from motord.bus.ros2.static_frames import STATIC, static_transforms
+from motord.bus.ros2.urdf import DESCRIPTION, STRING, urdf
 from motord.bus.topics import TOPICS
 from motord.config import Ros2Publish, RosTopics, ZenohPublish
 
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 URDF_BYTES_MAX = 1 << 20
 _NAMES = {"diagnostics": "/diagnostics"}
 """Of all robots together: REP-107."""
-_QUALITIES = {"tf": Quality(depth=100)}
-"""As tf2_ros has it."""
-_LATCHED = Quality(depth=1, latched=True)
 
 _log = logging.getLogger(__name__)
 
@@ -40,16 +37,14 @@ class Ros2Publisher:
         self._feed = station.feed(name, section.rates_hz(), encoder)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
-                _NAMES.get(topic, topic), TOPICS[topic].type_name, _QUALITIES.get(topic)
+                _NAMES.get(topic, topic), TOPICS[topic].type_name, offered(topic)
             )
             for topic in section.topics
         }
-        self._describing = self._node.publisher(
-            "robot_description", "std_msgs/msg/String", _LATCHED
-        )
+        self._describing = self._node.publisher(DESCRIPTION, STRING, offered(DESCRIPTION))
         self._static: Teller | None = None
         if "tf" in section.topics:
-            self._static = self._node.publisher("tf_static", TOPICS["tf"].type_name, _LATCHED)
+            self._static = self._node.publisher(STATIC, TOPICS["tf"].type_name, offered(STATIC))
 
     async def run(self) -> None:
         """As Adapter.run."""

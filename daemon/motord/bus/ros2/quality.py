@@ -18,3 +18,16 @@ class Quality:
     reliable: bool = True
     latched: bool = False
     """TRANSIENT_LOCAL: who comes later is told the newest, too."""
+
+
+_LATCHED = Quality(depth=1, latched=True)
+_OFFERED = {
+    "tf": Quality(depth=100),  # as tf2_ros has it
+    "tf_static": _LATCHED,
+    "robot_description": _LATCHED,
+}
+
+
+def offered(topic: str) -> Quality:
+    """By whoever publishes that topic of ours."""
+    return _OFFERED.get(topic, Quality())

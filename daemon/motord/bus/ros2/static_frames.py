@@ -17,6 +17,9 @@ from motord.bus.message_types import (
     Vector3,
 )
 
+STATIC = "tf_static"
+"""Its topic."""
+
 
 def static_transforms(description: str, stamp: Time) -> TFMessage:
     """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for who reads

@@ -8,14 +8,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import deque
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import zenoh
 import zenoh.ext
 
+from motord.bus.inbox import Inbox
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh_names import (
@@ -30,7 +30,6 @@ from motord.bus.ros2.zenoh_names import (
 
 WAITING_MAX = 32
 """Requests; more are refused."""
-_T = TypeVar("_T")
 
 _log = logging.getLogger(__name__)
 
@@ -39,33 +38,6 @@ class Endpoint(Protocol):
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
         """Be there, as the endpoint of that number. Raises zenoh.ZError."""
         ...
-
-
-class Inbox(Generic[_T]):
-    """From a thread of Zenoh's to the event loop. The oldest gives way to the newest."""
-
-    def __init__(self, size: int, take: Callable[[_T], None]) -> None:
-        self._items: deque[_T] = deque(maxlen=size)
-        self._take = take
-        self._woken = False
-        self._loop: asyncio.AbstractEventLoop | None = None
-
-    def open(self) -> None:
-        """In the event loop that is to be woken."""
-        self._loop = asyncio.get_running_loop()
-
-    def put(self, item: _T) -> None:
-        """From any thread."""
-        self._items.append(item)
-        if self._woken or self._loop is None or self._loop.is_closed():
-            return
-        self._woken = True
-        self._loop.call_soon_threadsafe(self._empty)
-
-    def _empty(self) -> None:
-        self._woken = False  # before the last look: what comes after it wakes again
-        while self._items:
-            self._take(self._items.popleft())
 
 
 def _token(

@@ -1,0 +1,60 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * joint_values.h: what lines of every medium make of a set-point and of a measured number. */
+#ifndef MOTORD_JOINT_VALUES_H
+#define MOTORD_JOINT_VALUES_H
+
+#include <math.h>
+
+#include "rt.h"
+
+static const double REST_VELOCITY_RAD_S = 0.1;
+
+/* What the core wants of a joint; 0 where it says nothing of it, or no number. Whether the joint may move is not asked. */
+static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
+{
+    if (joint >= from->joint_count || joint >= JOINTS_MAX) {
+        return 0.0;
+    }
+    double value = kind == SETPOINT_VELOCITY ? from->joint[joint].velocity_rad_s : from->joint[joint].duty;
+    return isfinite(value) ? value : 0.0;
+}
+
+static inline double held_within(double value, double least, double most)
+{
+    return fmin(fmax(value, least), most);
+}
+
+/* Nothing is known of the joint. */
+static inline joint_feedback feedback_unknown(void)
+{
+    return (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN, .enabled = 2};
+}
+
+/* Of the kinds that are measured in SI; false: `kind` is another. */
+static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, double si)
+{
+    switch (kind) {
+    case FIELD_VELOCITY:
+        feedback->velocity_rad_s = si;
+        return true;
+    case FIELD_CURRENT:
+        feedback->current_a = si;
+        return true;
+    case FIELD_VOLTAGE:
+        feedback->voltage_v = si;
+        return true;
+    case FIELD_TEMPERATURE:
+        feedback->temperature_c = si;
+        return true;
+    default:
+        return false;
+    }
+}
+
+/* NaN is not at rest: the time decides then. */
+static inline bool feedback_at_rest(const joint_feedback *feedback)
+{
+    return fabs(feedback->velocity_rad_s) < REST_VELOCITY_RAD_S;
+}
+
+#endif

@@ -1,0 +1,39 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * pace.h: the clock of the cycles of a medium whose drives are all told in one, and how soon anything is looked at. */
+#ifndef MOTORD_PACE_H
+#define MOTORD_PACE_H
+
+#include <stdint.h>
+
+static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000, LOOK_FULL_NS = 1000000;
+/* The end: until the wheels are at rest, and until all have heard that their power is off. */
+static const int64_t SHUT_REST_NS = 350 * 1000000, SHUT_NS = 480 * 1000000;
+
+typedef struct {
+    int64_t due_ns;             /* the next one */
+    int64_t start_ns;           /* of the newest; 0: there was none */
+    int64_t took_ns;            /* smoothed time between two */
+    uint64_t count;
+} cycle_clock;
+
+static inline int64_t earlier(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* A cycle begins. One that is late is not caught up. */
+static inline void cycle_clock_begin(cycle_clock *c, int64_t period_ns, int64_t now_ns)
+{
+    c->count++;
+    if (c->start_ns > 0) {
+        int64_t took_ns = now_ns - c->start_ns;
+        c->took_ns += c->took_ns == 0 ? took_ns : (took_ns - c->took_ns) / 8;
+    }
+    c->start_ns = now_ns;
+    c->due_ns += period_ns;
+    if (c->due_ns <= now_ns) {
+        c->due_ns = now_ns + period_ns;
+    }
+}
+
+#endif

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One owner for a channel: two programs that write the same pin would each undo what the other
+one says of a motor.
+
+Sources: flock(2): the kernel lets go when the owner ends, however it ends; proc_locks(5).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+PROC = Path("/proc")
+
+
+class Taken(OSError):
+    """Somebody who lives has it; the text says who, where that can be seen."""
+
+
+def claim(fd: int, proc: Path = PROC) -> None:
+    """For whoever has this descriptor, until it is closed. Raises Taken, OSError."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        owner = owner_of(fd, proc) or "another program"
+        raise Taken(f"{owner} drives it: end that first") from error
+
+
+def owner_of(fd: int, proc: Path = PROC) -> str:
+    """Who has locked this file, as "program (pid N)"; empty where that cannot be seen."""
+    status = os.fstat(fd)
+    device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    try:
+        for row in (proc / "locks").read_text().splitlines():
+            _, kind, *_, pid, place, _, _ = row.split()
+            if kind == "FLOCK" and place == device:
+                return f"{(proc / pid / 'comm').read_text().strip()} (pid {pid})"
+    except OSError:
+        return ""  # hidden from this user, or it has just ended
+    return ""

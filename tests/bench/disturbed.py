@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What loop and lines feel when readers of motord-bus, or itself, are stopped, killed or leak: one
+daemon, windows by turns, calm and disturbed; ratios are medians of the pairs.
+
+python disturbed.py [PAIRS [SECONDS]]: one JSON object.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import bus_at_work
+import lateness
+from tests.sim.daemon_stage import wait_until
+from tests.sim.planted import Planted
+
+PEER = bus_at_work.ROOT / "tests/peers/ros2_peer.py"
+BACK_WITHIN_S = 60.0
+READER = """
+import contextlib, json, socket, sys
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+def read():
+    wire = socket.socket()
+    wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)  # it is full soon
+    wire.connect(("127.0.0.1", int(sys.argv[1])))
+    with connect("ws://localhost/", sock=wire, max_size=None, ping_interval=None) as bus:
+        for topic in ("odom", "tf", "joint_states", "motor_status"):
+            bus.send(json.dumps({"op": "subscribe", "topic": f"/{topic}"}))
+        print("ready", flush=True)
+        for _ in bus:
+            pass
+
+while True:  # who is stopped for too long is left, and comes back
+    with contextlib.suppress(ConnectionClosed, TimeoutError):
+        read()
+"""
+Disturbance = Callable[[], AbstractContextManager[None]]
+Figures = dict[str, float]
+
+
+# ---------------------------------------------------------------------------------------- a window
+def counted(status: dict[str, Any]) -> Figures:
+    lines = status["lines"].values()
+    return {
+        "ticks": status["loop"]["ticks"],
+        "overruns": status["loop"]["overruns"],
+        "page_faults": status["loop"]["page_faults"],
+        "exchanges": sum(line["exchanges"] for line in lines),
+        "errors": sum(sum(line["errors"].values()) for line in lines),
+    }
+
+
+def window(made: Any, seconds: float) -> Figures:
+    """Of all ticks in it: lateness, what was counted, and exchanges by ticks."""
+
+    def look() -> tuple[dict[tuple[int, int], int], Figures]:
+        bars = made.robot.latency()["buckets"]["lateness"]
+        return {low: (high, n) for low, high, n in bars}, counted(made.robot.status())
+
+    bars_before, before = look()
+    time.sleep(seconds)
+    bars_after, after = look()
+    grown = [
+        ((low + high) / 2, n - bars_before.get(low, (0, 0))[1])
+        for low, (high, n) in bars_after.items()
+    ]
+    found = {key: after[key] - before[key] for key in after}
+    late = lateness.figures(grown)
+    found |= {"p50_us": late["p50_us"], "p99_us": late["p99_us"]}
+    return found | {"exchanges_per_tick": found["exchanges"] / found["ticks"]}
+
+
+def pairs(made: Any, disturbance: Disturbance, count: int, seconds: float) -> dict[str, Any]:
+    """Calm and disturbed by turns. Counts are sums, figures medians; `ratio` is disturbed by calm,
+    the median of the pairs' ratios."""
+    rows: list[tuple[Figures, Figures]] = []
+    for _ in range(count):
+        calm = window(made, seconds)
+        with disturbance():
+            rows.append((calm, window(made, seconds)))
+    found: dict[str, Any] = {}
+    for place, name in enumerate(("calm", "disturbed")):
+        found[name] = {
+            key: (sum if key in COUNTS else statistics.median)(row[place][key] for row in rows)
+            for key in rows[0][place]
+        }
+    found["ratio"] = {
+        key: statistics.median(disturbed[key] / calm[key] for calm, disturbed in rows)
+        for key in ("p50_us", "p99_us", "exchanges_per_tick")
+    }
+    return found
+
+
+COUNTS = ("ticks", "overruns", "page_faults", "exchanges", "errors")
+
+
+# ---------------------------------------------------------------------------------- a stuck reader
+@contextlib.contextmanager
+def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Once it reads; what it prints is read."""
+    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline(), "the reader ended"
+        with subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL):
+            try:
+                yield process
+            finally:
+                process.kill()
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextlib.contextmanager
+def stopped(*pids: int) -> Iterator[None]:
+    """As long as it lasts."""
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+
+
+def readers(count: int, seconds: float) -> dict[str, Any]:
+    """One reader of DDS and one of rosbridge, which read or are stopped."""
+    port = bus_at_work.free_port()
+    fast_hz = bus_at_work.FAST_HZ
+    settings = (*bus_at_work.ros2(fast_hz), "publish.w.kind=rosbridge", f"publish.w.port={port}",
+                f"publish.w.rate_hz={6 * fast_hz}")  # fmt: skip
+    dds = (str(PEER), str(bus_at_work.DOMAIN), "topic", "rt/odom", "Odometry")
+    with bus_at_work.stage(*settings) as made:
+        bus_at_work.bus_pid(made)
+        with reader(*dds) as one, reader("-c", READER, str(port)) as other:
+            time.sleep(bus_at_work.SETTLE_S)
+            found = pairs(made, lambda: stopped(one.pid, other.pid), count, seconds)
+        published = made.robot.status()["bus"]
+        return found | {
+            "restarts": published["restarts"],
+            "dropped": sum(one["dropped"] for one in published["publishers"].values()),
+        }
+
+
+# ------------------------------------------------------------------------------- motord-bus itself
+class Struck:
+    """motord-bus, to which something happens at the beginning of a window."""
+
+    def __init__(self, made: Any, planted: Planted, what: str) -> None:
+        self._made, self._planted, self._what = made, planted, what
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        """There is another process when the next window begins."""
+        pid = bus_at_work.bus_pid(self._made)
+        if self._what.startswith("SIG"):
+            os.kill(pid, signal.Signals[self._what])
+        else:
+            self._planted.tell(self._what)
+        yield
+        if self._what == "SIGSTOP":
+            os.kill(pid, signal.SIGKILL)  # sooner than the daemon would
+        wait_until(lambda: bus_at_work.bus_pid(self._made) != pid, "another process", BACK_WITHIN_S)
+        time.sleep(bus_at_work.SETTLE_S)
+
+
+def struck(what: str, count: int, seconds: float) -> dict[str, Any]:
+    """The second process publishes; it is killed, stopped, or ruins itself."""
+    with tempfile.TemporaryDirectory() as folder:
+        planted = Planted(Path(folder))
+        settings = (*bus_at_work.ros2(bus_at_work.FAST_HZ), *planted.settings)
+        with bus_at_work.stage(*settings, environ=planted.environ) as made:
+            bus_at_work.bus_pid(made)
+            time.sleep(bus_at_work.SETTLE_S)
+            found = pairs(made, Struck(made, planted, what), count, seconds)
+            return found | {"restarts": made.robot.status()["bus"]["restarts"]}
+
+
+STRIKES = ("SIGKILL", "SIGSTOP", "segfault", "leak")
+
+
+def measure(count: int, seconds: float) -> dict[str, Any]:
+    """By what is disturbed; each crash is waited for, so of those there are fewer pairs."""
+    found = {"readers stopped": readers(count, seconds)}
+    few = max(1, count // 3)
+    return found | {f"motord-bus: {what}": struck(what, few, seconds) for what in STRIKES}
+
+
+if __name__ == "__main__":
+    words = sys.argv[1:]
+    asked = int(words[0]) if words else 3, float(words[1]) if words[1:] else 4.0
+    print(json.dumps(measure(*asked), indent=1))

@@ -1,0 +1,10 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Of avr-libc. */
+#ifndef AVR_WDT_H
+#define AVR_WDT_H
+
+enum { WDTO_250MS = 4 };
+void wdt_enable(int value);
+void wdt_reset();
+
+#endif

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A kind of input of another package, in motord-bus: it commands as long as it is told to, and does
+to its process what it is told."""
+
+import contextlib
+from pathlib import Path
+
+ADAPTER = """
+import asyncio
+import contextlib
+import ctypes
+import pathlib
+
+
+class Planted:
+    def __init__(self, name, section, station):
+        self._source = station.source(name)
+        self._order = pathlib.Path(section.options["order_file"])
+        self._leaking, self._kept = False, []
+
+    async def run(self):
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._source.run())
+            tasks.create_task(self._obey())
+
+    async def _obey(self):
+        while True:
+            await asyncio.sleep(0.01)
+            word = ""
+            with contextlib.suppress(FileNotFoundError):
+                word = self._order.read_text(encoding="ascii")
+            if word == "drive":
+                self._source.drive(0.2, 0.0)
+            elif word:
+                self._order.unlink()
+                getattr(self, word)()
+            if self._leaking:
+                self._source.drive(0.2, 0.0)
+                self._kept.append(bytes(range(256)) * 20000)  # 512 MB a second
+
+    def segfault(self):
+        ctypes.string_at(0)
+
+    def leak(self):
+        self._leaking = True
+
+    def loop(self):
+        while True:
+            pass
+"""
+
+
+class Planted:
+    """As [input.planted]."""
+
+    def __init__(self, folder):
+        self._order = Path(folder) / "order"
+        (folder / "planted_input.py").write_text(ADAPTER, encoding="ascii")
+        info = folder / "planted_input-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Name: planted-input\nVersion: 1.0\n", encoding="ascii")
+        points = "[motord.inputs]\nplanted = planted_input:Planted\n"
+        (info / "entry_points.txt").write_text(points, encoding="ascii")
+        self.environ = {"PYTHONPATH": str(folder)}
+        self.settings = (
+            "input.planted.kind=other", "input.planted.adapter=planted",
+            f"input.planted.options.order_file={self._order}", "input.planted.lease_s=1.0",
+        )  # fmt: skip
+
+    def tell(self, word):
+        """`drive` lasts until something else is told; `segfault`, `leak` and `loop` are done."""
+        whole = self._order.with_suffix(".new")
+        whole.write_text(word, encoding="ascii")
+        whole.replace(self._order)
+
+    def rest(self):
+        """Nothing more is commanded."""
+        with contextlib.suppress(FileNotFoundError):
+            self._order.unlink()

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever becomes of the second process while it commands: its lease lapses, the robot rests, the
+loop and the lines go on, and another process is there soon. How late the loop is meanwhile is
+measured by `make bench`: on a busy machine it says nothing."""
+
+import os
+import signal
+from contextlib import suppress
+
+import pytest
+from tests.sim.daemon_stage import running, wait_until
+from tests.sim.planted import Planted
+
+from motord.client import Refused
+
+BACK_WITHIN_S = 60.0
+"""One that hangs is replaced after 10 s."""
+FORK_FAULTS = 600
+"""What one fork of the daemon would cost the loop: docs/architecture.md."""
+CYCLES = 20
+FAULTS = {
+    "SIGKILL": "was ended by SIGKILL",
+    "SIGSTOP": "was silent",
+    "segfault": "was ended by SIGSEGV",
+    "leak": "MemoryError",
+    "loop": "was silent",
+}
+"""And how the log has it."""
+
+
+@pytest.fixture
+def planted(tmp_path):
+    return Planted(tmp_path)
+
+
+@pytest.fixture
+def stage(tmp_path, planted):
+    settings = (*planted.settings, "safety.command_timeout_s=1.0",
+                "joint.left.tries=10", "joint.right.tries=10")  # fmt: skip
+    with running(tmp_path, *settings, environ=planted.environ) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+def leasing(stage, but=None):
+    """The second process's number, when it has a lease."""
+
+    def found():
+        now = stage.robot.status()["bus"]
+        lease = now.get("inputs", {}).get("planted", {}).get("lease")
+        return now["pid"] not in (None, but) and lease and now["pid"]
+
+    return wait_until(found, f"motord-bus\n{stage.said()}", BACK_WITHIN_S)
+
+
+def set_off(stage, planted):
+    """Armed, and obeying; a fault that a too busy machine latched on the way is reset."""
+
+    def attempt():
+        state = stage.state()
+        if state in ("armed", "moving"):
+            planted.tell("drive")
+        else:
+            planted.rest()
+        with suppress(Refused):
+            if state == "fault":
+                stage.robot.reset()
+            elif state == "idle":
+                stage.robot.arm()
+        return state == "moving"
+
+    wait_until(attempt, f"moving\n{stage.said()}")
+
+
+def exchanges(stage):
+    return sum(line["exchanges"] for line in stage.robot.status()["lines"].values())
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
+    pid = leasing(stage)
+    set_off(stage, planted)
+    loop = stage.robot.status()["loop"]
+    if fault.startswith("SIG"):
+        os.kill(pid, signal.Signals[fault])
+        planted.rest()
+    else:
+        planted.tell(fault)
+    wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
+    wait_until(lambda: stage.robot.status()["at_rest"], "rest")
+    told = exchanges(stage)
+    wait_until(lambda: exchanges(stage) > told + CYCLES, "lines that go on")
+    accepted = stage.robot.status()["commands"]["accepted"]
+    assert leasing(stage, but=pid) != pid
+    after = stage.robot.status()
+    assert FAULTS[fault] in stage.said()
+    assert after["at_rest"], "it does not move again by itself"
+    assert after["commands"]["accepted"] == accepted
+    assert after["bus"]["restarts"] == 1
+    assert after["loop"]["ticks"] > loop["ticks"]
+    assert after["loop"]["page_faults"] - loop["page_faults"] < FORK_FAULTS / 2
+    told = exchanges(stage)
+    wait_until(lambda: exchanges(stage) > told + CYCLES, "lines that go on")

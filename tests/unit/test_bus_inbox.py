@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From threads to the event loop: what is left there, and what is asked and waited for."""
+
+import asyncio
+import contextlib
+
+import pytest
+
+from motord.bus.inbox import Crossing, Inbox
+from motord.bus.inputs.desk import NotTaken
+
+DEADLINE_S = 20.0
+
+
+@contextlib.asynccontextmanager
+async def crossing():
+    made = Crossing()
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(made.run())
+        await asyncio.sleep(0)
+        try:
+            yield made, running
+        finally:
+            running.cancel()
+
+
+async def answer(value):
+    await asyncio.sleep(0)
+    return value
+
+
+async def refuse():
+    raise NotTaken("not now")
+
+
+async def test_a_thread_has_its_answer_from_the_loop():
+    async with crossing() as (made, _):
+        asked = asyncio.to_thread(made.ask, lambda: answer(7), DEADLINE_S)
+        assert await asked == 7
+
+
+async def test_a_refusal_is_one_in_the_thread_too():
+    async with crossing() as (made, _):
+        with pytest.raises(NotTaken, match="not now"):
+            await asyncio.to_thread(made.ask, refuse, DEADLINE_S)
+
+
+async def test_who_waits_too_long_goes_on_without_an_answer():
+    async with crossing() as (made, _):
+        with pytest.raises(NotTaken, match="no answer within"):
+            await asyncio.to_thread(made.ask, asyncio.Event().wait, 0.05)
+
+
+async def test_who_waits_when_it_ends_and_who_comes_later_are_told():
+    begun = asyncio.Event()
+
+    async def endless():
+        begun.set()
+        await asyncio.Event().wait()
+
+    async with crossing() as (made, running):
+        waiting = asyncio.create_task(asyncio.to_thread(made.ask, endless, DEADLINE_S))
+        async with asyncio.timeout(DEADLINE_S):
+            await begun.wait()
+        running.cancel()
+        with pytest.raises(NotTaken, match="is ending"):
+            await waiting
+        with pytest.raises(NotTaken, match="is ending"):
+            await asyncio.to_thread(made.ask, lambda: answer(7), DEADLINE_S)
+
+
+async def test_of_too_much_the_newest_is_taken_in_its_order():
+    taken = []
+    inbox = Inbox(3, taken.append)
+    inbox.open()
+
+    def put():
+        for number in range(9):
+            inbox.put(number)
+
+    put()  # the loop has no time to take any
+    async with asyncio.timeout(DEADLINE_S):
+        while len(taken) < 3:
+            await asyncio.sleep(0)
+    assert taken == [6, 7, 8]
+    await asyncio.to_thread(put)
+    async with asyncio.timeout(DEADLINE_S):
+        while taken[-1] != 8 or len(taken) < 4:
+            await asyncio.sleep(0)
