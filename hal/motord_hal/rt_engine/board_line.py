@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import termios
 from collections import Counter
 
 from motord_hal.ascii.dialect import text_bytes
@@ -82,7 +81,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
     # --------------------------------------------------------------------------------- its own port
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
-        termios.tcflush(self._port.fd, termios.TCIOFLUSH)
+        self._port.flush()
         self._thread.start(
             self._table | {"imu": self._table["imu"] | {"epoch": self._reopened}},
             fd=self._port.fd,
