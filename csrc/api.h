@@ -43,6 +43,7 @@ enum {
     FAULT_TIME_STEP       = 1 << 5,   /* dt was NaN, infinite, zero or negative */
     FAULT_EXTERNAL        = 1 << 6,   /* control.fault: raised by the daemon (a line lost, a check failed) */
     FAULT_STATE           = 1 << 7,   /* a value inside the core was not finite: never expected, always rest */
+    FAULT_OVERSPEED       = 1 << 8,   /* a wheel that a torque turns is far beyond its limit: a wrong sign, a slope */
 };
 
 /* ------------------------------------------------------------------------------------------ configuration */
@@ -72,6 +73,13 @@ typedef struct {
     double full_duty_rad_s;     /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
+/* Of a joint whose drive takes a torque: the speed loop is the core's. All at the wheel. */
+typedef struct {
+    double gain_n_m_s_per_rad;      /* >= 0: torque for a speed error */
+    double integral_n_m_per_rad;    /* >= 0: torque for the sum of it, an angle */
+    double torque_max_n_m;      /* >= 0; 0: the drive takes no torque */
+} speed_loop_config;
+
 typedef struct {
     double side;                /* -1 left, +1 right */
     double wheel_radius_m;      /* > 0 */
@@ -82,6 +90,7 @@ typedef struct {
                                    from the set-point where the drive measures none */
     uint32_t line;              /* 0..LINES_MAX-1: who carries this joint */
     pwm_config pwm;
+    speed_loop_config speed_loop;
 } joint_config;
 
 typedef struct {
@@ -154,6 +163,7 @@ typedef struct {
 typedef struct {
     double velocity_rad_s;      /* 0 unless armed */
     double duty;                /* -1..1, the same wish through the PWM map; 0 unless armed */
+    double torque_n_m;          /* at the wheel, the same wish through the speed loop; 0 unless armed */
 } joint_setpoint;
 
 typedef struct {
@@ -243,6 +253,16 @@ typedef struct {
 /* velocity → duty by config; last_duty is the duty of the step before. NaN: 0. */
 pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
 
+typedef struct {
+    double integral_n_m;
+    uint32_t overspeed;         /* 1: no torque any more, until the power has been off */
+    uint32_t reserved;
+} speed_loop_state;
+
+/* The torque that brings a wheel to a speed, within torque_max_n_m. What is not finite: 0. dt_s > 0. */
+double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s,
+                       double measured_rad_s, double dt_s);
+
 /* signed difference of two raw counters of 8..64 bits, the short way round */
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
@@ -323,6 +343,7 @@ typedef struct {
     limit_state linear;
     limit_state angular;
     odometry_state odometry;
+    speed_loop_state speed_loop[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
     int64_t oldest_ns;          /* stamps of the feedback that is in use */

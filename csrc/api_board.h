@@ -145,6 +145,8 @@ typedef struct {
     uint32_t orders_sent;       /* they have gone out */
     uint32_t orders_dropped;    /* guarded, and it was stopped; or it is quiet */
     uint32_t said_bytes;        /* of said[]; 0: it has not spoken since it was quiet, or ever */
+    uint32_t stop_waits;        /* the port has not taken its newest stop */
+    uint32_t reserved;
     uint64_t cycles;
     uint64_t sent;
     uint64_t no_room;           /* frames that the port did not take: the next one is newer */

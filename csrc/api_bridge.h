@@ -100,4 +100,6 @@ int bridge_config_check(const bridge_config *config);     /* 0 or -EINVAL */
 int pwm_line_start(uint32_t line, const bridge_config *config);
 int pwm_line_stop(uint32_t line);
 void pwm_line_put_control(uint32_t line, const bridge_control *control);
+/* What a board has counted of a joint whose encoder is ENCODER_TOLD, by its place on the line. From one thread. */
+void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sample);
 int pwm_line_read_report(uint32_t line, bridge_report *out);

@@ -186,6 +186,8 @@ typedef struct {
     uint32_t faults;            /* how often a joint's fault word became one that stops, */
     uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
+    uint32_t may_turn;          /* armed since it was last set up, also before the bus was opened */
+    uint32_t stop_waits;        /* the bus has not taken all of its newest stop */
 } can_drive_report;
 
 typedef struct {
@@ -204,11 +206,16 @@ typedef struct {
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
+/* What is known of the drives from before the bus was opened; zeros: nothing. */
+typedef struct {
+    uint32_t epoch;             /* of their feedback */
+    uint32_t may_turn;          /* bit n: drive n does, so it is told to stop until it is heard and set up */
+} can_before;
+
 typedef struct {
     line_place at;              /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
                                    for Python and of changes of a mode */
-    uint32_t epoch;             /* of the feedback before this start; 0: there was none */
-    uint32_t reserved;
+    can_before before;
 } can_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

@@ -50,7 +50,7 @@ typedef enum {
     FORM_U32_LOW_FIRST = 6, FORM_I32_LOW_FIRST = 7                  /* low word first, its high byte first */
 } wire_form;
 
-typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1 } setpoint_kind;
+typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind;   /* TORQUE: CAN only */
 
 /* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
  * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
@@ -221,6 +221,8 @@ typedef struct {
     uint32_t failures;          /* in a row */
     uint32_t last_failure;      /* answer_kind */
     uint32_t last_exception;
+    uint32_t may_turn;          /* armed since it was last set up, also before the port was opened */
+    uint32_t stop_waits;        /* it has not acknowledged all of its newest stop */
     uint32_t reserved;
     uint64_t cycles;            /* whole ones */
     uint64_t exchanges;
@@ -271,6 +273,8 @@ typedef struct {
     int64_t de_after_ns;        /* from the last bit to the edge back */
     int32_t de_fd;              /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
+    uint32_t may_turn;          /* bit n: drive n, since before the port was opened: it is told to stop first */
+    uint32_t reserved;
 } line_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

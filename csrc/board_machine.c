@@ -241,6 +241,7 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->enabled = m->enabled;
     report->stopping = m->stopping;
     report->told_motion = m->told_motion;
+    report->stop_waits = m->stop_waits;
     report->stops = m->stops;
     report->epoch = m->epoch;
     report->orders_sent = m->orders_sent;

@@ -6,7 +6,7 @@
 
 static const int64_t STOPPING_NS = 1000 * CAN_MS;
 static const int64_t FUTURE_NS = 10 * CAN_MS;
-static const int64_t PROBE_FIRST_NS = 100 * CAN_MS, PROBE_LAST_NS = 2000 * CAN_MS;
+static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
 static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS;   /* until it is set up */
 
 static bool fresh(const can_machine *m, int64_t now_ns)
@@ -193,7 +193,7 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
     drive->stops++;
     drive->stopping = drive->back = drive->off_next_cycle = false;
     drive->quiet_since_ns = drive->probe_at_ns = now_ns;
-    drive->probe_pause_ns = PROBE_FIRST_NS;
+    drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     if (m->table.drive[number].hello > 0) {
         drive->heard_ns[m->table.drive[number].hello - 1] = 0;
     }
@@ -339,7 +339,8 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    if (drive->mode == DRIVE_QUIET) {
+    bool unheard = drive->mode == DRIVE_OFF && drive->may_turn && drive->missing != 0;   /* Python waits for it */
+    if (drive->mode == DRIVE_QUIET || unheard) {
         probe(m, number, now_ns);
         return;
     }

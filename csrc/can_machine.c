@@ -36,11 +36,14 @@ static void add_route(can_machine *m, uint32_t drive, uint32_t match)
     m->route[at] = one;
 }
 
-static void init_drive(can_machine *m, uint32_t number, uint32_t epoch)
+static void init_drive(can_machine *m, uint32_t number, const can_before *before, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    drive->epoch = epoch;
+    drive->epoch = before->epoch;
+    drive->may_turn = (before->may_turn >> number & 1) != 0;
+    drive->quiet_since_ns = drive->probe_at_ns = now_ns;
+    drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     drive->enabled = 2;
     for (uint32_t o = 0; o < table->output_count; o++) {
         for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
@@ -55,7 +58,8 @@ static void init_drive(can_machine *m, uint32_t number, uint32_t epoch)
     can_forget(m, number);
 }
 
-int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can_sender send, void *sink, int64_t now_ns)
+int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
+                     int64_t now_ns)
 {
     char name[FIELD_NAME_BYTES];
     if (can_table_check(table, name) != NULL) {
@@ -67,7 +71,7 @@ int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can
     m->sink = sink;
     m->cycle.due_ns = now_ns;
     for (uint32_t i = 0; i < table->drive_count; i++) {
-        init_drive(m, i, epoch);
+        init_drive(m, i, before, now_ns);
     }
     return 0;
 }
@@ -309,7 +313,8 @@ void can_machine_report(const can_machine *m, can_report *report)
             .mode = drive->mode, .demoted = drive->demoted, .wish_seen = drive->wish_seen, .enabled = drive->enabled,
             .stopping = drive->stopping, .told_motion = drive->told_motion, .missing = drive->missing,
             .stops = drive->stops, .cycles = drive->cycles, .received = drive->received, .quiet = drive->quiet,
-            .heard_ns = drive->newest_ns, .epoch = drive->epoch,
+            .heard_ns = drive->newest_ns, .epoch = drive->epoch, .may_turn = drive->may_turn,
+            .stop_waits = drive->stop != CAN_STOP_NOTHING,
             .orders_sent = drive->orders_sent, .orders_dropped = drive->orders_dropped,
             .faults = drive->faults, .last_fault = drive->last_fault, .last_fault_joint = drive->last_fault_joint,
         };

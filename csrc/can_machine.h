@@ -13,7 +13,7 @@
 #include "pace.h"
 #include "rt.h"
 
-static const int64_t CAN_MS = 1000000;
+static const int64_t CAN_MS = 1000000, CAN_PROBE_FIRST_NS = 100 * CAN_MS;
 static const uint32_t CAN_ID_EXTENDED = 0x80000000U, CAN_ID_REMOTE = 0x40000000U, CAN_ID_ERROR = 0x20000000U;
 
 enum { CAN_WAITING_MAX = 8, CAN_FOR_NOBODY = CAN_DRIVES_MAX + 1 };
@@ -42,7 +42,7 @@ typedef struct {
     uint32_t stop;              /* can_stop_kind */
     uint32_t stop_place;
     bool was_enabled;           /* set-points were enabled since it was armed */
-    bool may_turn;              /* armed since it was last set up */
+    bool may_turn;              /* armed since it was last set up, before the bus was opened or after */
     bool told_motion;
     bool stopping;
     bool back;                  /* a quiet drive is there: BACK when it has been told to disarm */
@@ -106,8 +106,9 @@ typedef struct {
     void *sink;
 } can_machine;
 
-/* 0 or -EINVAL. Every drive OFF; `epoch`: of what was heard before. */
-int can_machine_init(can_machine *m, const can_table *table, uint32_t epoch, can_sender send, void *sink, int64_t now_ns);
+/* 0 or -EINVAL. Every drive OFF; one that may turn is told to stop until it is heard. */
+int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
+                     int64_t now_ns);
 /* A frame has come. Returns who is to be told: the number of its drive, CAN_DRIVES_MAX for an error frame, or
  * CAN_FOR_NOBODY. Nothing is sent. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);

@@ -31,7 +31,7 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
     double most = setpoint->place.form == CAN_FLOAT ? (double)FLT_MAX : 4294967296.0;
     check_place(f, &setpoint->place, bytes);
     need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
-    need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
+    need(f, setpoint->kind <= SETPOINT_TORQUE, "setpoint.kind");
     need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
     need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= -most, "setpoint.raw_min");
     need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= most, "setpoint.raw_max");

@@ -66,6 +66,9 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, pwm.duty_max, 0.0, 1.0),
     RULE(joint_config, pwm.slew_per_s, LEAST, INFINITY),
     RULE(joint_config, pwm.full_duty_rad_s, LEAST, MOST),
+    RULE(joint_config, speed_loop.gain_n_m_s_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.integral_n_m_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.torque_max_n_m, 0.0, MOST),
 };
 
 /* The first field out of its range; NaN is out of every range. */

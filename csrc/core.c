@@ -13,6 +13,7 @@
 #include <string.h>
 
 static const double DT_MAX_S = 0.1; /* after a longer pause the ramps go on as if it had been this */
+static const double OVERSPEED = 1.5; /* times its limit: what no speed loop that is well tuned overshoots to */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
 /* not finite when one of them is not */
@@ -21,7 +22,7 @@ static double setpoint_sum(const core_state *state)
     double sum = 0.0;
     const joint_setpoint *setpoint = state->wheels.joint, *end = setpoint + state->config.joint_count;
     for (; setpoint != end; setpoint++)
-        sum += setpoint->velocity_rad_s + setpoint->duty;
+        sum += setpoint->velocity_rad_s + setpoint->duty + setpoint->torque_n_m;
     return sum;
 }
 
@@ -202,6 +203,41 @@ static void measure(core_state *state, tick *t)
     snapshot_write_feedback(state, t->input->feedback);
 }
 
+static bool runs_away(const joint_config *joint, double velocity_rad_s)
+{
+    double limit = fmax(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
+    return fabs(velocity_rad_s) > OVERSPEED * limit;
+}
+
+/* What its speed loop wants of a wheel. Without power, without a measure, or once it ran away: nothing. */
+static double torque_of(core_state *state, const tick *t, uint32_t j)
+{
+    const joint_config *joint = &state->config.joint[j];
+    speed_loop_state *loop = &state->speed_loop[j];
+    double velocity_rad_s = state->odometry.joint[j].velocity_rad_s;
+    if (!(state->armed | state->holding)) {
+        *loop = (speed_loop_state){0};
+        return 0.0;
+    }
+    if (!state->stale[j] && runs_away(joint, velocity_rad_s)) {
+        loop->overspeed = 1;
+        watch_latch(state, FAULT_OVERSPEED);
+    }
+    if (state->stale[j] || loop->overspeed) {
+        loop->integral_n_m = 0.0;
+        return 0.0;
+    }
+    double want_rad_s = state->wheels.joint[j].velocity_rad_s;
+    return speed_loop_step(loop, &joint->speed_loop, want_rad_s, velocity_rad_s, fmin(t->dt_s, DT_MAX_S));
+}
+
+static void set_torques(core_state *state, const tick *t)
+{
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        if (state->config.joint[j].speed_loop.torque_max_n_m > 0.0)
+            state->wheels.joint[j].torque_n_m = torque_of(state, t, j);
+}
+
 /* The last look at what has been computed: nothing that is not a number leaves. */
 static void guard(core_state *state, tick *t)
 {
@@ -284,6 +320,7 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     watch(state, input, dt_s, &t);
     drive(state, &t);
     measure(state, &t);
+    set_torques(state, &t);
     guard(state, &t);
     state->at_rest = !t.moving && state->slow;
     if (state->holding)

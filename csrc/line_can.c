@@ -235,7 +235,7 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
 {
     const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
-    error = error == 0 ? can_machine_init(&t->machine, table, config->epoch, send_packet, t, clock_now_ns()) : error;
+    error = error == 0 ? can_machine_init(&t->machine, table, &config->before, send_packet, t, clock_now_ns()) : error;
     if (error != 0) {
         return error;
     }

@@ -54,6 +54,13 @@ static void quick_stop(line_machine *m, uint32_t number, uint32_t why, int64_t n
     line_stop_now(m, number, STOP_QUICK);
 }
 
+void line_stop_unheard(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    m->drive[number].may_turn = true;
+    quick_stop(m, number, 0, now_ns);
+    m->drive[number].mode = DRIVE_OFF;
+}
+
 static void power_off(line_machine *m, uint32_t number)
 {
     m->drive[number].stopping = false;

@@ -59,7 +59,7 @@ static void init_drive(line_machine *m, uint32_t number, int64_t now_ns)
     line_forget(m, number);
 }
 
-int line_machine_init(line_machine *m, const line_table *table, int64_t now_ns)
+int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns)
 {
     char name[FIELD_NAME_BYTES];
     if (line_table_check(table, name) != NULL) {
@@ -74,6 +74,9 @@ int line_machine_init(line_machine *m, const line_table *table, int64_t now_ns)
     m->free_ns = now_ns + table->gap_ns;
     for (uint32_t i = 0; i < table->drive_count; i++) {
         init_drive(m, i, now_ns);
+        if ((may_turn >> i & 1) != 0) {
+            line_stop_unheard(m, i, now_ns);
+        }
     }
     return 0;
 }
@@ -451,6 +454,8 @@ void line_machine_report(const line_machine *m, line_report *report)
         to->enabled = drive->enabled;
         to->stopping = drive->stopping;
         to->told_motion = drive->told_motion;
+        to->may_turn = drive->may_turn;
+        to->stop_waits = drive->stop != STOP_NOTHING;
         to->failures = drive->failures;
         to->last_failure = drive->last_failure;
         to->last_exception = drive->last_exception;

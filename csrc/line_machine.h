@@ -61,7 +61,7 @@ typedef struct {
     uint32_t way_last[DRIVE_WAYS_MAX];      /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool was_enabled;           /* set-points were enabled since it was armed */
-    bool may_turn;              /* armed since it was last set up */
+    bool may_turn;              /* armed since it was last set up, before the port was opened or after */
     bool told_motion;
     bool cycle_motion;
     bool stopping;
@@ -141,8 +141,8 @@ typedef struct {
     int64_t wake_ns;            /* step again then, or when bytes, asks or a wake come */
 } line_output;
 
-/* 0 or -EINVAL. Every drive OFF. */
-int line_machine_init(line_machine *m, const line_table *table, int64_t now_ns);
+/* 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */
+int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
 /* false: no room */
 bool line_machine_ask(line_machine *m, const line_ask *ask);
 /* The core has made new set-points of a new command: who is to be told something else is due at once. */
@@ -186,6 +186,8 @@ void line_obey_wish(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the set-points, its watchdog and its own words demand. */
 void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
+/* One that was armed before the port was opened. */
+void line_stop_unheard(line_machine *m, uint32_t drive, int64_t now_ns);
 /* It loses what it was allowed; `why`: DEMOTED_*. */
 void line_demote(line_machine *m, uint32_t drive, uint32_t why, uint32_t mode);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */

@@ -212,7 +212,7 @@ static int prepare(rtu_thread *t, uint32_t line, const line_config *config, cons
     const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     uint32_t epoch = last_epoch(&t->machine);
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
-    error = error == 0 ? line_machine_init(&t->machine, table, clock_now_ns()) : error;
+    error = error == 0 ? line_machine_init(&t->machine, table, config->may_turn, clock_now_ns()) : error;
     if (error != 0) {
         return error;
     }

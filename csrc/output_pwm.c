@@ -28,12 +28,18 @@ typedef struct {
 } report_box_pwm;
 
 typedef struct {
+    mailbox box;
+    encoder_sample slot[MAILBOX_SLOTS];
+} sample_box;
+
+typedef struct {
     bridge_config config;
     loop_grant grant;
     pthread_t thread;
     exchange *exchange;
     control_box_pwm control;
     report_box_pwm report;
+    sample_box told[JOINTS_MAX];
     bridge_control wish;
     bridge_state state;
     setpoints newest;
@@ -189,6 +195,10 @@ static int read_encoders(pwm_thread *t, int64_t now_ns)
 {
     uint64_t illegal = 0, lost = 0;
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
+        encoder_sample sample;
+        if (mailbox_take(&t->told[i].box, t->told[i].slot, &sample, sizeof sample) != 0) {
+            encoder_told(&t->encoder[i], &t->config.joint[i].encoder, &sample);
+        }
         int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
         if (error != 0) {
             t->out.error_output = AT_ENCODER - (int32_t)i;
@@ -207,11 +217,12 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
 {
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         const encoder_config *encoder = &t->config.joint[i].encoder;
-        bool counts = encoder->kind != ENCODER_NONE;
+        bool counts = encoder->kind != ENCODER_NONE, told = encoder->kind == ENCODER_TOLD;
+        const int64_t at_ns = told ? t->encoder[i].told_ns : now_ns;   /* a silent board's feedback gets old */
         joint_feedback feedback = {
-            .stamp_ns = now_ns,
+            .stamp_ns = at_ns,
             .count = (uint64_t)t->encoder[i].count,
-            .velocity_rad_s = counts ? encoder_velocity_rad_s(&t->encoder[i], encoder, now_ns) : (double)NAN,
+            .velocity_rad_s = counts ? encoder_velocity_rad_s(&t->encoder[i], encoder, at_ns) : (double)NAN,
             .current_a = NAN,
             .voltage_v = NAN,
             .temperature_c = NAN,
@@ -219,7 +230,9 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
             .enabled = 2,
             .drive_faults = (t->out.active_inputs & t->config.joint[i].fault_mask) != 0,
         };
-        (void)exchange_put_feedback(t->exchange, t->config.joint[i].index, &feedback);
+        if (at_ns != 0) {
+            (void)exchange_put_feedback(t->exchange, t->config.joint[i].index, &feedback);
+        }
     }
 }
 
@@ -309,6 +322,9 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
     mailbox_init(&t->control.box);
     mailbox_init(&t->report.box);
+    for (uint32_t i = 0; i < JOINTS_MAX; i++) {
+        mailbox_init(&t->told[i].box);
+    }
     t->out.running = 1;
     t->out.error_output = AT_GPIO;
     for (uint32_t i = 0; i < config->joint_count; i++) {
@@ -335,6 +351,14 @@ void pwm_line_put_control(uint32_t line, const bridge_control *control)
 {
     if (line < LINES_MAX && threads[line].made) {
         mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
+    }
+}
+
+void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sample)
+{
+    if (line < LINES_MAX && threads[line].made && joint < threads[line].config.joint_count &&
+        threads[line].config.joint[joint].encoder.kind == ENCODER_TOLD) {
+        mailbox_put(&threads[line].told[joint].box, threads[line].told[joint].slot, sample, sizeof *sample);
     }
 }
 

@@ -135,7 +135,7 @@ static inline void snapshot_write(core_state *state, const tick *t)
 /* every byte is a field, so that no padding carries what was in memory before */
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
-_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 16, "padding in setpoints");
+_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 24, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80
                + sizeof(imu_state),
                "padding in robot_state");

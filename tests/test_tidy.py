@@ -205,7 +205,7 @@ def test_the_top_level_holds_the_rooms_and_nothing_else():
 
 UNIT = re.compile(
     r"_(m|m_s|m_s2|m_s3|rad|rad_s|rad_s2|rad_s3|hz|s|ms|us|ns|v|a|c|per_s)$|"
-    r"_(m2|rad2|m2_s2|rad2_s2|m2_per_m|rad2_per_rad)$"
+    r"_(m2|rad2|m2_s2|rad2_s2|m2_per_m|rad2_per_rad|n_m|n_m_per_rad|n_m_s_per_rad)$"
 )
 UNITLESS = {
     # counts, names, ratios: numbers without a dimension

@@ -12,10 +12,11 @@ from motord.config.wheels import (
     profile_of,
     rad_per_count,
     takes_duty,
+    takes_torque,
     velocity_range_rad_s,
 )
 from motord.config.wiring import line_specs
-from motord.rt_types import GuardConfig
+from motord.rt_types import GuardConfig, SpeedLoopConfig
 from motord_hal.drives.profile import DriveProfile
 
 __all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
@@ -117,6 +118,19 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "counter_bits": counter_bits(joint, profile),
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
+        "speed_loop": _speed_loop(joint, profile),
+    }
+
+
+def _speed_loop(joint: Joint, profile: DriveProfile) -> SpeedLoopConfig:
+    """All zero for a drive that holds the speed by itself."""
+    loop = joint.speed_loop if takes_torque(joint, profile) else None
+    if loop is None:
+        return {"gain_n_m_s_per_rad": 0.0, "integral_n_m_per_rad": 0.0, "torque_max_n_m": 0.0}
+    return {
+        "gain_n_m_s_per_rad": loop.gain_n_m_s_per_rad,
+        "integral_n_m_per_rad": loop.integral_n_m_per_rad,
+        "torque_max_n_m": loop.torque_max_n_m,
     }
 
 

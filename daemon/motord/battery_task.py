@@ -129,6 +129,7 @@ class _Chip:
             stamp_ns=now_ns(),
             voltage_v=power.voltage_v,
             current_a=sign * power.current_a if math.isfinite(power.current_a) else math.nan,
+            temperature_c=power.chip_c if self._section.chip_at_pack else math.nan,
         )
 
     def _read(self) -> Power:

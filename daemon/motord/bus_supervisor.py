@@ -18,9 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from motord.config import Robot
+from motord.sparing import Sparing
 
 SILENT_S = 10.0
 """It says every second that it lives."""
+READ_BYTES, READ_EVERY_S = 4096, 0.02
+"""So much of what it says is read at a time, and no more often: a pipe that is flooded is its own
+trouble."""
+BEAT_BYTES_MAX = 65536
+BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
@@ -43,10 +49,11 @@ class BusSupervisor:
         self._pid: int | None = None
         self._restarts = 0
         self._again_s = AGAIN_MIN_S
+        self._voice = Sparing(_log)
 
     def report(self) -> dict[str, Any]:
         """For `status`: process number (None: it is not there now), restarts, and its own word."""
-        return {"pid": self._pid, "restarts": self._restarts, **self._figures}
+        return {**self._figures, "pid": self._pid, "restarts": self._restarts}
 
     async def run(self) -> None:
         """Until cancelled; then it is ended."""
@@ -70,13 +77,11 @@ class BusSupervisor:
 
     async def _live(self) -> str:
         """One life of it; returns how it ended."""
-        async with self._started() as process:
-            assert process.stdout is not None  # it was asked for
+        async with self._started() as (process, output):
             _log.info("motord-bus runs as process %d", process.pid)
             try:
-                while line := await _line(process.stdout):
-                    self._hear(line)
-            except (TimeoutError, ValueError):
+                await self._listen(output)
+            except TimeoutError:
                 return f"was silent for {SILENT_S:g} s"
             finally:
                 self._pid, self._figures = None, {}
@@ -84,22 +89,66 @@ class BusSupervisor:
             return _how_it_ended(process.returncode)
 
     @contextlib.asynccontextmanager
-    async def _started(self) -> AsyncIterator[Process]:
-        """A session of its own: the terminal's signals are for the daemon."""
-        process = await asyncio.create_subprocess_exec(
-            *self._command, stdin=PIPE, stdout=PIPE, start_new_session=True
-        )
-        self._pid = process.pid
-        try:
-            yield process
-        finally:
-            await _end(process)
+    async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
+        """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
+        async with _pipe() as (output, said):
+            try:
+                process = await asyncio.create_subprocess_exec(
+                    *self._command, stdin=PIPE, stdout=said, start_new_session=True
+                )
+            finally:
+                os.close(said)
+            self._pid = process.pid
+            try:
+                yield process, output
+            finally:
+                await _end(process)
 
-    def _hear(self, line: bytes) -> None:
-        try:
-            self._figures = json.loads(line)
-        except ValueError:
-            _log.warning("motord-bus says what is no JSON: %r", line[:80])
+    async def _listen(self, output: asyncio.StreamReader) -> None:
+        """Until its end. Raises TimeoutError for who says nothing that counts for so long."""
+        loop, rest = asyncio.get_running_loop(), b""
+        async with asyncio.timeout(SILENT_S) as silence:
+            while chunk := await output.read(READ_BYTES):
+                *lines, rest = (rest + chunk).split(b"\n")
+                rest = rest[-BEAT_BYTES_MAX:]
+                if lines and self._hear(lines[-BEATS_A_READ_MAX:]):
+                    silence.reschedule(loop.time() + SILENT_S)
+                await asyncio.sleep(READ_EVERY_S)
+
+    def _hear(self, lines: list[bytes]) -> bool:
+        """Keep the newest figures among them; False: there are none."""
+        for line in reversed(lines):
+            try:
+                self._figures = _figures(line)
+            except (ValueError, RecursionError):
+                self._voice.say(f"motord-bus says what are no figures: {line[:80]!r}")
+            else:
+                return True
+        return False
+
+
+def _figures(line: bytes) -> dict[str, Any]:
+    """Raises ValueError and RecursionError for what could not be told to others as it is."""
+    said = json.loads(line)
+    if not isinstance(said, dict):
+        raise ValueError("no object")
+    json.dumps(said, allow_nan=False)
+    return said
+
+
+@contextlib.asynccontextmanager
+async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
+    """To read from, and the end to write to, which is the caller's. asyncio's own pipe of a child
+    has to be read to its end before the child counts as gone: nobody would read out a flood."""
+    reading, writing = os.pipe()
+    output = asyncio.StreamReader(READ_BYTES)
+    transport, _ = await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(output), os.fdopen(reading, "rb", 0)
+    )
+    try:
+        yield output, writing
+    finally:
+        transport.close()
 
 
 def _spare_a_thread() -> None:
@@ -113,12 +162,6 @@ def _spare_a_thread() -> None:
         watcher = asyncio.PidfdChildWatcher()
         watcher.attach_loop(asyncio.get_running_loop())
         asyncio.get_event_loop_policy().set_child_watcher(watcher)
-
-
-async def _line(output: asyncio.StreamReader) -> bytes:
-    """The next line; nothing at its end. Raises TimeoutError, ValueError for one without end."""
-    async with asyncio.timeout(SILENT_S):
-        return await output.readline()
 
 
 async def _end(process: Process) -> None:

@@ -148,6 +148,7 @@ class Fault(enum.IntFlag):
     TIME_STEP = lib.FAULT_TIME_STEP
     EXTERNAL = lib.FAULT_EXTERNAL
     STATE = lib.FAULT_STATE
+    OVERSPEED = lib.FAULT_OVERSPEED
 
     def words(self) -> list[str]:
         """`feedback_stale`, ... by the bits' order."""

@@ -33,6 +33,12 @@ class PwmConfig(TypedDict):
     full_duty_rad_s: float
 
 
+class SpeedLoopConfig(TypedDict):
+    gain_n_m_s_per_rad: float
+    integral_n_m_per_rad: float
+    torque_max_n_m: float
+
+
 class JointConfig(TypedDict):
     side: float
     wheel_radius_m: float
@@ -42,6 +48,8 @@ class JointConfig(TypedDict):
     counter_bits: int
     line: int
     pwm: PwmConfig
+    speed_loop: NotRequired[SpeedLoopConfig]
+    """Only of a joint whose drive takes a torque."""
 
 
 class GyroConfig(TypedDict, total=False):

@@ -45,6 +45,7 @@ FAULTS = {
     5: "time_step",
     6: "external",
     7: "state",
+    8: "overspeed",
 }
 """By bit: FAULT_* of csrc/api.h."""
 

@@ -49,8 +49,7 @@ def _writes(steps: tuple[Step, ...]) -> list[dict[str, int]]:
 
 
 def _setpoints(profile: DriveProfile) -> list[str]:
-    channels = profile.channels.values()
-    return [name for each in channels if (name := each.velocity_setpoint or each.duty_setpoint)]
+    return [channel.setpoint for channel in profile.channels.values()]
 
 
 async def _write_all(unit: Unit, writes: list[dict[str, int]]) -> str:

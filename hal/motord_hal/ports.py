@@ -47,6 +47,19 @@ class CounterEncoder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BoardEncoder:
+    """A quadrature encoder on a board of one's own, which only counts."""
+
+    port: str
+    """Device file, or usb:SERIAL."""
+    baudrate: int
+    motor: int
+    """Which one of the board, from 1 on."""
+    rad_per_count: float
+    """As of EdgesEncoder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JointSpec:
     """One wheel as its line sees it. `index` is the joint's place in the core's arrays."""
 
@@ -64,7 +77,7 @@ class JointSpec:
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
     it is active low. "fault" is an input."""
-    encoder: EdgesEncoder | CounterEncoder | None = None
+    encoder: EdgesEncoder | CounterEncoder | BoardEncoder | None = None
     """Of a bridge's motor."""
     tries: int = 3
     reply_timeout_s: float | None = None
@@ -118,6 +131,8 @@ class PinsSpec:
     """The chip's label or device file."""
     pwm_hz: float | None = None
     """Carrier; None: as each bridge's profile says."""
+    software_pwm: bool = False
+    """Whether a chip will do whose pulses the kernel makes by timer interrupts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

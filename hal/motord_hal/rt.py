@@ -29,10 +29,12 @@ def now_ns() -> int:
 
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
-    """What one wheel is to do: its speed, and the same wish as a duty in -1..1."""
+    """What one wheel is to do: its speed, and the same wish as a duty in -1..1, and as a torque
+    where its drive takes one."""
 
     velocity_rad_s: float
     duty: float
+    torque_n_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,10 @@ class Exchange:
             stamp_ns=raw.stamp_ns,
             tick=raw.tick,
             enabled=raw.enabled != 0,
-            joints=tuple(JointSetpoint(joint.velocity_rad_s, joint.duty) for joint in joints),
+            joints=tuple(
+                JointSetpoint(joint.velocity_rad_s, joint.duty, joint.torque_n_m)
+                for joint in joints
+            ),
         )
 
     def put_setpoints(self, line: int, value: Setpoints) -> None:
@@ -133,6 +138,7 @@ class Exchange:
         for place, joint in zip(raw.joint, value.joints, strict=False):
             place.velocity_rad_s = joint.velocity_rad_s
             place.duty = joint.duty
+            place.torque_n_m = joint.torque_n_m
         _check(lib.exchange_put_setpoints(self._exchange, line, raw), "line", line)
 
     def put_feedback(

@@ -28,6 +28,7 @@ class BoardSays:
     cycles: int
     """Feedback that the core was given."""
     stops: int
+    stop_waits: bool
     epoch: int
     orders_sent: int
     orders_dropped: int
@@ -113,6 +114,7 @@ def _says(raw: Any) -> BoardSays:
         stopping=raw.stopping != 0,
         cycles=raw.published,
         stops=raw.stops,
+        stop_waits=raw.stop_waits != 0,
         epoch=raw.epoch,
         orders_sent=raw.orders_sent,
         orders_dropped=raw.orders_dropped,

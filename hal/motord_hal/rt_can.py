@@ -36,6 +36,9 @@ class CanDriveReport:
     faults: int
     last_fault: int
     last_fault_joint: int
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +81,9 @@ class CanThread(RtThread):
         self._ordered: list[int] = []
         self._heard = ffi.new("can_received *")
 
-    def start(self, table: Plain, **config: int) -> None:
-        """`config` as in can_config. Raises HalError."""
-        self._drives = self._start(table, config).drive_count
+    def start(self, table: Plain, *, before: Plain, **config: int) -> None:
+        """`before` as in can_before, `config` as in can_config. Raises HalError."""
+        self._drives = self._start(table, {**config, "before": before}).drive_count
         self._ordered = [0] * self._drives
 
     def listen(self, drive: int, *, wanted: bool) -> None:
@@ -141,4 +144,6 @@ def _drive_report(raw: Any) -> CanDriveReport:
         faults=raw.faults,
         last_fault=raw.last_fault,
         last_fault_joint=raw.last_fault_joint,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
     )

@@ -69,6 +69,8 @@ class ThreadSpec:
     de_active_high: bool = True
     de_before_ns: int = 0
     de_after_ns: int = 0
+    may_turn: int = 0
+    """Bit n: drive n was armed before the port was opened; it is told to stop first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +103,9 @@ class DriveReport:
     """None: it cannot say, or has not said since the last wish."""
     stopping: bool
     told_motion: bool
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
     failures: int
     last_failure: AnswerKind
     last_exception: int
@@ -286,6 +291,8 @@ def _drive_report(raw: Any) -> DriveReport:
         enabled=None if raw.enabled > 1 else raw.enabled == 1,
         stopping=raw.stopping != 0,
         told_motion=raw.told_motion != 0,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
         failures=raw.failures,
         last_failure=AnswerKind(raw.last_failure),
         last_exception=raw.last_exception,

@@ -57,6 +57,7 @@ class EncoderKind(enum.IntEnum):
     NONE = lib.ENCODER_NONE
     EDGES = lib.ENCODER_EDGES
     COUNTER = lib.ENCODER_COUNTER
+    TOLD = lib.ENCODER_TOLD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +146,12 @@ class BridgeThread:
             self._line, ffi.new("bridge_control *", {"wish": int(wish), "number": self._number})
         )
         return self._number
+
+    def tell(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
+        """What a board has counted of the joint at that place (EncoderKind.TOLD), and when.
+        `origin`: another number each time the board has begun anew."""
+        sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}
+        lib.pwm_line_put_sample(self._line, joint, ffi.new("encoder_sample *", sample))
 
     def report(self) -> BridgeReport:
         raw = self._report

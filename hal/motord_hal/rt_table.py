@@ -38,6 +38,8 @@ class Form(enum.IntEnum):
 class SetpointKind(enum.IntEnum):
     VELOCITY = 0
     DUTY = 1
+    TORQUE = 2
+    """On a CAN bus only."""
 
 
 class FieldKind(enum.IntEnum):

@@ -34,7 +34,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "messages_us": json.loads(run.stdout),
         "memory_mb": bus_at_work.memory(),
         "cpu_percent": bus_at_work.cpu(seconds),
-        "disturbed": disturbed.measure(2 if quick else 9, 4.0),
+        "disturbed": disturbed.measure(2, 1, 3.0) if quick else disturbed.measure(9, 5, 4.0),
         "cmd_vel": bus_command.measure(count),
         "datagram": datagram.measure(count),
     }

@@ -2,7 +2,7 @@
 """What loop and lines feel when readers of motord-bus, or itself, are stopped, killed or leak: one
 daemon, windows by turns, calm and disturbed; ratios are medians of the pairs.
 
-python disturbed.py [PAIRS [SECONDS]]: one JSON object.
+python disturbed.py: one JSON object.
 """
 
 from __future__ import annotations
@@ -194,14 +194,11 @@ def struck(what: str, count: int, seconds: float) -> dict[str, Any]:
 STRIKES = ("SIGKILL", "SIGSTOP", "segfault", "leak")
 
 
-def measure(count: int, seconds: float) -> dict[str, Any]:
-    """By what is disturbed; each crash is waited for, so of those there are fewer pairs."""
-    found = {"readers stopped": readers(count, seconds)}
-    few = max(1, count // 3)
-    return found | {f"motord-bus: {what}": struck(what, few, seconds) for what in STRIKES}
+def measure(reader_pairs: int, strike_pairs: int, seconds: float) -> dict[str, Any]:
+    """By what is disturbed."""
+    found = {"readers stopped": readers(reader_pairs, seconds)}
+    return found | {f"motord-bus: {what}": struck(what, strike_pairs, seconds) for what in STRIKES}
 
 
 if __name__ == "__main__":
-    words = sys.argv[1:]
-    asked = int(words[0]) if words else 3, float(words[1]) if words[1:] else 4.0
-    print(json.dumps(measure(*asked), indent=1))
+    print(json.dumps(measure(3, 1, 3.0), indent=1))

@@ -75,7 +75,11 @@ static inline can_drive can_drive_of(uint32_t n)
 
 static inline void restart(void)
 {
-    CHECK(can_machine_init(&w.machine, &w.table, w.machine.drive[0].epoch, take, NULL, w.now_ns) == 0);
+    can_before before = {.epoch = w.machine.drive[0].epoch};
+    for (uint32_t i = 0; i < w.table.drive_count; i++) {
+        before.may_turn |= (uint32_t)w.machine.drive[i].may_turn << i;
+    }
+    CHECK(can_machine_init(&w.machine, &w.table, &before, take, NULL, w.now_ns) == 0);
 }
 
 static inline void begin_with(uint32_t drives)
@@ -114,7 +118,7 @@ static inline void step(void)
     if (w.enabled < 2) {
         w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
         for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-            w.machine.newest.joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s};
+            w.machine.newest.joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s, w.velocity_rad_s};
         }
     }
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);

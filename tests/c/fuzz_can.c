@@ -81,7 +81,7 @@ static void begin(void)
     third->disarm[1] = third->disarm[0];
     w.table.sync_count = 1;
     w.table.sync[0] = packet_of(SYNC, 0);
-    CHECK(can_machine_init(&w.machine, &w.table, 7, offer, NULL, w.now_ns) == 0);
+    CHECK(can_machine_init(&w.machine, &w.table, &(can_before){.epoch = 7, .may_turn = 2}, offer, NULL, w.now_ns) == 0);
     memset(modes, 0, sizeof modes);
     memset(told, 0, sizeof told);
     taking = 0;

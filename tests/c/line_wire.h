@@ -24,7 +24,8 @@ typedef struct {
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool echoes;
     uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
-    uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not */
+    uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not, as the next one */
+    uint32_t quick_stop_sent[LINE_DRIVES_MAX];
     uint8_t bytes[2 * FRAME_BYTES_MAX];
     uint32_t count;
 } wire;
@@ -76,7 +77,7 @@ static inline void begin_with(uint32_t drives, uint32_t echo)
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = drive_of(i);
     }
-    CHECK(line_machine_init(&w.machine, &w.table, w.now_ns) == 0);
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
 static inline void answer_on_the_wire(const uint8_t *request)
@@ -89,6 +90,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
     }
     bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
     w.told_off[number] += power_off;
+    w.quick_stop_sent[number] += request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP;
     if ((w.dead >> number & 1) != 0) {
         return;
     }

@@ -74,8 +74,36 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop
     CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
 }
 
+static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it(void)
+{
+    begin_with(2);
+    arm(0);
+    go_on(30 * MS);
+    w.silent = true;
+    restart();
+    forget_sent();
+    int64_t opened_ns = w.now_ns;
+    go_on(12 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_OFF);
+    CHECK(told_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
+    CHECK(count_sent(SPEED + 1) == 0);   /* it was never armed */
+    go_on(2500 * MS);
+    CHECK(told_ns(0, DISABLE) > opened_ns);
+    w.silent = false;
+    go_on(100 * MS);
+    forget_sent();
+    go_on(2500 * MS);
+    CHECK(count_sent(SPEED) == 0);   /* heard: its set-up is Python's */
+    wish(0, DRIVE_READY);
+    restart();
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(count_sent(SPEED) == 0);   /* and since then it does not turn */
+}
+
 int main(void)
 {
+    one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it();
     standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest();
     switching_off_one_that_has_not_heard_its_zero_takes_its_power();
     a_stop_that_waits_outlives_a_new_set_up();

@@ -175,10 +175,54 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     CHECK(pwm_line_stop(0) == 0);
 }
 
+static void what_a_board_says_is_fed_back_with_its_own_time(void)
+{
+    int duty = file_that_says("0\n");
+    bridge_config config = {
+        .exchange = &mailboxes, .outputs_fd = -1, .inputs_fd = -1, .event_fd = -1, .period_ns = 2 * MS,
+        .setpoint_timeout_ns = 100 * MS, .stopping_ns = 300 * MS, .epoch = 3, .joint_count = 2, .output_count = 1,
+        .joint = {{.index = 0, .sign = 1.0,
+                   .encoder = {.kind = ENCODER_TOLD, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5}},
+                  {.index = 1, .sign = 1.0}},
+        .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
+    };
+    joint_feedback said, other;
+    exchange_init(&mailboxes);
+    encoder_sample sample = {.count = 70, .stamp_ns = START_NS, .origin = 1};
+    pwm_line_put_sample(0, 0, &sample);              /* nobody is there */
+    config.joint[0].encoder.ceiling = 0;
+    CHECK(pwm_line_start(0, &config) == -EINVAL);
+    config.joint[0].encoder.ceiling = UINT64_MAX;
+    CHECK(pwm_line_start(0, &config) == 0);
+    CHECK(comes_true(1, 0, &other));                 /* it has fed back, of the other joint alone */
+    CHECK(exchange_take_feedback(&mailboxes, 0, &said) == 0 || said.stamp_ns == 0);
+    pwm_line_put_sample(0, 0, &sample);
+    CHECK(comes_true(0, 0, &said) && said.stamp_ns == START_NS && said.epoch == 3u << 16);
+    sample = (encoder_sample){.count = 60, .stamp_ns = START_NS + 10 * MS, .origin = 1};
+    pwm_line_put_sample(0, 0, &sample);
+    CHECK(comes_true(0, (uint64_t)-10, &said) && said.stamp_ns == START_NS + 10 * MS);
+    sample = (encoder_sample){.count = 50, .stamp_ns = START_NS + 20 * MS, .origin = 1};
+    pwm_line_put_sample(0, 0, &sample);
+    CHECK(comes_true(0, (uint64_t)-20, &said));
+    CHECK(fabs(said.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
+    sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
+    pwm_line_put_sample(0, 0, &sample);              /* the board has begun anew: no way was made */
+    for (int tries = 0; tries < 4000 && said.epoch == 3u << 16; tries++) {
+        (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
+        (void)exchange_take_feedback(&mailboxes, 0, &said);
+    }
+    CHECK(said.count == (uint64_t)-20);
+    CHECK(said.epoch == (3u << 16) + 1 && said.stamp_ns == START_NS + 30 * MS);
+    pwm_line_put_sample(0, 1, &sample);              /* that joint is not told of */
+    CHECK(comes_true(1, 0, &other) && isnan(other.velocity_rad_s));
+    CHECK(pwm_line_stop(0) == 0);
+}
+
 int main(void)
 {
     events_of_the_kernel_are_counted();
     a_counter_is_read_from_its_file();
     the_thread_of_bridges_feeds_back_what_its_encoders_count();
+    what_a_board_says_is_fed_back_with_its_own_time();
     return checks_report("test_encoder");
 }

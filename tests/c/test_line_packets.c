@@ -36,7 +36,7 @@ static void begin_packets(uint32_t drives)
         drive->disarm[0] = drive->idle[0] = told_by(unit, DUTIES);
         drive->idle_count = 1;
     }
-    CHECK(line_machine_init(&w.machine, &w.table, w.now_ns) == 0);
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
 /* One look; what is sent is answered, or not. The wheels do as said. */

@@ -50,6 +50,43 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
     }
 }
 
+static void open_again(uint32_t may_turn)
+{
+    CHECK(line_machine_init(&w.machine, &w.table, may_turn, w.now_ns) == 0);
+    memset(w.quick_stop_ns, 0, sizeof w.quick_stop_ns);
+    memset(w.told_off, 0, sizeof w.told_off);
+}
+
+static void one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    open_again(1);
+    int64_t opened_ns = w.now_ns;
+    while (w.now_ns < opened_ns + 1200 * MS) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[0] > 0 && w.quick_stop_ns[0] < opened_ns + 50 * MS);
+    CHECK(w.told_off[0] > 0);
+    CHECK(w.quick_stop_ns[1] == 0 && w.told_off[1] == 0);
+    CHECK(w.machine.drive[0].mode == DRIVE_OFF);   /* its set-up is Python's */
+}
+
+static void one_that_does_not_answer_then_is_told_again_and_again(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.dead = 1;
+    open_again(1);
+    int64_t opened_ns = w.now_ns;
+    while (w.now_ns < opened_ns + 1200 * MS) {
+        go_on();
+    }
+    CHECK(w.machine.drive[0].mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].may_turn);
+    CHECK(w.quick_stop_sent[0] > 4);
+}
+
 static void a_wheel_that_turns_is_stopped_before_it_loses_its_power(void)
 {
     begin_with(2, 0);
@@ -127,6 +164,8 @@ static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_powe
 
 int main(void)
 {
+    one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again();
+    one_that_does_not_answer_then_is_told_again_and_again();
     one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power();
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();

@@ -5,7 +5,9 @@ by SYNC where their transmission type says so."""
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from functools import partial
 
 import can
@@ -24,11 +26,14 @@ VARIABLES = {
     0x603F: (U16, 0, "ro"), 0x6040: (U16, 0, "rww"), 0x6041: (U16, SWITCH_ON_DISABLED, "ro"),
     0x605A: (I16, 1, "rw"), 0x6060: (I8, 0, "rw"), 0x6061: (I8, 0, "ro"),
     0x6064: (I32, 0, "ro"), 0x606C: (I32, 0, "ro"), 0x6077: (I16, 0, "ro"),
-    0x6079: (U32, 36500, "ro"), 0x60FF: (I32, 0, "rww"),
+    0x6071: (I16, 0, "rww"), 0x6072: (U16, 1000, "rw"), 0x6076: (U32, 1000, "ro"),
+    0x6079: (U32, 36500, "ro"), 0x6080: (U32, 6000, "rw"), 0x60FF: (I32, 0, "rww"),
 }  # fmt: skip
 
 PDO_IDENTIFIERS = {0x1400: 0x200, 0x1401: 0x300, 0x1800: 0x180, 0x1801: 0x280}
 SYNCHRONOUS_MAX = 240
+TORQUE_MODE, SYNC_S = 10, 0.005
+INERTIA_KG_M2, RPM = 0.07, 2 * math.pi / 60
 
 
 def dictionary(node):
@@ -64,8 +69,12 @@ class Cia402Node:
     def __init__(self, bus, node):
         self.node_id = node
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
+        self.operational_at = []
+        """Of each control word: whether it was operational when it came."""
+        self._told_s = 0.0
         self.error_code = 0
-        self.position, self.velocity = 0, 0
+        self.position, self.velocity, self.torque = 0, 0, 0
+        self.torques = []
         self.stuck = False
         self.syncs, self.waiting = 0, {}
         self.network = canopen.Network(bus)
@@ -84,7 +93,11 @@ class Cia402Node:
     def close(self):
         self._stopped.set()
         self._sender.join()
+        beat = self.node.nmt._send_task
         self.node.nmt.stop_heartbeat()
+        thread = getattr(beat and beat._task, "thread", None)
+        if thread is not None:
+            thread.join()  # else it may send on a bus that is closed
         self.network.disconnect()
 
     def reboot(self):
@@ -105,12 +118,19 @@ class Cia402Node:
         self.node.data_store.setdefault(index, {})[0] = variable.encode_raw(value)
 
     def _written(self, *, index, od, data, **_):
-        if index == 0x6060:
+        if index == 0x6040:
+            self.control(od.decode_raw(data))
+        elif index == 0x6060:
             self.put(0x6061, od.decode_raw(data))
 
     def _mapping(self, index):
         entries = [self.get(index, sub) for sub in range(1, self.get(index, 0) + 1)]
         return [(entry >> 16, entry & 0xFF) for entry in entries]
+
+    @property
+    def silent_s(self):
+        """So long ago it was told its newest control word."""
+        return time.monotonic() - self._told_s
 
     @property
     def operational(self):
@@ -130,6 +150,7 @@ class Cia402Node:
         self.syncs += 1
         while self.waiting:
             self._obey(*self.waiting.popitem())
+        self._turn()
         self._measure()
         self._send_mapped(by_sync=True)
 
@@ -144,11 +165,22 @@ class Cia402Node:
                 speed = raw - (1 << bits) if raw >> (bits - 1) else raw
                 self.velocities.append(speed)
                 self.velocity = speed if self.status == OPERATION else 0
+            elif index == 0x6071:
+                self.torque = raw - (1 << bits) if raw >> (bits - 1) else raw
+                self.torques.append(self.torque)
+
+    def _turn(self):
+        """The torque, in 0.1 % of 1 N m, for the time of a SYNC; without power it is at rest."""
+        if self.get(0x6061) == TORQUE_MODE:
+            step = self.torque / 1000 / INERTIA_KG_M2 * SYNC_S / RPM
+            self.velocity = self.velocity + step if self.status == OPERATION else 0
 
     def control(self, word):
         """CiA 402-2, 8.3: one transition a command; a fault is reset by a rising edge of bit 7."""
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
+        self.operational_at.append(self.operational)
+        self._told_s = time.monotonic()
         if self.stuck:
             return
         rising = word & 0x80 and not before & 0x80
@@ -168,6 +200,8 @@ class Cia402Node:
             self.status = OPERATION
         elif word & 0x07 == 0x06 and self.status in (SWITCHED_ON, OPERATION):
             self.status = READY
+        if self.status != OPERATION:
+            self.velocity = 0
 
     def _send_pdos(self):
         while not self._stopped.wait(0.01):
@@ -177,7 +211,7 @@ class Cia402Node:
     def _measure(self):
         self.put(0x6041, self.status)
         self.put(0x603F, self.error_code)
-        self.put(0x606C, self.velocity)
+        self.put(0x606C, round(self.velocity))
         self.put(0x6064, self.position)
 
     def _send_mapped(self, *, by_sync):

@@ -8,6 +8,8 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 
+from _motord_rt import ffi, lib
+
 from motord_hal.clock import now_ns
 from motord_hal.errors import HalError
 from motord_hal.lines import open_line
@@ -28,6 +30,22 @@ async def until(condition: Callable[[], bool], what: str = "") -> None:
         raise AssertionError(f"never came true: {what or condition}") from None
 
 
+GAINS = {"gain_n_m_s_per_rad": 0.7, "integral_n_m_per_rad": 1.4, "torque_max_n_m": 3.0}
+
+
+class SpeedLoop:
+    """The core's speed loop, for a wheel whose drive takes a torque."""
+
+    def __init__(self):
+        self._state = ffi.new("speed_loop_state *")
+        self._config = ffi.new("speed_loop_config *", GAINS)
+
+    def torque_n_m(self, want_rad_s: float, measured_rad_s: float) -> float:
+        return lib.speed_loop_step(
+            self._state, self._config, want_rad_s, measured_rad_s, SETPOINTS_EVERY_S
+        )
+
+
 @dataclass
 class LoopSide:
     """Puts set-points as the loop's tick does; `running = False`: the loop has died."""
@@ -38,6 +56,8 @@ class LoopSide:
     enabled: bool = False
     velocity_rad_s: dict[int, float] = field(default_factory=dict)
     duty: dict[int, float] = field(default_factory=dict)
+    speed_loops: dict[int, SpeedLoop] = field(default_factory=dict)
+    """Of joints whose drives take a torque."""
     running: bool = True
     put_ns: int = 0
     """Stamp of the newest set-points."""
@@ -45,10 +65,19 @@ class LoopSide:
     def put(self) -> None:
         self.put_ns = now_ns()
         wheels = tuple(
-            JointSetpoint(self.velocity_rad_s.get(n, 0.0), self.duty.get(n, 0.0))
+            JointSetpoint(
+                self.velocity_rad_s.get(n, 0.0), self.duty.get(n, 0.0), self._torque_n_m(n)
+            )
             for n in range(self.joints)
         )
         self.exchange.put_setpoints(self.line, Setpoints(self.put_ns, 1, self.enabled, wheels))
+
+    def _torque_n_m(self, joint: int) -> float:
+        loop = self.speed_loops.get(joint)
+        if loop is None or not self.enabled:
+            return 0.0
+        measured_rad_s = self.exchange.take_feedback(joint).velocity_rad_s
+        return loop.torque_n_m(self.velocity_rad_s.get(joint, 0.0), measured_rad_s)
 
     async def tick(self) -> None:
         while True:
@@ -103,6 +132,9 @@ class Rig:
 async def running(spec: LineSpec) -> AsyncIterator[Rig]:
     """The line, running, until the end of the block; then it is cancelled."""
     loop = LoopSide(Exchange.private(), line=spec.index)
+    for joint in spec.joints:
+        if joint.profile.channels[joint.channel].torque_setpoint is not None:
+            loop.speed_loops[joint.index] = SpeedLoop()
     loop.put()
     events: list[LineEvent] = []
     line = open_line(spec, loop.exchange, events.append)

@@ -2,8 +2,8 @@
  *
  * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
  * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute ('m') or deaf ('d'),
- * well again ('w'), or gives it a sensor ('i') whose x axis points up. Each change of what the motors are told is a line
- * on stdout.
+ * well again ('w'), gives it a sensor ('i') whose x axis points up, or turns its first motor by hand ('t') and lets it go ('s').
+ * Each change of what the motors are told is a line on stdout.
  */
 #include "motord_mcu.h"
 
@@ -15,7 +15,7 @@
 #include <unistd.h>
 
 enum { MOTORS = 2, COUNTS_PER_TURN = 1320 };
-static const double RAMP_RAD_S2 = 200.0, TURN_RAD = 6.283185307179586, FULL_DUTY_RAD_S = 20.0;
+static const double BY_HAND_RAD_S = -4.0, RAMP_RAD_S2 = 200.0, TURN_RAD = 6.283185307179586, FULL_DUTY_RAD_S = 20.0;
 
 typedef struct {
     double velocity_rad_s, angle_rad;
@@ -34,11 +34,12 @@ static double toward(double value, double target, double step)
                           : (value - step > target ? value - step : target);
 }
 
-static void turn(motor *motors, const motord_board *board, double dt_s, motord_measured *measured)
+static void turn(motor *motors, const motord_board *board, double dt_s, int by_hand, motord_measured *measured)
 {
     for (int i = 0; i < MOTORS; i++) {
         const double duty_rad_s = board->setpoint[i].duty * 1e-4 * FULL_DUTY_RAD_S;
-        const double told_rad_s = board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s;
+        const double hand_rad_s = by_hand && i == 0 ? BY_HAND_RAD_S : 0.0;
+        const double told_rad_s = board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s + hand_rad_s;
         motors[i].velocity_rad_s = toward(motors[i].velocity_rad_s, told_rad_s, RAMP_RAD_S2 * dt_s);
         motors[i].angle_rad += motors[i].velocity_rad_s * dt_s;
         measured[i].count = (int32_t)(motors[i].angle_rad * COUNTS_PER_TURN / TURN_RAD);
@@ -67,7 +68,7 @@ int main(int argc, char **argv)
     motord_measured measured[MOTORS] = {{0, 0, 0}};
     motord_health health = {0, 2400, 310};
     motor motors[MOTORS] = {{0, 0}};
-    int mute = 0, deaf = 0, senses = 0;
+    int mute = 0, deaf = 0, senses = 0, by_hand = 0;
     uint32_t before_us = now_us();
     fcntl(fd, F_SETFL, O_NONBLOCK);
     motord_board_init(&board, MOTORS, before_us);
@@ -82,6 +83,7 @@ int main(int argc, char **argv)
             mute = data[0] == 'm' ? 1 : data[0] == 'w' ? 0 : mute;
             deaf = data[0] == 'd' ? 1 : data[0] == 'w' ? 0 : deaf;
             senses |= data[0] == 'i';
+            by_hand = data[0] == 't' ? 1 : data[0] == 's' ? 0 : by_hand;
             if (data[0] == 'r')
                 motord_board_init(&board, MOTORS, now_us());
         }
@@ -90,7 +92,7 @@ int main(int argc, char **argv)
             motord_board_byte(&board, data[i], now_us());
         const uint32_t at_us = now_us();
         motord_board_watch(&board, at_us);
-        turn(motors, &board, (at_us - before_us) * 1e-6, measured);
+        turn(motors, &board, (at_us - before_us) * 1e-6, by_hand, measured);
         before_us = at_us;
         if (senses) {
             const motord_imu imu = {{(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE},

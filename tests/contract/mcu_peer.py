@@ -62,7 +62,8 @@ class McuPeer:
             self.told.append(Told(bool(enabled), bool(braking), left, right, duty))
 
     def do(self, letter: str) -> None:
-        """f fault, g fault gone, r restart, m mute, d deaf, w well again, i a sensor."""
+        """f fault, g fault gone, r restart, m mute, d deaf, w well again, i a sensor, t turn the
+        first motor backward by hand, s let it go."""
         assert self.process.stdin is not None
         self.process.stdin.write(letter.encode())
         self.process.stdin.flush()

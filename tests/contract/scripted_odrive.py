@@ -54,6 +54,9 @@ def engine_asked(kind):
 
 
 def open_bus(address):
+    """The far end of it, or one that is open already."""
+    if not isinstance(address, str):
+        return address
     interface, _, channel = address.partition(":")
     if interface in ("virtual", "socketcan"):
         return can.Bus(interface=interface, channel=channel)

@@ -32,7 +32,7 @@ GEAR = 2.0
 
 def can_reverse(profile):
     channel = profile.channels[1]
-    setpoint = profile.registers[channel.velocity_setpoint or channel.duty_setpoint]
+    setpoint = profile.registers[channel.setpoint]
     return setpoint.type.signed or channel.direction is not None
 
 

@@ -47,11 +47,40 @@ async def test_bus_off_is_said_once_and_the_drives_come_back_disarmed(rig, peer)
     assert peer.axes[0].state == IDLE
 
 
+async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_though_it_is_not_heard(
+    rig, peer
+):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    axis = peer.axes[0]
+    await until(lambda: any(axis.velocities()))
+    axis.silent = True
+    peer.send_raw(BUS_OFF, bytes(8), is_error_frame=True)
+    await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
+    await until(lambda: axis.velocities()[-1] == 0.0)
+    await until(lambda: axis.state == IDLE)
+    assert rig.line.drive_states["wheel0"] in (DriveState.UNKNOWN, DriveState.QUIET)
+
+
 async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
     await rig.arm()
     peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
     await until(lambda: rig.line.stats().errors == {"no_ack": 1, "error_passive": 1})
     assert rig.states() == {DriveState.ARMED}
+
+
+async def test_what_error_frames_foretell_is_said_in_words_and_not_with_each_of_them(rig, peer):
+    await rig.arm()
+    for count in range(1, 4):
+        peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
+        await until(lambda count=count: rig.line.stats().errors.get("no_ack") == count)
+    said = [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
+    assert [any(word in e.text for e in said) for word in ("error-passive", "acknowledges")] == [
+        True,
+        True,
+    ]
+    assert len(said) == 2
+    assert {e.joints for e in said} == {("wheel0", "wheel3")}
 
 
 async def test_frames_that_come_make_no_frames_go_out(rig, peer):

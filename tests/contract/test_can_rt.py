@@ -64,6 +64,8 @@ class Bus:
                 frame = self.end.recv(72)
             except BlockingIOError:
                 return
+            if not frame:
+                return  # the line has gone
             identifier, size, data = FRAME.unpack(frame)
             if not identifier & 0x40000000:
                 self.heard.append((identifier & 0x1F, data[:size]))

@@ -8,8 +8,10 @@ from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
 from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
-from motord_hal.drives.load import find_profile
-from motord_hal.errors import DriveFault
+from motord_hal.drives.load import find_profile, load_profile
+from motord_hal.errors import DriveFault, HalError
+from motord_hal.lines import halt_line
+from motord_hal.paths import config_dir
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60
@@ -25,8 +27,9 @@ async def node(request):
     node.close()
 
 
-def spec_of(node):
-    joint = JointSpec(index=0, name="wheel", profile=find_profile("cia402"), unit=NODE)
+def spec_of(node, profile=None):
+    profile = profile or find_profile("cia402")
+    joint = JointSpec(index=0, name="wheel", profile=profile, unit=NODE)
     return LineSpec(
         index=0, name="can0", kind="can", port=node.address, baudrate=500000, parity="none",
         stop_bits=1, cycle_hz=100.0, gap_s=None, engine=node.engine, joints=(joint,),
@@ -125,8 +128,78 @@ async def test_an_object_is_read_by_name_and_a_refusal_keeps_it_from_ready(node)
         assert "quick_stop_option refused with 0x06020000" in rig.events[-1].text
 
 
+async def test_a_profile_names_as_many_objects_as_it_likes(node, tmp_path):
+    named = (config_dir() / "drives/cia402.toml").read_text(encoding="utf-8")
+    more = "".join(
+        f'[object.maker_s_{number}]\nindex = {0x2000 + number}\ntype = "u16"\n\n'
+        for number in range(100)
+    )
+    path = tmp_path / "cia402.toml"
+    path.write_text(named.replace("[channel.1]", f"{more}[channel.1]"), encoding="utf-8")
+    async with running(spec_of(node, load_profile(path))) as rig:
+        await rig.ready()
+        assert await rig.line.read_register("wheel", "bus_voltage") == pytest.approx(36.5)
+        with pytest.raises(HalError, match="maker_s_99 refused with 0x06020000"):
+            await rig.line.read_register("wheel", "maker_s_99")
+
+
 async def test_registers_are_objects(rig, node):
     await rig.ready()
     assert await rig.line.read_register("wheel", "bus_voltage") == pytest.approx(36.5)
     assert await rig.line.read_register("wheel", "device_type") == 0x00020192
     assert node.status in (READY, 0x40)
+
+
+async def left_turning(node):
+    """As a daemon leaves it that is killed: mapped, operational, with power, at speed."""
+    async with running(spec_of(node)) as rig:
+        await rig.arm()
+    await until(lambda: node.silent_s > 0.3, "the end of that program is all over")
+    node.status, node.velocity = OPERATION, 60
+    node.controls.clear()
+    node.operational_at.clear()
+
+
+async def test_a_drive_that_turns_is_told_to_stop_before_it_leaves_operational(node):
+    await left_turning(node)
+    async with running(spec_of(node)) as rig:
+        await until(lambda: node.velocity == 0)
+        assert (node.controls[0], node.operational_at[0]) == (0x02, True)
+        await rig.ready()
+        assert node.status != OPERATION
+
+
+async def test_a_drive_that_turns_is_at_rest_also_where_its_set_up_fails(node):
+    await left_turning(node)
+    del node.node.object_dictionary[0x605A]
+    async with running(spec_of(node)) as rig:
+        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        assert "quick_stop_option refused" in rig.events[-1].text
+        assert node.velocity == 0
+        assert node.status != OPERATION
+
+
+async def test_a_drive_that_turns_and_is_pre_operational_is_stopped_when_its_set_up_begins(node):
+    await left_turning(node)
+    node.node.nmt.state = "PRE-OPERATIONAL"
+    del node.node.object_dictionary[0x605A]
+    async with running(spec_of(node)):
+        await until(lambda: node.velocity == 0)
+        assert node.status != OPERATION
+
+
+@pytest.mark.parametrize("state", ["OPERATIONAL", "PRE-OPERATIONAL"])
+async def test_a_drive_that_nobody_drives_is_stopped_in_either_state_and_says_so(node, state):
+    await left_turning(node)
+    node.node.nmt.state = state
+    assert await halt_line(spec_of(node)) == []
+    assert node.velocity == 0
+    assert node.status != OPERATION
+    assert set(node.controls) <= {0x02, 0x06}
+
+
+async def test_a_pre_operational_drive_that_keeps_its_power_is_said(node):
+    await left_turning(node)
+    node.node.nmt.state, node.stuck = "PRE-OPERATIONAL", True
+    (problem,) = await halt_line(spec_of(node))
+    assert problem == "wheel: says that it is enabled still"

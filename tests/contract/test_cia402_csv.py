@@ -45,6 +45,14 @@ def nodes(address):
 
 
 @pytest.fixture
+def turning(nodes):
+    """As a daemon leaves them that is killed: with power, and no longer operational."""
+    for node in nodes:
+        node.status, node.velocity, node.node.nmt.state = OPERATION, 60, "PRE-OPERATIONAL"
+    return nodes
+
+
+@pytest.fixture
 def spec(bus):
     address, engine = bus
     profile = find_profile("cia402-csv")
@@ -146,3 +154,18 @@ def test_a_cycle_that_the_drive_cannot_be_told_is_refused(spec):
     odd = dataclasses.replace(spec, cycle_hz=300.0)
     with pytest.raises(ProfileError, match=r"cannot say the line's cycle, 3\.333 ms"):
         open_line(odd, Exchange.private(), lambda event: None)
+
+
+async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_up(spec, turning):
+    for node in turning:
+        del node.node.object_dictionary[0x605A]  # and cannot be set up
+    async with running(spec) as rig:
+        await until(lambda: all(node.velocity == 0 for node in turning))
+        await until(lambda: rig.kinds().count(EventKind.DRIVE_QUIET) == len(turning))
+    assert all(node.controls[0] == 0x02 for node in turning)
+    assert all(node.status != OPERATION for node in turning)
+
+
+async def test_drives_that_turn_and_take_no_pdo_are_stopped_by_who_comes_for_that(spec, turning):
+    assert await halt_line(spec) == []
+    assert all(node.status != OPERATION and node.velocity == 0 for node in turning)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 and INA226 as their data sheets have them, on a bus of registers that this file keeps."""
+"""INA219, INA226, INA228 and INA238 as their data sheets have them, on a bus of registers that this
+file keeps."""
 
 import math
 
@@ -23,6 +24,9 @@ class Bus:
     def write_word(self, register, value):
         self.words[register] = value
 
+    def read_row(self, register, size):
+        return self.words.get(register, 0).to_bytes(size, "big")
+
     def close(self):
         self.closed = True
 
@@ -33,6 +37,15 @@ def ina219(**words):
 
 def ina226(**words):
     return Bus(x00=0x4127, xFE=0x5449, xFF=0x2260, **words)
+
+
+def ina228(**words):
+    """ADC_CONFIG after power came on; the range may be another program's."""
+    return Bus(x00=0x0010, x01=0xFB68, x3E=0x5449, x3F=0x2281, **words)
+
+
+def ina238(**words):
+    return Bus(x00=0x0000, x01=0xFB68, x3E=0x5449, x3F=0x2381, **words)
 
 
 def test_an_ina219_measures_4_mv_and_10_uv_a_count():
@@ -50,9 +63,47 @@ def test_an_ina226_measures_1_25_mv_and_2_5_uv_a_count():
     assert power.current_a == pytest.approx(10.0)
 
 
+def test_an_ina228_measures_195_3125_uv_312_5_nv_and_7_8125_mk_a_count():
+    # 48 V are 245760 counts, 20 mV over 0.5 mOhm 64000, 25 °C 3200; 20 of 24 bits
+    bus = ina228(x05=245760 << 4, x04=64000 << 4, x06=3200)
+    power = Ina("ina228", bus, 0.0005).read()
+    assert power.voltage_v == pytest.approx(48.0)
+    assert power.current_a == pytest.approx(40.0)
+    assert power.chip_c == pytest.approx(25.0)
+    assert bus.words[0] == 0  # the wide range, whoever had set the narrow one
+
+
+def test_an_ina238_measures_3_125_mv_5_uv_and_an_eighth_of_a_kelvin_a_count():
+    # 48 V are 15360 counts, 20 mV 4000; -10 °C are -80 in bits 15 to 4
+    power = Ina("ina238", ina238(x05=15360, x04=4000, x06=0x10000 - (80 << 4)), 0.0005).read()
+    assert power.voltage_v == pytest.approx(48.0)
+    assert power.current_a == pytest.approx(40.0)
+    assert power.chip_c == pytest.approx(-10.0)
+
+
+def test_a_chip_without_a_thermometer_says_no_temperature():
+    assert math.isnan(Ina("ina226", ina226(x02=0x2570), 0.002).read().chip_c)
+
+
+@pytest.mark.parametrize(("kind", "other"), [("ina228", ina238()), ("ina238", ina228())])
+def test_the_two_with_a_thermometer_are_not_taken_for_each_other(kind, other):
+    with pytest.raises(BadReply, match=f"no {kind}: register 0x3F reads"):
+        Ina(kind, other, 0.01)
+
+
+def test_a_range_that_somebody_changes_later_tells_nothing():
+    bus = ina228(x05=245760 << 4)
+    chip = Ina("ina228", bus, 0.01)
+    bus.words[0] = 0x0010
+    with pytest.raises(BadReply, match=r"0x0010.*0x0000"):
+        chip.read()
+
+
 def test_a_current_that_flows_back_is_negative():
     power = Ina("ina226", ina226(x02=0x2570, x01=0x10000 - 0x1F40), 0.002).read()
     assert power.current_a == pytest.approx(-10.0)
+    power = Ina("ina228", ina228(x04=(1 << 24) - (64000 << 4)), 0.0005).read()
+    assert power.current_a == pytest.approx(-40.0)
 
 
 @pytest.mark.parametrize(
@@ -62,8 +113,11 @@ def test_a_current_that_flows_back_is_negative():
         ("ina219", ina219(x02=(3000 << 3) | 1, x01=100)),
         ("ina226", ina226(x02=9600, x01=0x7FFF)),
         ("ina226", ina226(x02=9600, x01=0x8000)),
+        ("ina228", ina228(x05=61440 << 4, x04=0x7FFFF0)),
+        ("ina228", ina228(x05=61440 << 4, x04=0x800000)),
+        ("ina238", ina238(x05=3840, x04=0x7FFF)),
     ],
-    ids=["end of scale", "overflow bit", "end of scale", "other end"],
+    ids=["219", "219's overflow bit", "226", "226's other end", "228", "228's other end", "238"],
 )
 def test_a_current_beyond_the_scale_is_no_number_and_the_voltage_still_is(kind, bus):
     power = Ina(kind, bus, 0.01).read()

@@ -375,40 +375,6 @@ async def test_faults_are_cleared_by_the_profile_s_steps(rig, peer):
     await until(lambda: rig.line.drive_faults["left1"] == ())
 
 
-# ------------------------------------------------------------------------------------------- port
-async def test_a_pulled_port_is_said_once_and_comes_back_disarmed(rig, peer):
-    await rig.arm()
-    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
-    await until(lambda: 60 in peer.written(TARGET_1))
-    peer.pull()
-    await until(lambda: rig.line.state is LineState.CLOSED)
-    await until(lambda: EventKind.LINE_LOST in rig.kinds())
-    mark = len(peer.heard)
-    peer.plug()
-    await rig.ready()
-    assert all(
-        not any(h.request.values) for h in peer.heard[mark:] if h.request.address == TARGET_1
-    )
-    assert rig.kinds()[2:] == [
-        EventKind.LINE_LOST,
-        EventKind.LINE_OPEN,
-        EventKind.DRIVE_READY,
-    ]
-    assert rig.line.stats().reopened == 1
-
-
-async def test_an_absent_port_is_said_once_and_opened_when_it_comes(peer):
-    peer.pull()
-    async with running(spec_of(peer, hub_servo())) as rig:
-        await until(lambda: rig.kinds() == [EventKind.LINE_LOST])
-        assert any(w in rig.events[0].text for w in ("No such file", "nobody listens"))
-        pause_s = rig.line._backoff._next_s
-        await until(lambda: rig.line._backoff._next_s > pause_s, "it has tried again")
-        assert rig.kinds() == [EventKind.LINE_LOST]
-        peer.plug()
-        await rig.ready()
-
-
 # ------------------------------------------------------------------------------------ other drives
 async def test_a_duty_goes_out_in_per_cent_and_never_backward(peer):
     peer.units[1] = Unit(registers_of("duty-register"))

@@ -16,6 +16,7 @@ from loop_side import GENEROUS_S, running, until
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
 from motord_hal.lines import halt_line, open_line
+from motord_hal.pinmux import not_muxed
 from motord_hal.ports import (
     DriveState,
     EventKind,
@@ -175,6 +176,49 @@ async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
 
 
+def as_software(chip):
+    """What the kernel's tree says of a chip of its driver pwm-gpio."""
+    driver = chip.folder.parent / "drivers/pwm-gpio"
+    driver.mkdir(parents=True)
+    (chip.folder / "device").mkdir()
+    (chip.folder / "device/driver").symlink_to(driver)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({}, "software_pwm = true in the line's section allows them"),
+        ({"software_pwm": True}, "pwm_hz must be at most 1000"),
+        ({"software_pwm": True, "pwm_hz": 2000.0}, "pwm_hz must be at most 1000"),
+    ],
+)
+async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, asked, said):
+    as_software(chip)
+    spec = spec_of(chip, pins=PinsSpec(pwm_chip=str(chip.folder), **asked))
+    async with running(spec) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        assert said in rig.events[0].text
+    assert [chip.read(number, "enable") for number in range(4)] == [0] * 4
+
+
+async def test_pulses_that_software_makes_turn_motors_where_they_are_asked_for(chip):
+    as_software(chip)
+    pins = PinsSpec(pwm_chip=str(chip.folder), software_pwm=True, pwm_hz=500.0)
+    async with running(spec_of(chip, pins=pins)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.read(0, "duty_cycle") == 1_000_000)
+        assert chip.read(0, "period") == 2_000_000
+    assert chip.read(0, "duty_cycle") == 0
+
+
+async def test_pulses_that_software_makes_are_ended_without_being_asked_for(chip):
+    as_software(chip)
+    (chip.folder / "pwm0/duty_cycle").write_text("30000\n")
+    assert await halt_line(spec_of(chip)) == []
+    assert chip.read(0, "duty_cycle") == 0
+
+
 async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
     spec = spec_of(chip)
     async with running(spec) as rig:
@@ -231,6 +275,22 @@ async def test_a_line_whose_channel_is_taken_says_so_and_waits(chip):
             assert "drives it: end that first" in rig.events[0].text
             fcntl.flock(other, fcntl.LOCK_UN)
             await until(lambda: rig.line.state is LineState.READY)
+
+
+async def test_pulses_that_reach_no_pin_are_said_when_the_line_opens(chip, tmp_path, monkeypatch):
+    """As root sees it on a Pi 5 that has no overlay."""
+    (tmp_path / "1f00098000.pwm").mkdir()
+    (chip.folder / "device").symlink_to(tmp_path / "1f00098000.pwm")
+    (tmp_path / "compatible").write_text("raspberrypi,5-model-b\0brcm,bcm2712\0")
+    pinctrl = tmp_path / "debug/pinctrl/1f000d0000.gpio-pinctrl-rp1"
+    pinctrl.mkdir(parents=True)
+    rows = [f"pin {pin} (gpio{pin}): (MUX UNCLAIMED) (GPIO UNCLAIMED)" for pin in (12, 13, 18, 19)]
+    (pinctrl / "pinmux-pins").write_text("\n".join(rows) + "\n")
+    monkeypatch.setattr(not_muxed, "__defaults__", (tmp_path, tmp_path / "debug"))
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+        assert "no pin to pwm0, pwm1, pwm2, pwm3 of 1f00098000.pwm" in rig.events[-1].text
 
 
 async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):

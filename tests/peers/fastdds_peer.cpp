@@ -3,6 +3,7 @@
 //   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
 //   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
 //   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
+//   fastdds_peer DOMAIN ask TOPIC - -        20 requests of std_srvs/Trigger a second, as rmw_fastrtps writes them
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
 #include <array>
 #include <chrono>
@@ -61,6 +62,13 @@ struct JointState {
     static const char *type() { return "sensor_msgs::msg::dds_::JointState_"; }
 };
 
+// A request without fields has one byte. The header is not in it: who asks is told beside the message.
+struct Trigger {
+    Header header;
+    uint8_t nothing = 0;
+    static const char *type() { return "std_srvs::srv::dds_::Trigger_Request_"; }
+};
+
 // `Archive` is a Cdr that writes or reads.
 template <typename Field> static void pass(Cdr &cdr, Field &field, bool writing) { writing ? cdr << field : cdr >> field; }
 static void pass(Cdr &cdr, Header &header, bool writing)
@@ -91,6 +99,8 @@ static void pass(Cdr &cdr, JointState &command, bool writing)
     pass(cdr, command.velocity, writing);
     pass(cdr, command.effort, writing);
 }
+
+static void pass(Cdr &cdr, Trigger &request, bool writing) { pass(cdr, request.nothing, writing); }
 
 template <typename Message> class Type : public TopicDataType {
   public:
@@ -189,5 +199,7 @@ int main(int count, char **words)
         return 2;
     if (std::string(words[2]) == "joints")
         return send(own, words[3], JointState{{}, {"left", "right"}, {}, {atof(words[4]), atof(words[5])}, {}});
+    if (std::string(words[2]) == "ask")
+        return send(own, words[3], Trigger{});
     return send(own, words[3], TwistStamped{{}, {atof(words[4]), 0, 0, 0, 0, atof(words[5])}});
 }

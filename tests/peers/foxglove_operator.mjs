@@ -12,7 +12,11 @@ const WebSocket = require("ws");
 
 // The client is older than the name that the server gives to the protocol.
 FoxgloveClient.SUPPORTED_SUBPROTOCOL = "foxglove.sdk.v1";
-setTimeout(() => process.exit(1), WITHIN_MS).unref();
+const said = {};
+setTimeout(() => {
+  console.error(JSON.stringify({ ...said, odometry }));
+  process.exit(1);
+}, WITHIN_MS).unref();
 const client = new FoxgloveClient({ ws: new WebSocket(url, ["foxglove.sdk.v1"]) });
 const text = { to: new TextEncoder(), from: new TextDecoder() };
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -58,9 +62,16 @@ async function call(name, request) {
 
 await once("advertiseServices", () => true);
 await pause(0); // until the other listener has seen them, too
-const said = { services: [...services.keys()], refused: await call("/arm", {}) };
+said.services = [...services.keys()];
+said.refused = await call("/arm", {});
 await call("/authorize", { token });
-said.arm = await call("/arm", {});
+// Until the lease of who was here before has ended, and no drive looks quiet on a busy machine.
+async function arm() {
+  while (!(said.arm = await call("/arm", {})).success) {
+    await call("/reset", {});
+  }
+}
+await arm();
 const channel = client.advertise({
   topic: "/cmd_vel",
   encoding: "json",
@@ -70,7 +81,10 @@ const drive = (x) => {
   const twist = { linear: { x, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } };
   client.sendMessage(channel, text.to.encode(JSON.stringify(twist)));
 };
-while (!(odometry > 0.05)) {
+for (let count = 1; !(odometry > 0.05); count++) {
+  if (count % 100 === 0) {
+    await arm();
+  }
   drive(0.2);
   await pause(50);
 }

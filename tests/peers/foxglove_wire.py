@@ -88,6 +88,7 @@ async def wired(port, tls=None):
                 ssl=tls,
                 subprotocols=[SUBPROTOCOL],
                 max_size=1 << 22,
+                close_timeout=1.0,  # who has stopped reading does not answer
             )
             break
         except OSError:

@@ -4,9 +4,10 @@ library itself. It shares nothing with motord.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
-    ros2_peer.py DOMAIN twist NAME V W           20 Twist a second
+    ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
+                                                 line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
-    ros2_peer.py DOMAIN say NAME TEXT            one String, again and again
+    ros2_peer.py DOMAIN say NAME TEXT [best]     one String, again and again; best: best effort
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
                                                  a line on standard input: cancel it
@@ -79,8 +80,8 @@ def topic(participant, name, kind, late=""):
             say(dataclasses.asdict(sample))
 
 
-def _publish(participant, name, kind, make):
-    writer = DataWriter(participant, Topic(participant, name, kind), Qos(*RELIABLE))
+def _publish(participant, name, kind, make, qos=RELIABLE):
+    writer = DataWriter(participant, Topic(participant, name, kind), Qos(*qos))
     while True:
         writer.write(make())
         time.sleep(0.05)
@@ -90,8 +91,15 @@ def _twist(linear_m_s, angular_rad_s):
     return Twist(Vector3(float(linear_m_s), 0.0, 0.0), Vector3(0.0, 0.0, float(angular_rad_s)))
 
 
-def twist(participant, name, linear_m_s, angular_rad_s):
-    _publish(participant, name, Twist, lambda: _twist(linear_m_s, angular_rad_s))
+def twist(participant, name, linear_m_s, angular_rad_s, ahead_s="0"):
+    writer = DataWriter(participant, Topic(participant, name, Twist), Qos(*RELIABLE))
+    held, held_s = threading.Event(), 3.0
+    threading.Thread(target=lambda: sys.stdin.readline() and held.set(), daemon=True).start()
+    while True:
+        late_s = held_s if held.is_set() else 0.0
+        sent_ns = time.time_ns() + round((float(ahead_s) - late_s) * 1e9)
+        writer.write(_twist(linear_m_s, angular_rad_s), timestamp=sent_ns)
+        time.sleep(0.05)
 
 
 def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):
@@ -115,8 +123,9 @@ def joints(participant, name, *words):
     _publish(participant, name, JointState, make)
 
 
-def _say_text(participant, name, text):
-    _publish(participant, name, String, lambda: String(text))
+def _say_text(participant, name, text, best=""):
+    qos = (Policy.Reliability.BestEffort, *RELIABLE[1:]) if best else RELIABLE
+    _publish(participant, name, String, lambda: String(text), qos)
 
 
 def _built(kind, values):

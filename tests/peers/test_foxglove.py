@@ -81,6 +81,21 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
     assert message.child_frame_id == "base_link"
 
 
+async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port):
+    ticks = stage.robot.status()["loop"]["ticks"]
+    async with asyncio.timeout(2 * DEADLINE_S), wired(port) as stuck, wired(port) as client:
+        for one in (stuck, client):
+            channels = await one.advertised(len(TOPICS) + 1)
+            wishes = [
+                {"id": number, "channelId": channel["id"]}
+                for number, channel in enumerate(channels.values())
+            ]
+            await one.send("subscribe", subscriptions=wishes)
+        for _ in range(200):
+            await client.said(MESSAGE_DATA)
+    assert stage.robot.status()["loop"]["ticks"] > ticks
+
+
 async def test_whoever_begins_to_read_is_told_what_the_robot_looks_like(stage, port):
     for _ in range(2):  # the second who comes, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:

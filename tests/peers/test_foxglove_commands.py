@@ -51,15 +51,17 @@ async def let_in(client):
     assert answer == {"success": True, "message": "this connection may command until it ends"}
 
 
-async def armed(client):
-    """Again when a busy machine has made a drive look quiet."""
-    while not (await client.call("arm"))["success"]:
-        await client.call("reset")
+async def armed(client, **token):
+    """Again when a busy machine has made a drive look quiet, or somebody's lease has not ended."""
+    while not (await client.call("arm", **token))["success"]:
+        await client.call("reset", **token)
 
 
-async def driven(stage, client, channel, message):
+async def driven(stage, client, channel, message, **token):
     """Until it moves."""
-    while stage.state() != "moving":
+    while (state := stage.state()) != "moving":
+        if state != "armed":
+            await armed(client, **token)
         await client.publish(channel, message)
         await asyncio.sleep(0.05)
 
@@ -99,24 +101,24 @@ async def test_a_call_that_shows_the_token_is_obeyed_and_lets_no_later_one_in(st
 async def test_who_is_let_in_drives_and_the_lease_lapses_when_the_client_is_gone(
     stage, port, topic, message
 ):
+    stage.robot.disarm()
     async with asyncio.timeout(2 * DEADLINE_S):
-        async with wired(port) as client:
-            await let_in(client)
-            await armed(client)
-            channel = await client.advertise(topic)
-            await driven(stage, client, channel, message)
-            (lease,) = stage.robot.status()["leases"]
-            assert lease["owner"] == "fox"
-        stage.wait_for("armed")  # nobody said zero
+        while stage.state() != "armed":  # again when a busy machine has latched a fault
+            async with wired(port) as client:
+                await let_in(client)
+                channel = await client.advertise(topic)
+                await driven(stage, client, channel, message)
+                (lease,) = stage.robot.status()["leases"]
+                assert lease["owner"] == "fox"
+            stage.wait_for("armed", "fault")  # nobody said zero
         async with wired(port) as client:
             await client.call("disarm", token=TOKEN)
 
 
 async def test_a_message_may_show_the_token_itself(stage, port):
     async with asyncio.timeout(2 * DEADLINE_S), wired(port) as client:
-        await client.call("arm", token=TOKEN)
         channel = await client.advertise("/cmd_vel")
-        await driven(stage, client, channel, TWIST | {"token": TOKEN})
+        await driven(stage, client, channel, TWIST | {"token": TOKEN}, token=TOKEN)
         await client.call("disarm", token=TOKEN)
 
 
@@ -150,6 +152,29 @@ async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
         await client.publish(channel, TWIST)
         await client.said("status", lambda said: "nknown channel" in said["message"])
     assert stage.robot.status()["commands"]["accepted"] == accepted
+
+
+async def test_strangers_do_not_push_out_who_commands(stage, port):
+    """However many channels they open, and connections come and go."""
+    zero = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
+
+    async def obeyed():
+        before = stage.robot.status()["commands"]["accepted"]
+        while stage.robot.status()["commands"]["accepted"] == before:
+            await client.publish(channel, zero)
+            await asyncio.sleep(0.02)
+
+    async with asyncio.timeout(2 * DEADLINE_S), wired(port) as client:
+        await let_in(client)
+        channel = await client.advertise("/cmd_vel")
+        for _ in range(4):
+            async with wired(port) as other:
+                for _ in range(100):
+                    await other.advertise("/cmd_vel")
+                await other.call("reset_odometry")  # they were read
+                for _ in range(20):
+                    await let_in(other)
+            await obeyed()
 
 
 @pytest.mark.parametrize(("topic", "encoding"), [("/odom", "json"), ("/cmd_vel", "cdr")])

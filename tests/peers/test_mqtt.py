@@ -273,6 +273,33 @@ def test_an_emergency_stop_by_the_broker_is_latched(stage, peer):
     assert called(stage, peer, "reset")["result"] == {"state": "idle"}
 
 
+def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(stage, peer):
+    names = [f"{os.urandom(4).hex()}-{number}" for number in range(60)]
+    calls = [{"token": TOKEN, "method": "status", "id": name} for name in names[:-1]]
+    calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
+    with subprocess.Popen(
+        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/answer", "-t", "site/r2/odom", "-v"],
+        stdout=subprocess.PIPE,
+    ) as reader:
+        try:
+            reader.stdout.readline()  # it is subscribed: something has come
+            subprocess.run(
+                ["mosquitto_pub", "-p", str(peer.port), "-t", "site/r2/call", "-q", "1", "-l"],
+                input="\n".join(map(json.dumps, calls)).encode(), check=True, timeout=30,
+            )  # fmt: skip
+            answers = {}
+            while set(answers) != set(names):
+                topic, _, raw = reader.stdout.readline().partition(b" ")
+                if topic.endswith(b"answer") and (answer := json.loads(raw))["id"] in names:
+                    answers[answer["id"]] = answer
+        finally:
+            reader.kill()
+    assert answers[names[-1]]["result"]["state"] == "estop"
+    assert stage.state() == "estop"
+    assert any("busy" in answer.get("error", "") for answer in answers.values())
+    assert called(stage, peer, "reset")["result"]["state"] == "idle"
+
+
 def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):
     armed(stage, peer)
     pid = stage.robot.status()["bus"]["pid"]

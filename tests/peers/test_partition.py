@@ -14,9 +14,7 @@ import time
 import pytest
 from tests.peers.mosquitto import BROKER, certified, needs_mosquitto, stamp
 from tests.peers.namespaces import THERE, cable, inside, why_not
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
-
-from motord.client import Refused
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, obeying, running, wait_until
 
 pytest.importorskip("zenoh")
 pytestmark = [
@@ -28,7 +26,7 @@ TOKEN = "a token of sixteen and more"
 LEASE_S = 1.0
 RATE_HZ = 20
 CUT_S = 30.0
-"""Longer than any of them believes that the other is still there: Zenoh 10 s, MQTT 15 s."""
+"""Longer than any of them believes that the other is still there: Zenoh 10 s, MQTT 7.5 s."""
 MISSED_TICKS = 2000
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
@@ -236,19 +234,10 @@ class Driving:
 
 
 def set_off(stage, driving):
-    """Armed, and obeying; a fault that a too busy machine latched on the way is reset."""
+    def wish(may):
+        driving.linear_m_s = 0.2 if may else 0.0
 
-    def attempt():
-        state = stage.state()
-        driving.linear_m_s = 0.2 if state in ("armed", "moving") else 0.0
-        with contextlib.suppress(Refused):
-            if state in ("fault", "estop"):
-                stage.robot.reset()
-            elif state == "idle":
-                stage.robot.arm()
-        return state == "moving"
-
-    wait_until(attempt, f"moving\n{stage.said()}")
+    obeying(stage, wish)
 
 
 def at_rest(stage):

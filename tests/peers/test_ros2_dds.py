@@ -117,9 +117,11 @@ def test_a_service_with_a_switch_arms_and_disarms(stage):
     stage.wait_for("idle")
 
 
-def test_a_topic_stops_as_the_service_does(stage):
-    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close"):
+@pytest.mark.parametrize("how", [(), ("best",)], ids=["reliable", "best effort"])
+def test_a_topic_stops_as_the_service_does(stage, how):
+    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", *how):
         stage.wait_for("estop")
+    assert "estop: a writer is not served" not in stage.said()
     assert called("reset")["success"]
     stage.wait_for("idle")
 
@@ -296,6 +298,21 @@ def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
             "a word on durability",
         )
     assert "durability" in stage.said()
+
+
+def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
+    said = (
+        f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not heard:"
+        " we want geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+    )
+    with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
+        wait_until(lambda: said in stage.said(), "a word on its type")
+
+
+def test_a_reader_of_another_type_is_named(stage):
+    with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
+        said = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState hears nothing"
+        wait_until(lambda: said in stage.said(), "a word on its type")
 
 
 def test_a_reader_that_hangs_costs_the_others_nothing(stage):

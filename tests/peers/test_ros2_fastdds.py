@@ -71,3 +71,18 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
     assert moved["frames"] == ("odom", "base_link")
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
     settle(stage)
+
+
+def test_a_writer_of_another_type_is_named(fast, stage):
+    with fast("joints", f"rt{NAMESPACE}/cmd_vel", 1.0, 2.0):
+        said = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not heard"
+        wait_until(lambda: said in stage.said(), "a word on its type")
+
+
+def test_a_client_whose_requests_cannot_be_answered_is_told_why_in_the_log(fast, stage):
+    settle(stage)
+    with fast("ask", f"rq{NAMESPACE}/motord/armRequest", "-", "-"):
+        said = "/motord/armRequest: a client whose middleware is not Cyclone DDS"
+        wait_until(lambda: said in stage.said(), "a word on its middleware")
+    assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.said()
+    assert stage.state() == "idle"

@@ -77,7 +77,7 @@ class Robot:
         self.said = self.node.publisher("said", STRING, quality)
         self.heard = []
         self.stops = 0
-        self.node.subscribe("cmd_vel", TWIST, self.heard.append)
+        self.node.subscribe("cmd_vel", TWIST, lambda message, _: self.heard.append(message))
         self.node.serve("stop", "std_srvs/srv/Trigger", self.stop)
 
     async def stop(self, _):
@@ -188,6 +188,26 @@ async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers
                 assert message.data == "Grüße"
                 assert Attachment.decode(sample.attachment.to_bytes()).gid == gid(token)
             kept.undeclare()
+
+
+async def test_how_long_a_message_waited_is_told_by_its_senders_clock():
+    port, waited_s = free_port(), []
+    async with router(port):
+        node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
+        node.subscribe("cmd_vel", TWIST, lambda _, age_s: waited_s.append(age_s))
+        with peer(port) as session:
+            tokens = Tokens(session)
+            async with running(node):
+                await until(lambda: tokens.of("MS"))
+                for number, late_s in enumerate((0, 0, 30), 1):
+                    sent_ns = time.time_ns() - (3600 + late_s) * 10**9
+                    attachment = Attachment(number, sent_ns, GID).encode()
+                    session.put(TWIST_KEY, twist(0.1), attachment=attachment)
+                    await until(lambda number=number: len(waited_s) >= number)
+                session.put(TWIST_KEY, twist(0.1))
+                await until(lambda: len(waited_s) == 4)
+    assert waited_s[0] == waited_s[3] == 0.0
+    assert waited_s[2] > 20.0
 
 
 async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():

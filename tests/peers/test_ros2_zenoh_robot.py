@@ -209,3 +209,20 @@ def test_the_life_cycle_is_inactive_while_disarmed_and_active_while_armed(robot)
     wait_until(lambda: label() == "inactive", "inactive")
     with armed(stage, driver):
         wait_until(lambda: label() == "active", "active")
+
+
+def test_a_publisher_of_another_type_is_named_with_what_to_write(robot):
+    stage, driver = robot
+    said = f"geometry_msgs::msg::dds_::Twist_/RIHS01_{'0' * 64}/::,10:,:,:,,"
+    token = f"@ros2_lv/5/{driver.session.zid()}/0/9/MP/%/%r2/teleop/%r2%cmd_vel/{said}"
+    with driver.session.liveliness().declare_token(token):
+        wait_until(
+            lambda: (
+                (
+                    "/r2/cmd_vel: a writer of geometry_msgs/msg/Twist is not heard: we want"
+                    " geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+                )
+                in stage.said()
+            ),
+            "a word on its type",
+        )

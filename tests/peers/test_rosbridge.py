@@ -176,6 +176,26 @@ async def test_a_message_that_is_no_twist_is_refused(stage, ports, message):
     assert "no Twist" in answer["msg"]
 
 
+async def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(
+    stage, ports
+):
+    calls = [{"op": "call_service", "service": "/reset_odometry", "id": n} for n in range(60)]
+    calls.append({"op": "call_service", "service": "/estop", "id": len(calls)})
+    answers = {}
+
+    def done(answer):
+        assert answer["op"] == "service_response", answer
+        answers[answer["id"]] = answer
+        return len(answers) == len(calls)
+
+    await exchanged(ports[0], *calls, until=done, token=TOKEN)
+    assert answers[60]["values"] == {"success": True, "message": "estop"}
+    assert stage.state() == "estop"
+    assert all(isinstance(answer["result"], bool) for answer in answers.values())
+    stage.robot.call("reset")
+    stage.wait_for("idle")
+
+
 async def test_a_client_is_told_no_faster_than_it_asked_for(stage, ports):
     request = {"op": "subscribe", "topic": "/odom", "throttle_rate": 200}
     stamps = []

@@ -43,6 +43,9 @@ BAD: dict[str, list[Any]] = {
     "joint[1].pwm.duty_max": [1.1, -0.1, math.nan],
     "joint[1].pwm.slew_per_s": [0.0, -1.0, math.nan],
     "joint[1].pwm.full_duty_rad_s": POSITIVE,
+    "joint[1].speed_loop.gain_n_m_s_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.integral_n_m_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.torque_max_n_m": [-1.0, math.nan, math.inf],
 }
 
 

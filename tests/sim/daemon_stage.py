@@ -79,6 +79,23 @@ def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
     wait_until(turning, "the wheels turn")
 
 
+def obeying(stage, wish):
+    """Armed and moving; `wish` is told whether it may be commanded yet. A fault that a too busy
+    machine latched on the way is reset."""
+
+    def attempt():
+        state = stage.state()
+        wish(state in ("armed", "moving"))
+        with contextlib.suppress(Refused):
+            if state in ("fault", "estop"):
+                stage.robot.reset()
+            elif state == "idle":
+                stage.robot.arm()
+        return state == "moving"
+
+    wait_until(attempt, f"moving\n{stage.said()}")
+
+
 def connected(daemon, socket, log):
     def attempt():
         assert daemon.poll() is None, log.read_text(encoding="utf-8")

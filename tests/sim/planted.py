@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A kind of input of another package, in motord-bus: it commands as long as it is told to, and does
-to its process what it is told."""
+"""Kinds of another package, in motord-bus; among them an input that commands as long as it is told
+to, and does to its process what it is told."""
 
 import contextlib
 from pathlib import Path
@@ -50,18 +50,23 @@ class Planted:
 """
 
 
+def offered(folder, group, name, code, made_by):
+    """A package with that code, and its entry point of that name; the environment to find it in."""
+    (folder / f"{name}_kind.py").write_text(code, encoding="ascii")
+    info = folder / f"{name}_kind-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Name: {name}-kind\nVersion: 1.0\n", encoding="ascii")
+    points = f"[{group}]\n{name} = {name}_kind:{made_by}\n"
+    (info / "entry_points.txt").write_text(points, encoding="ascii")
+    return {"PYTHONPATH": str(folder)}
+
+
 class Planted:
     """As [input.planted]."""
 
     def __init__(self, folder):
         self._order = Path(folder) / "order"
-        (folder / "planted_input.py").write_text(ADAPTER, encoding="ascii")
-        info = folder / "planted_input-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text("Name: planted-input\nVersion: 1.0\n", encoding="ascii")
-        points = "[motord.inputs]\nplanted = planted_input:Planted\n"
-        (info / "entry_points.txt").write_text(points, encoding="ascii")
-        self.environ = {"PYTHONPATH": str(folder)}
+        self.environ = offered(folder, "motord.inputs", "planted", ADAPTER, "Planted")
         self.settings = (
             "input.planted.kind=other", "input.planted.adapter=planted",
             f"input.planted.options.order_file={self._order}", "input.planted.lease_s=1.0",

@@ -5,13 +5,10 @@ measured by `make bench`: on a busy machine it says nothing."""
 
 import os
 import signal
-from contextlib import suppress
 
 import pytest
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import obeying, running, wait_until
 from tests.sim.planted import Planted
-
-from motord.client import Refused
 
 BACK_WITHIN_S = 60.0
 """One that hangs is replaced after 10 s."""
@@ -53,25 +50,6 @@ def leasing(stage, but=None):
     return wait_until(found, f"motord-bus\n{stage.said()}", BACK_WITHIN_S)
 
 
-def set_off(stage, planted):
-    """Armed, and obeying; a fault that a too busy machine latched on the way is reset."""
-
-    def attempt():
-        state = stage.state()
-        if state in ("armed", "moving"):
-            planted.tell("drive")
-        else:
-            planted.rest()
-        with suppress(Refused):
-            if state == "fault":
-                stage.robot.reset()
-            elif state == "idle":
-                stage.robot.arm()
-        return state == "moving"
-
-    wait_until(attempt, f"moving\n{stage.said()}")
-
-
 def exchanges(stage):
     return sum(line["exchanges"] for line in stage.robot.status()["lines"].values())
 
@@ -79,7 +57,7 @@ def exchanges(stage):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
     pid = leasing(stage)
-    set_off(stage, planted)
+    obeying(stage, lambda may: planted.tell("drive") if may else planted.rest())
     loop = stage.robot.status()["loop"]
     if fault.startswith("SIG"):
         os.kill(pid, signal.Signals[fault])

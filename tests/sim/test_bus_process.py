@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The second process: what it tells, and that whatever becomes of it costs the robot nothing."""
 
+import contextlib
+import json
 import os
 import signal
 import socket
@@ -13,6 +15,9 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
+from tests.sim.planted import offered
+
+from motord.client import Refused
 
 FORK_FAULTS = 600
 """What one fork of the daemon would cost the loop: docs/architecture.md."""
@@ -122,6 +127,136 @@ def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
     assert stage.robot.status()["loop"]["page_faults"] - faults < FORK_FAULTS / 2
     assert number.name in stage.said(), stage.said()
     full(port)
+
+
+TROUBLED = """
+import asyncio, os, threading, time
+
+class Adapter:
+    def __init__(self, name, section, station):
+        self.options = section.options
+
+    async def run(self):
+        while not os.path.exists(self.options["when"]):
+            await asyncio.sleep(0.01)
+        print("trouble begins", flush=True)
+        getattr(self, self.options["what"])()
+        await asyncio.Event().wait()
+
+    def chatter(self):
+        for _ in range(50):
+            os.write(1, b"\\n" * 60000)
+
+    def flood(self):
+        for fd in range(64):
+            if self.is_pipe(fd):
+                threading.Thread(target=self.fill, args=(fd,), daemon=True).start()
+
+    def is_pipe(self, fd):
+        try:
+            return os.readlink(f"/proc/self/fd/{fd}").startswith("pipe:") and not os.write(fd, b"")
+        except OSError:
+            return False
+
+    def fill(self, fd):
+        while True:
+            try:
+                os.write(fd, b"\\n" * 60000)
+            except BlockingIOError:
+                time.sleep(0.001)
+"""
+TICKS = 1500
+MORE_PART = 0.05
+"""Of the ticks, and of the exchanges: so many more are late or fail at most than without the
+trouble, on a machine that is busy with other things, too."""
+
+
+class Watch:
+    """What the loop and the line have counted since it was made."""
+
+    def __init__(self, stage):
+        self._stage = stage
+        self._before = stage.robot.status()
+
+    def parts(self):
+        """Of the ticks that were late, and of the exchanges that failed. No heart stopped
+        meanwhile, and it is armed as ever."""
+        before = self._before
+        now = wait_until(lambda: self._after(TICKS), "the loop and its line go on")
+        assert now["state"] == "armed", self._stage.said()
+        assert now["stalls"] == before["stalls"]
+        late = now["loop"]["overruns"] - before["loop"]["overruns"]
+        ticks = now["loop"]["ticks"] - before["loop"]["ticks"]
+        then, line = before["lines"]["rs485"], now["lines"]["rs485"]
+        failed = sum(line["errors"].values()) - sum(then["errors"].values())
+        return late / ticks, failed / (line["exchanges"] - then["exchanges"])
+
+    def _after(self, ticks):
+        now, before = self._stage.robot.status(), self._before
+        exchanges = [status["lines"]["rs485"]["exchanges"] for status in (before, now)]
+        enough = now["loop"]["ticks"] - before["loop"]["ticks"] >= ticks
+        return now if enough and exchanges[1] > exchanges[0] else None
+
+
+def armed(stage):
+    """A machine that is too busy for the drives to answer in time is asked again."""
+    with contextlib.suppress(Refused):
+        if stage.state() == "fault":
+            stage.robot.reset()
+        stage.robot.arm()
+    return stage.state() == "armed"
+
+
+TROUBLES = {"chatter": "trouble begins", "flood": "no figures"}
+"""By their words in the log."""
+
+
+@pytest.mark.parametrize(("what", "said"), TROUBLES.items(), ids=TROUBLES)
+def test_trouble_in_it_costs_the_armed_robot_nothing(tmp_path, what, said):
+    environ = offered(tmp_path, "motord.publishers", "troubled", TROUBLED, "Adapter")
+    when = tmp_path / "now"
+    settings = ("publish.troubled.kind=other", "publish.troubled.adapter=troubled",
+                "joint.left.tries=10", "joint.right.tries=10",
+                f"publish.troubled.options.what={what}",
+                f"publish.troubled.options.when={json.dumps(str(when))}")  # fmt: skip
+    with running(tmp_path, *settings, environ=environ) as stage:
+        stage.wait_for("idle")
+        living(stage)
+        wait_until(lambda: armed(stage), "armed")
+        calm = Watch(stage).parts()
+        watch = Watch(stage)
+        when.touch()
+        wait_until(lambda: said in stage.said(), said)
+        for part, without in zip(watch.parts(), calm, strict=True):
+            assert part <= without + MORE_PART
+        assert stage.said().count("no figures") <= 1
+
+
+FAILING = """
+class Adapter:
+    def __init__(self, name, section, station):
+        self.lives = 0
+
+    async def run(self):
+        self.lives += 1
+        raise RuntimeError(f"no camera for the {self.lives}th time")
+"""
+
+
+def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
+    port = free_port()
+    environ = offered(tmp_path, "motord.publishers", "failing", FAILING, "Adapter")
+    settings = ("publish.failing.kind=other", "publish.failing.adapter=failing",
+                "publish.prom.kind=prometheus", f"publish.prom.port={port}")  # fmt: skip
+    with running(tmp_path, *settings, environ=environ) as stage:
+        pid = living(stage)
+        failures = lambda: bus(stage).get("failures", {}).get("publish.failing", 0)  # noqa: E731
+        wait_until(lambda: failures() >= 2, "a second failure")
+        full(port)
+        assert bus(stage)["restarts"] == 0
+        assert bus(stage)["pid"] == pid
+        assert stage.said().count("publish.failing failed") == 1
+        assert "no camera for the 1th time" in stage.said()
 
 
 def test_it_ends_with_its_daemon(tmp_path):

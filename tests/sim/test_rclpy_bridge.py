@@ -124,6 +124,26 @@ def test_a_bridge_that_is_killed_loses_its_lease(stage, bridge):
     stage.wait_for("armed", "fault")
 
 
+def test_a_command_without_a_stamp_that_may_have_waited_moves_nothing(stage):
+    bridge = Bridge(stage.socket, "ros", stamped=False)
+    accepted = lambda: stage.robot.status()["commands"]["accepted"]  # noqa: E731
+    try:
+        for _ in range(2):
+            before = accepted()
+            bridge.drive(0.0, 0.0)  # nobody has commanded for long: who knows since when it waits
+            assert accepted() == before
+
+            def taken(before=before):
+                bridge.drive(0.0, 0.0)
+                return accepted() > before
+
+            wait_until(taken, "those that follow it are taken")
+            over_s = time.monotonic() + 1.1 * LEASE_S
+            wait_until(lambda over_s=over_s: time.monotonic() > over_s, "a silence")
+    finally:
+        bridge.close()
+
+
 def test_it_is_no_bus_of_the_second_process(stage):
     assert stage.robot.status()["bus"] is None
 

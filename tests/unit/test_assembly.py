@@ -67,6 +67,18 @@ def test_a_wheel_that_cannot_reverse_never_gets_a_negative_wish():
     assert [joint["velocity_min_rad_s"] for joint in told["joint"]] == [0.0, -15.0]
 
 
+def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
+    _, _, config = assembled("cia402-torque")
+    for joint in config["joint"]:
+        assert joint["speed_loop"] == {
+            "gain_n_m_s_per_rad": 1.0,
+            "integral_n_m_per_rad": 4.0,
+            "torque_max_n_m": 3.0,
+        }
+    _, _, demo = assembled("demo")
+    assert {joint["speed_loop"]["torque_max_n_m"] for joint in demo["joint"]} == {0.0}
+
+
 def test_a_speed_limit_that_is_not_given_is_what_the_drive_can_do_at_the_wheel():
     robot = load_robot(ROBOTS / "two-single-drives.toml")
     left = robot.joint["left"].model_copy(update={"velocity_max_rad_s": None})

@@ -119,6 +119,37 @@ def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(
     assert not load_robot(robot_file(tmp_path, text + "trust_network = true\n")).has_bus
 
 
+KINDS_WITH_HOST = ("udp", "mqtt", "prometheus", "rosbridge", "foxglove")
+
+
+@pytest.mark.parametrize("kind", KINDS_WITH_HOST)
+@pytest.mark.parametrize(
+    "host",
+    ["", "broker..example", ".example", "a b", "a/b", "[::1]", "x" * 64, "::1..2", "a." * 130],
+)
+def test_a_host_that_can_be_none_is_refused(tmp_path, kind, host):
+    (row,) = errors(tmp_path, f'[publish.net]\nkind = "{kind}"\nhost = "{host}"\n')
+    too_long = "at most 253" if len(host) > 253 else "neither the name of a machine nor an address"
+    assert row.startswith("publish.net.host: ")
+    assert too_long in row
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["localhost", "127.0.0.1", "0.0.0.0", "::", "::1", "fe80::1%eth0", "::ffff:10.0.0.1",
+     "broker.example", "broker.example.", "xn--bcher-kva.example", "my_broker-2", "x" * 63],
+)  # fmt: skip
+def test_a_host_that_can_be_one_is_taken(tmp_path, host):
+    text = f'[publish.net]\nkind = "udp"\nhost = "{host}"\n'
+    assert load_robot(robot_file(tmp_path, text)).publish["net"].host == host
+
+
+@pytest.mark.parametrize("router", ["tcp/a..b:7447", "tls/.b:7447", "tcp/:7447"])
+def test_a_router_that_can_be_none_is_refused(tmp_path, router):
+    (row,) = errors(tmp_path, f'[publish.net]\nkind = "ros2-zenoh"\nrouter = "{router}"\n')
+    assert row == f'publish.net.router: "{router}" is neither tcp/HOST:PORT nor tls/HOST:PORT'
+
+
 def test_a_group_is_sparkplugs(tmp_path):
     text = '[publish.fleet]\nkind = "mqtt"\ngroup = "site"\n'
     (row,) = errors(tmp_path, text)
@@ -140,3 +171,19 @@ def test_a_foxglove_server_that_obeys_other_machines_needs_a_certificate(tmp_pat
 def test_a_foxglove_server_that_obeys_needs_a_token(tmp_path):
     (row,) = errors(tmp_path, '[input.view]\nkind = "foxglove"\n')
     assert row.startswith("input.view.token_file")
+
+
+FLIGHT = '[publish.tape]\nkind = "mcap"\nmode = "fault"\nfolder = "tape"\n'
+
+
+@pytest.mark.parametrize(
+    ("more", "warned"),
+    [("", 0), ("before_s = 600\n", 0), ("before_s = 600\nrate_hz = 500\n", 1),
+     ("before_s = 600\nrate_hz = 60\n", 0),
+     ("before_s = 600\njournal = true\nrate_hz = 60\n", 1)],
+)  # fmt: skip
+def test_a_flight_recorder_that_memory_does_not_hold_is_warned_of(tmp_path, more, warned):
+    found = load_robot(robot_file(tmp_path, FLIGHT + more)).warnings
+    rows = [row.text for row in found if row.key == "publish.tape.before_s"]
+    assert len(rows) == warned
+    assert all("memory holds" in row for row in rows)

@@ -154,7 +154,7 @@ def test_an_adapter_that_cannot_be_had_is_said_and_the_others_are_made(tmp_path,
     path = tmp_path / "robot.toml"
     path.write_text(text, encoding="utf-8")
     adapters = Station(load_robot(path), tmp_path / "no.sock")._adapters()
-    assert [type(adapter).__name__ for adapter in adapters] == ["PrometheusServer"]
+    assert [type(adapter).__name__ for adapter in adapters.values()] == ["PrometheusServer"]
     assert "publish.smoke is off" in caplog.text
     assert "input.fleet is off" in caplog.text
 

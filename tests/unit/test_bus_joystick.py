@@ -51,6 +51,39 @@ def test_lost_events_let_go_of_the_button_and_of_the_axes():
     assert pad.twist() == (0.0, 0.0)
 
 
+ESTOP = evdev.ecodes.BTN_EAST
+
+
+def with_estop():
+    return Stick(SECTION, Codes(BUTTON, Y, X, ESTOP), {Y: (-1, 1), X: (-1, 1)})
+
+
+def test_its_emergency_stop_is_pressed_whether_or_not_the_dead_man_button_is_held():
+    pad = with_estop()
+    assert pad.take(EV_KEY, ESTOP, 1)
+    assert not pad.take(EV_KEY, ESTOP, 0)
+    assert not pad.take(EV_KEY, BUTTON, 1)
+    assert pad.take(EV_KEY, ESTOP, 1)
+    assert not stick().take(EV_KEY, ESTOP, 1), "this one has no such button"
+
+
+def test_lost_events_may_have_been_an_emergency_stop():
+    pad = with_estop()
+    assert not pad.doubted
+    pad.take(EV_SYN, SYN_DROPPED, 0)
+    assert pad.doubted
+
+
+def test_who_was_not_looked_at_has_to_press_again():
+    pad = stick()
+    pad.take(EV_KEY, BUTTON, 1)
+    pad.take(EV_ABS, Y, -32768)
+    pad.let_go()
+    assert (pad.held, pad.twist()) == (False, (0.0, 0.0))
+    pad.take(EV_KEY, BUTTON, 1)
+    assert pad.twist() == (0.0, 0.0)
+
+
 @given(
     events=st.lists(
         st.tuples(st.integers(0, 5), st.sampled_from([BUTTON, X, Y, 3, 77]),
@@ -88,10 +121,11 @@ def test_an_axis_that_the_device_has_not_is_said():
 )
 def test_a_device_of_the_kernel_drives_and_lets_go(tmp_path):
     axis = evdev.AbsInfo(value=0, min=-100, max=100, fuzz=0, flat=0, resolution=0)
-    events = {EV_KEY: [BUTTON], EV_ABS: [(X, axis), (Y, axis)]}
+    events = {EV_KEY: [BUTTON, ESTOP], EV_ABS: [(X, axis), (Y, axis)]}
     name = f"motord test pad {time.monotonic_ns()}"
     with evdev.UInput(events, name=name) as pad:
-        settings = ("input.pad.kind=joystick", f"input.pad.device={name}")
+        settings = ("input.pad.kind=joystick", f"input.pad.device={name}",
+                    "input.pad.estop_button=BTN_EAST")  # fmt: skip
         with running(tmp_path, *settings) as stage:
             stage.wait_for("idle")
             wait_until(lambda: f"input.pad: {name}" in stage.said(), stage.said(), DEADLINE_S)
@@ -104,3 +138,6 @@ def test_a_device_of_the_kernel_drives_and_lets_go(tmp_path):
             pad.syn()
             stage.wait_for("armed")
             wait_until(lambda: stage.robot.status()["leases"] == [], "handed back")
+            pad.write(EV_KEY, ESTOP, 1)
+            pad.syn()
+            stage.wait_for("estop")

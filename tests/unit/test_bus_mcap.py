@@ -19,9 +19,14 @@ from ruamel.yaml import YAML
 from tests.unit.bus_views import LOOP, MS, view
 
 from motord.bus.publish.mcap import McapRecorder
+from motord.bus.publish.mcap_files import Entry, Folder
+from motord.bus.publish.mcap_waiting import ENTRY_BYTES, Waiting
+from motord.bus.ros2.direct import encoder
 from motord.bus.station import Station
 from motord.bus.topics import TOPICS
 from motord.config import McapPublish, load_robot
+from motord.config.bus_sections import SLOW
+from motord.config.recording_rules import MESSAGE_BYTES
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
@@ -245,3 +250,97 @@ async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
         name = schemas[channels[topic].schema_id].name
         if name in jazzy.fielddefs:
             assert metadata["topic_type_hash"] == jazzy.hash_rihs01(name)
+
+
+FAULT = {"mode": "fault", "before_s": 60.0, "topics": ("motor_status",)}
+
+
+async def test_a_process_that_ends_before_the_time_after_a_fault_is_over_saves_it(tmp_path):
+    async with recording(tmp_path, **FAULT, after_s=60.0) as stage:
+        await stage.until(lambda: stage.recorder._why is not None, faults=("drive", "estop"))
+        assert stage.files() == []
+    (path,) = stage.files()
+    assert path.name.endswith("-drive-estop.mcap")
+    assert [list(row[3].faults) for row in read(path)][-1] == ["drive", "estop"]
+
+
+async def test_a_process_that_ends_while_the_robot_is_armed_saves_what_led_to_it(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.feed.taken > 20, armed=True)
+    (path,) = stage.files()
+    assert path.name.endswith("-lost.mcap")
+    assert len(read(path)) == stage.feed.taken
+
+
+async def test_a_daemon_that_is_lost_while_armed_leaves_a_file(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.recorder._armed, armed=True)
+        stage.station.view = None
+        async with asyncio.timeout(DEADLINE_S):
+            while not stage.files() or stage.recorder._recording:
+                await asyncio.sleep(0.01)
+    (path,) = stage.files()
+    assert path.name.endswith("-lost.mcap")
+    assert read(path)
+
+
+async def test_a_robot_that_is_at_rest_and_ends_leaves_no_file(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        await stage.until(lambda: stage.feed.taken > 20)
+    assert stage.files() == []
+
+
+def entry(at_ns, size):
+    return Entry("odom", "nav_msgs/msg/Odometry", at_ns, bytes(size))
+
+
+def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
+    waiting = Waiting(100_000)
+    lost = sum(waiting.keep(entry(number, 750)) for number in range(1000))
+    assert len(waiting) == 100
+    assert lost == 900
+    waiting.forget(950)
+    assert [kept.log_ns for kept in waiting.take()] == list(range(950, 1000))
+    assert sum(waiting.keep(entry(number, 750)) for number in range(100)) == 0
+    assert waiting.keep(entry(0, 200_000)) == 101
+    assert len(waiting) == 0
+
+
+async def test_what_memory_does_not_hold_is_counted_also_by_a_flight_recorder(tmp_path):
+    async with recording(tmp_path, **FAULT) as stage:
+        stage.recorder._waiting = Waiting(10_000)
+        await stage.until(lambda: stage.feed.dropped > 5)
+
+
+NAMES = (
+    "demo-20260101T000000-000000000-all.mcap",
+    "demo-20260101T000000-000000000-estop.mcap",
+    "demo-20260101T000000-000000000-all-estop.mcap",
+    "demo-2-20260101T000000-000000000-all.mcap",
+    "demo-2-20260101T000000-000000000-estop.mcap",
+    "demo-all.mcap",
+    "mine.mcap",
+)
+
+
+@pytest.mark.parametrize(("everything", "deleted"), [(True, NAMES[:1]), (False, NAMES[1:3])])
+def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(
+    tmp_path, everything, deleted
+):
+    for name in NAMES:
+        (tmp_path / name).write_bytes(bytes(2_000_000))
+    folder = Folder(tmp_path, "demo", everything=everything, total_max_mb=1, free_min_mb=0)
+    folder.make_room()
+    assert {path.name for path in tmp_path.iterdir()} == set(NAMES) - set(deleted)
+
+
+def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_path):
+    stage = Stage(tmp_path)
+    shown = view(1000, STATUS)
+    sizes = [
+        ENTRY_BYTES + len(made)
+        for topic in TOPICS.values()
+        if topic.name not in SLOW and (made := encoder(topic, stage.station.body)(shown, 0))
+    ]
+    assert len(sizes) >= 4
+    assert max(sizes) <= MESSAGE_BYTES

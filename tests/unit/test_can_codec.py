@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord_hal.can.codec import build, frame_bits, frame_time_s, parse
-from motord_hal.can.errors import BusTrouble, error_words
+from motord_hal.can.errors import WARN_EVERY_S, BusTrouble, BusWarnings, error_words
 from motord_hal.can.netlink import answer_error, restart_request
 from motord_hal.drives.can_profile import Frame, Sender, Signal
+from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import RegisterType
 
 FRAME = Frame(
@@ -130,6 +131,21 @@ def test_an_fd_frame_is_faster_where_its_data_are():
     assert 130e-6 < fast_s < 200e-6
 
 
+@pytest.mark.parametrize(
+    ("reply", "understood"),
+    [
+        ("4B 5A 60 00 02 00 00 00", True),
+        ("42 5A 60 00 02 00 00 00", True),  # the server does not say how many bytes count
+        ("43 5A 60 00 02 00 00 00", False),  # four count: it is another kind of object
+        ("4B 5A 60 01 02 00 00 00", False),
+    ],
+)
+def test_a_reply_to_an_sdo_upload_need_not_say_its_size_but_no_other_one(reply, understood):
+    profile = find_profile("cia402")
+    frame = profile.can.frames["sdo_read_quick_stop_option"]
+    assert frame.matches(bytes.fromhex(reply)) is understood
+
+
 def test_error_frames_are_read_as_the_kernel_writes_them():
     assert error_words(0x40, bytes(8)) == (["bus_off"], BusTrouble.BUS_OFF)
     assert error_words(0x04, bytes((0, 0x01))) == (["overflow"], BusTrouble.NONE)
@@ -147,3 +163,11 @@ def test_the_restart_is_asked_for_as_the_kernel_wants_it():
     assert answer_error(refused) == 1
     with pytest.raises(ValueError):
         answer_error(refused[:12])
+
+
+def test_a_warning_is_said_again_when_it_goes_on_for_long():
+    warnings = BusWarnings()
+    assert len(warnings.new(["no_ack", "error_passive", "protocol"], 100.0)) == 2
+    assert warnings.new(["no_ack"], 100.0 + WARN_EVERY_S / 2) == []
+    assert len(warnings.new(["no_ack", "no_ack"], 100.0 + WARN_EVERY_S)) == 1
+    assert warnings.new(["bus_off"], 500.0) == []  # the line is lost, which is said anyway

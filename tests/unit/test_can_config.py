@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
 
+import math
+from dataclasses import replace
+
 import pytest
 
 from motord.config import load_robot
@@ -8,23 +11,26 @@ from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.can.address import bus_arguments
 from motord_hal.can.codec import build, parse
+from motord_hal.can.plan import CanPlan
 from motord_hal.drives.can_profile import signals_of
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.errors import HalError, ProfileError
 from motord_hal.lines import open_line
 from motord_hal.paths import config_dir
-from motord_hal.rt import Exchange
+from motord_hal.ports import JointSpec
+from motord_hal.rt import Exchange, JointSetpoint
 
-ODRIVE = (config_dir() / "drives" / "odrive-0.5.toml").read_text(encoding="utf-8")
 CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"
 
 
-def problems(tmp_path, right, wrong, count=1):
-    assert right in ODRIVE
-    path = tmp_path / "odrive-0.5.toml"
-    path.write_text(ODRIVE.replace(right, wrong, count), encoding="utf-8")
+def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
+    text = (config_dir() / "drives" / f"{drive}.toml").read_text(encoding="utf-8")
+    assert right in text
+    path = tmp_path / f"{drive}.toml"
+    path.write_text(text.replace(right, wrong, count), encoding="utf-8")
     with pytest.raises(ProfileError) as error:
         load_profile(path)
     return str(error.value)
@@ -54,6 +60,34 @@ def test_a_mistake_in_a_profile_is_said(tmp_path, right, wrong, said):
     assert said in problems(tmp_path, right, wrong)
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('\nvelocity = "velocity"', "", "torque_setpoint needs velocity"),
+        ("minimum = -1.5\n", "", '"target_torque" needs minimum and maximum'),
+        ('unit = "n_m"', 'unit = "percent"', 'must be "n_m"'),
+        (
+            'torque_setpoint = "target_torque"',
+            'torque_setpoint = "target_torque"\nduty_setpoint = "target_torque"',
+            "exactly one of velocity_setpoint, duty_setpoint, torque_setpoint",
+        ),
+    ],
+)
+def test_a_torque_needs_what_its_speed_loop_is_closed_over(tmp_path, right, wrong, said):
+    assert said in problems(tmp_path, right, wrong, drive="cia402-torque")
+
+
+def test_a_torque_is_divided_by_the_gear_that_multiplies_it():
+    joint = JointSpec(
+        index=0, name="w", profile=find_profile("cia402-torque"), unit=3, gear_ratio=20.0,
+        inverted=True,
+    )  # fmt: skip
+    plan = CanPlan([joint])
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, 8.0)}) == {"target_torque": -400}
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, -80.0)}) == {"target_torque": 1500}
+    assert plan.setpoints({0: JointSetpoint(5.0, 1.0, math.nan)}) == {"target_torque": 0}
+
+
 def loaded(*overrides):
     robot = load_robot(ROBOT, overrides)
     profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
@@ -70,6 +104,48 @@ def test_a_can_line_is_told_to_the_hardware_layer():
     _, spec = loaded("line.can0.data_bitrate=2000000")
     assert (spec.kind, spec.port, spec.baudrate) == ("can", "socketcan:can0", 500_000)
     assert spec.data_baudrate == 2_000_000
+
+
+def test_a_watchdog_that_was_set_by_the_maker_s_tool_is_held_against_what_motord_counts_on():
+    both = [f"joint.{name}.drive_watchdog_s=0.5" for name in ("left", "right")]
+    robot, _ = loaded()
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(both[0])
+    assert any("without a communication watchdog" in w.text for w in robot.warnings)
+    robot, _ = loaded(*both)
+    assert not any("without a communication watchdog" in w.text for w in robot.warnings)
+    assert "0.5 s is not safety.drive_watchdog_s (0.3 s)" in wrong(
+        *both, "safety.drive_watchdog_s=0.3"
+    )
+    assert "shorter than two cycles" in wrong("joint.left.drive_watchdog_s=0.015")
+
+
+def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_said():
+    with pytest.raises(ConfigError, match="is not used: motord sets that of drive"):
+        load_robot(CIA402, ("joint.left.drive_watchdog_s=0.5",))
+    with pytest.raises(ConfigError, match="is only for a drive on a CAN bus"):
+        load_robot(config_dir() / "robots" / "demo.toml", ("joint.left.drive_watchdog_s=0.5",))
+
+
+def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
+    said = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
+    assert "line.can0.interface" in said
+    assert 'interface = "socketcan", channel = "can0"' in said
+
+
+def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
+    slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
+    loaded(*slcan)
+    assert "slcan carries no CAN FD" in wrong(*slcan, "line.can0.data_bitrate=2000000")
+    _, spec = loaded(*slcan)
+    with pytest.raises(HalError, match="slcan carries no CAN FD"):
+        open_line(replace(spec, data_baudrate=2_000_000), Exchange.private(), print)
+
+
+def test_an_adapter_of_python_can_s_own_is_told_of_can_fd():
+    assert "fd" not in bus_arguments("kvaser:0", 500_000, None)
+    fd = bus_arguments("kvaser:0", 500_000, 2_000_000)
+    assert (fd["fd"], fd["data_bitrate"], fd["bitrate"]) == (True, 2_000_000, 500_000)
 
 
 def test_the_bus_load_is_that_of_the_frames():
@@ -155,9 +231,12 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
         ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
         ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
+        ('"status_object"\nso', '"status_objekt"\nso', 'did you mean "status_object"?'),
+        ('"status_object"\nso', '"control_word"\nso', '"control_word" is nothing that can be read'),
+        ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
-def test_a_mistake_about_sync_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_about_sync_or_an_object_is_said(tmp_path, right, wrong, said):
     assert right in CSV
     path = tmp_path / "cia402-csv.toml"
     path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")

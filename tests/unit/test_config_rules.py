@@ -106,6 +106,22 @@ def line_that_says(path, text):
             ),
         ),
         (
+            "cia402-torque",
+            [("velocity_max_rad_s = 15.0\n", "")],
+            (
+                'joint.left.velocity_max_rad_s: is missing: drive "cia402-torque" takes a torque, '
+                "and knows no speed at most"
+            ),
+        ),
+        (
+            "cia402-torque",
+            [("torque_max_n_m = 3.0", "torque_max_n_m = 31.0")],
+            (
+                'joint.left.speed_loop.torque_max_n_m: is more than drive "cia402-torque" takes '
+                "(at most 30 N·m at the wheel)"
+            ),
+        ),
+        (
             "forward-only",
             [("full_duty_rad_s = 18.0\n", "")],
             (
@@ -201,6 +217,13 @@ def test_a_watchdog_time_that_the_drive_cannot_hold_is_an_error(tmp_path):
     assert row.endswith(" to 0.4 s)")
 
 
+def test_a_torque_drive_needs_a_speed_loop(tmp_path):
+    text = (ROBOTS / "cia402-torque.toml").read_text(encoding="utf-8")
+    loop = text[text.index("[joint.left.speed_loop]") : text.index("[joint.right]")]
+    (row,) = errors(edited(tmp_path, "cia402-torque", (loop, "")))
+    assert row.startswith("joint.left.speed_loop: is missing: drive")
+
+
 def test_a_broken_profile_is_said_with_its_own_first_problem(tmp_path):
     (tmp_path / "dog.toml").write_text("schema = 1\n", encoding="utf-8")
     path = edited(tmp_path, "demo", ('drive = "zlac8015d"', 'drive = "./dog.toml"'))
@@ -225,6 +248,16 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
 @pytest.mark.parametrize(
     ("robot", "edits", "row"),
     [
+        (
+            "cia402-torque",
+            [('drive = "cia402-torque"\nunit = 1', 'drive = "cia402"\nunit = 1')],
+            'joint.left.speed_loop: is not used: drive "cia402" holds the speed by itself',
+        ),
+        (
+            "cia402-torque",
+            [("unit = 2", "unit = 2\nduty_max = 0.5")],
+            'joint.right.duty_max: is not used: drive "cia402-torque" takes a torque',
+        ),
         (
             "demo",
             [("linear_m_s = 1.0", "linear_m_s = 1.3")],
@@ -361,10 +394,16 @@ def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
             'joints = ["left"]\nvoltage_from = "left.bus_voltage"',
             "battery.joints: the voltage is that of voltage_from",
         ),
+        (
+            'bus = "/dev/i2c-1"\nchip_at_pack = true',
+            "battery.chip_at_pack: ina226 does not measure its temperature",
+        ),
     ],
 )
 def test_a_reading_of_the_battery_that_no_drive_has_is_named(tmp_path, reading, said):
     section = BATTERY.replace("low_v", f"{reading}\nlow_v")
+    if "bus" in reading.split():
+        section = section.replace('"drives"', '"ina226"')
     found = errors(edited(tmp_path, "demo", ("[line.rs485]", section)))
     assert any(row.startswith(said) for row in found), found
 

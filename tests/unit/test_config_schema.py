@@ -17,7 +17,8 @@ UNITS = {
     "rad_s3": "rad/s³", "s": "s", "hz": "Hz", "per_s": "1/s", "m2_per_m": "m²/m", "m2": "m²",
     "rad2_per_rad": "rad²/rad",
     "rad2_per_s": "rad²/s", "rad2": "rad²", "m2_s2": "m²/s²", "rad2_s2": "rad²/s²",
-    "mb": "MB", "v": "V", "ah": "Ah", "ohm": "Ω",
+    "mb": "MB", "v": "V", "ah": "Ah", "ohm": "Ω", "n_m": "N·m",
+    "n_m_per_rad": "N·m/rad", "n_m_s_per_rad": "N·m·s/rad",
 }  # fmt: skip
 
 

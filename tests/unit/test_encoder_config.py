@@ -10,8 +10,9 @@ import pytest
 from motord import assembly
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
+from motord.tools.unit import devices
 from motord_hal.gpio.chip import FLAG_FALLING, FLAG_RISING, pack_request
-from motord_hal.ports import CounterEncoder, EdgesEncoder
+from motord_hal.ports import BoardEncoder, CounterEncoder, EdgesEncoder
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi4-encoders.toml").read_text("utf-8")
 GPIO = 'kind = "gpio"'
@@ -64,6 +65,51 @@ def test_a_counter_of_the_kernel_is_handed_on(load):
     _, (a, _) = told(load((edges, counter)))
     assert isinstance(a, CounterEncoder)
     assert (a.counter, a.count) == ("44000000.timer", 1)
+
+
+EDGES = GPIO + '\na = "GPIO17"\nb = "GPIO27"\npull = "up"'
+RIGHT_EDGES = GPIO + '\na = "GPIO23"\nb = "GPIO24"\npull = "up"'
+BOARD = 'kind = "mcu"\nport = "/dev/ttyACM0"\nmotor = 1'
+OTHER_MOTOR = BOARD.replace("motor = 1", "motor = 2")
+
+
+def test_a_board_that_counts_is_handed_on_and_may_count_for_both(load):
+    robot = load((EDGES, BOARD), (RIGHT_EDGES, OTHER_MOTOR))
+    core, (a, b) = told(robot)
+    assert a == BoardEncoder(
+        port="/dev/ttyACM0", baudrate=115200, motor=1, rad_per_count=core[0]["rad_per_count"]
+    )
+    assert (b.motor, b.rad_per_count) == (2, core[1]["rad_per_count"])
+    assert [joint["counter_bits"] for joint in core] == [64, 64]
+    assert "char-ttyACM" in devices(robot)
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        (
+            [(EDGES, BOARD), (RIGHT_EDGES, BOARD)],
+            "joint.right.encoder: motor 1 of that board is counted for joint left already",
+        ),
+        (
+            [(EDGES, BOARD), (RIGHT_EDGES, OTHER_MOTOR + "\nbaudrate = 9600")],
+            "joint.right.encoder: baudrate is not that of joint left on the same port (115200)",
+        ),
+        (
+            [
+                (EDGES, BOARD),
+                (
+                    "[joint.left]",
+                    '[line.board]\nkind = "mcu"\nport = "/dev/ttyACM0"\n\n[joint.left]',
+                ),
+            ],
+            "joint.left.encoder: /dev/ttyACM0 is the port of line board",
+        ),
+        ([(EDGES, BOARD.replace("motor = 1", ""))], "joint.left.encoder.motor: is missing"),
+    ],
+)
+def test_a_board_that_cannot_count_so_is_said(load, edits, words):
+    assert any(row.startswith(words) for row in rows(load, *edits)), rows(load, *edits)
 
 
 def test_with_encoders_nothing_is_said_of_missing_counters(load):

@@ -124,6 +124,17 @@ def test_a_duty_turns_the_wheel_along_the_speed_torque_line(duty, full_duty_rad_
     assert line_n_m == pytest.approx(drag_n_m, rel=0.01)
 
 
+def test_a_torque_turns_the_wheel_faster_and_faster_by_what_friction_leaves():
+    wheel = Wheel(MODEL)
+    wheel.drive(-1.0)
+    go_on(wheel, 0.1)
+    left_n_m = 1.0 - MODEL.coulomb_n_m
+    assert wheel.velocity_rad_s == pytest.approx(-left_n_m / MODEL.inertia_kg_m2 * 0.1, rel=0.05)
+    wheel.drive(2 * MODEL.torque_max_n_m)
+    go_on(wheel, 0.001)
+    assert wheel.torque_n_m == MODEL.torque_max_n_m
+
+
 def test_work_warms_the_winding():
     wheel = Wheel(MODEL)
     wheel.push(1.0, 1.0)
@@ -139,6 +150,7 @@ def test_what_is_not_finite_is_refused_at_the_door(bad):
         lambda: wheel.turn(bad),
         lambda: wheel.push(bad, 15.0),
         lambda: wheel.push(0.5, bad),
+        lambda: wheel.drive(bad),
         lambda: plant.step(bad),
         lambda: base(track_m=bad),
     ):

@@ -155,6 +155,13 @@ async def test_udp_says_once_that_a_sample_cannot_be_sent(caplog):
     assert len([row for row in caplog.records if row.levelname == "WARNING"]) == 1
 
 
+async def test_udp_to_what_is_no_name_at_all_is_said_and_goes_on(caplog):
+    section = UdpPublish.model_construct(kind="udp", host="broker..example", port=9870, rate_hz=1.0)
+    publisher = UdpPublisher("mine", section)
+    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    assert "broker..example has no address" in caplog.text
+
+
 @pytest.fixture
 def pipe():
     """A publisher whose standard output is a pipe, and the pipe's reading end."""

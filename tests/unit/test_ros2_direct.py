@@ -7,6 +7,7 @@ import random
 import pytest
 from tests.unit.bus_views import LOOP, any_body, any_view, joint, view
 
+from motord.bus import json_direct
 from motord.bus.messages import Body
 from motord.bus.ros2 import cdr, direct
 from motord.bus.topics import TOPICS, View
@@ -44,6 +45,25 @@ def test_it_says_what_the_message_says_byte_for_byte(name):
             said += isinstance(expected, bytes)
             assert outcome(short_way, one, offset_ns) == expected
     assert said > ROUNDS
+
+
+LEASES = {"leases": [{"number": 1, "owner": "fleet", "priority": 7}]}
+WORDS = (
+    {"machine_state": 3}, {"armed": True}, {"at_rest": True}, {"faults": ("estop",)},
+    {"reasons": ("linear_jerk",)}, {"owner": 1}, {"status": {"leases": []}},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("form", [direct, json_direct])
+@pytest.mark.parametrize("change", WORDS, ids=lambda change: next(iter(change)))
+def test_a_word_that_has_changed_alone_is_told_at_once(form, change):
+    topic, body = TOPICS["motor_status"], Body(robot="r2", joints=("left", "right"))
+    encode = form.encoder(topic, body)
+    words = {"owner": 1 if "status" in change else 2}
+    before = view(5, status=LEASES, **words)
+    after = view(5, **{"status": LEASES} | words | change)
+    assert encode(before, OFFSET_NS) != encode(after, OFFSET_NS)
+    assert encode(after, OFFSET_NS) == form.encoder(topic, body)(after, OFFSET_NS)
 
 
 @pytest.mark.parametrize("name", ["odom", "tf", "joint_states", "motor_status", "imu"])

@@ -42,7 +42,7 @@ def test_a_can_interface_is_no_device_and_an_adapter_is_one():
     assert devices("odrive-two") == []
     slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
     assert devices("odrive-two", *slcan) == ["char-ttyACM"]
-    assert devices("odrive-two", "line.can0.interface=gs_usb") == ["char-usb_device"]
+    assert devices("odrive-two", "line.can0.interface=canalystii") == ["char-usb_device"]
 
 
 def test_pins_encoders_and_a_sensor_are_allowed_and_sysfs_can_be_written():

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import json
 import logging
 import os
@@ -55,6 +56,7 @@ def main(
     \b
     Example: motord-bus robot.toml
     """
+    beats = _own_output() if supervised else None
     log.set_up()
     confine()
     try:
@@ -67,20 +69,30 @@ def main(
     except ClientError as error:
         _log.error("%s", error)
         sys.exit(_FAILED)
-    asyncio.run(_run(robot, path, supervised=supervised))
+    asyncio.run(_run(robot, path, beats))
 
 
-async def _run(robot: Robot, path: Path, *, supervised: bool) -> None:
+def _own_output() -> int:
+    """A descriptor of the daemon's pipe that nobody else writes to: what libraries print goes to
+    standard error."""
+    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # never 2, if the daemon has none
+    elsewhere = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
+    os.dup2(elsewhere, 1)
+    return fd
+
+
+async def _run(robot: Robot, path: Path, beats: int | None) -> None:
+    """`beats`: where to say that it lives, if the daemon wants to know."""
     station, end = Station(robot, path), asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
-    if supervised:
+    if beats is not None:
         loop.add_reader(sys.stdin.fileno(), _until_closed, sys.stdin.fileno(), end)
     async with asyncio.TaskGroup() as tasks:
         work = [tasks.create_task(station.run())]
-        if supervised:
-            work.append(tasks.create_task(_beat(station)))
+        if beats is not None:
+            work.append(tasks.create_task(_beat(station, beats)))
         await end.wait()
         for task in work:
             task.cancel()
@@ -92,9 +104,8 @@ def _until_closed(fd: int, end: asyncio.Event) -> None:
         end.set()
 
 
-async def _beat(station: Station) -> None:
+async def _beat(station: Station, fd: int) -> None:
     """A line of figures a second: who reads none for long takes this process for hung."""
-    fd = sys.stdout.fileno()
     os.set_blocking(fd, False)  # a pipe of our own
     while True:
         line = json.dumps(station.figures(), separators=(",", ":")).encode() + b"\n"

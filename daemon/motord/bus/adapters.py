@@ -41,7 +41,8 @@ class Adapter(Protocol):
     feed is lost."""
 
     async def run(self) -> None:
-        """Until cancelled; the world's faults are logged once and survived."""
+        """Until cancelled; the world's faults are logged once and survived. One that raises is run
+        again (motord.bus.guard)."""
         ...
 
 

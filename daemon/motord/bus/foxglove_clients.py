@@ -49,7 +49,8 @@ REQUEST_BYTES_MAX = 4096
 WAITING_MAX = 32
 ADMITTED_MAX = 64
 CHANNELS_MAX = 256
-"""Of all clients together; the oldest are forgotten."""
+"""Of all clients together; those that were not used for the longest time are forgotten. The SDK
+does not say when a client is gone."""
 
 _TRIGGER = (
     ("Request", {"token": {"type": "string"}}),
@@ -109,8 +110,14 @@ class Commands(Looks):
 
     def _admit(self, client: int, request: Mapping[str, Any]) -> None:
         """Raises NotTaken."""
-        if client not in self._admitted:
+        if client in self._admitted:
+            self._remember(client)
+        else:
             self._desk.admit(request.get("token"))
+
+    def _remember(self, client: int) -> None:
+        others = (one for one in self._admitted if one != client)
+        self._admitted = (*others, client)[-ADMITTED_MAX:]
 
     def _complain(self, about: str, error: NotTaken) -> None:
         """To all who look: the protocol has no answer to a message or a parameter."""
@@ -144,10 +151,14 @@ class Commands(Looks):
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
         """As ServerListener."""
-        topic = self._topics.get((client.id, client_channel_id))
-        if topic is not None:
-            inbox = self._friends if client.id in self._admitted else self._strangers
-            inbox.put((client.id, topic, data))
+        key = client.id, client_channel_id
+        with self._advertising:
+            topic = self._topics.pop(key, None)
+            if topic is None:
+                return
+            self._topics[key] = topic  # used last, forgotten last
+        inbox = self._friends if client.id in self._admitted else self._strangers
+        inbox.put((client.id, topic, data))
 
     def _take(self, said: tuple[int, str, bytes]) -> None:
         client, topic, raw = said
@@ -186,7 +197,7 @@ class Commands(Looks):
         request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
         if method == AUTHORIZE:
             self._desk.admit(request.get("token"))
-            self._admitted = (*self._admitted, client)[-ADMITTED_MAX:]
+            self._remember(client)
             return "this connection may command until it ends"
         self._admit(client, request)
         return str((await self._desk.act(method))["state"])

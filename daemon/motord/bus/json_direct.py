@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from math import cos, hypot, isfinite, sin
 from typing import Any
 
@@ -111,7 +111,7 @@ class _Odometry(_Document):
         x_m, y_m, half_rad = now.x_m, now.y_m, 0.5 * now.heading_rad
         linear_m_s, angular_rad_s = now.linear_m_s, now.angular_rad_s
         if not now.odometry_stamp_ns or not isfinite(
-            hypot(x_m, y_m, half_rad, linear_m_s, angular_rad_s)
+            x_m + y_m + half_rad + linear_m_s + angular_rad_s
         ):
             return False
         stamp, position, turn = self._stamp, self._position, self._turn
@@ -141,7 +141,7 @@ class _Transforms(_Document):
     def _fill(self, view: View, wall_offset_ns: int) -> bool:
         now = view.snapshot
         x_m, y_m, half_rad = now.x_m, now.y_m, 0.5 * now.heading_rad
-        if not now.odometry_stamp_ns or not isfinite(hypot(x_m, y_m, half_rad)):
+        if not now.odometry_stamp_ns or not isfinite(x_m + y_m + half_rad):
             return False
         stamp, place, turn = self._stamp, self._place, self._turn
         wall_ns = now.odometry_stamp_ns + wall_offset_ns
@@ -180,18 +180,22 @@ class _MotorStatus(_Document):
     def _find(self) -> None:
         self._stamp = _at(self._document, "header", "stamp")
         self._document["name"] = msgspec.Raw(json_form.encode(self._body.joints))
+        self._owner = -1
+        self._status: Mapping[str, Any] | None = None
 
     def _fill(self, view: View, wall_offset_ns: int) -> bool:
         now, stamp, document = view.snapshot, self._stamp, self._document
-        commander = view.commander()
+        if now.owner != self._owner or view.status is not self._status:
+            self._owner, self._status = now.owner, view.status
+            commander = view.commander()
+            document["commander"] = commander.owner if commander else ""
+            document["commander_priority"] = commander.priority if commander else 0
         wall_ns = now.stamp_ns + wall_offset_ns
         stamp["sec"] = sec = wall_ns // _NS
         stamp["nanosec"] = wall_ns - sec * _NS
         document["state"] = state_name(now)
         document["armed"], document["at_rest"] = now.armed, now.at_rest
         document["faults"], document["reasons"] = now.faults, now.reasons
-        document["commander"] = commander.owner if commander else ""
-        document["commander_priority"] = commander.priority if commander else 0
         document["command_age_s"] = now.command_age_s
         document["setpoint_linear_m_s"] = now.setpoint_linear_m_s
         document["setpoint_angular_rad_s"] = now.setpoint_angular_rad_s

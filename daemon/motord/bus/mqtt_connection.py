@@ -14,6 +14,7 @@ import aiomqtt
 
 from motord.bus import json_form
 from motord.bus.feed import Form, Make, as_message
+from motord.bus.guard import first, raise_if_cancelled
 from motord.bus.json_direct import encoder as json_encoder
 from motord.bus.messages import Body
 from motord.bus.mqtt_names import names_of
@@ -103,21 +104,6 @@ class MqttConnection:
             max_queued_outgoing_messages=QUEUED_MAX,
         ) as client:
             yield client
-
-
-def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """One of a group, to be said."""
-    error: BaseException = errors
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    return error
-
-
-def raise_if_cancelled() -> None:
-    """A client library may answer a cancellation with an error of its own."""
-    task = asyncio.current_task()
-    if task is not None and task.cancelling():
-        raise asyncio.CancelledError
 
 
 def _tls_context(section: MqttBroker, station: Station) -> ssl.SSLContext:

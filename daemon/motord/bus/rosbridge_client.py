@@ -14,10 +14,11 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 
 from motord.bus import json_form
-from motord.bus.inputs.desk import TRIGGERS, Desk, NotTaken, short, tag
+from motord.bus.inputs.desk import TRIGGERS, URGENT, Desk, NotTaken, short, tag
 from motord.bus.topics import TOPICS
 
-CALLS_MAX = 16
+CALLS_MAX, ANSWERS_MAX = 16, 64
+"""Calls under way, and answers that the client has not read yet. What is urgent is always done."""
 THROTTLE_MAX_MS = 3_600_000
 
 
@@ -87,8 +88,8 @@ class RosbridgeClient:
                 self._every_s.pop(topic, None)
             case "publish":
                 await self._publish(topic, request.get("msg"))
-            case "call_service" if self._calls < CALLS_MAX:
-                tasks.create_task(self._call(request))
+            case "call_service":
+                await self._ask(request, tasks)
             case "advertise" | "unadvertise" | "status" | "set_level":
                 pass  # nothing follows from it
             case other:
@@ -115,15 +116,30 @@ class RosbridgeClient:
             except NotTaken as error:
                 await self._say("error", str(error))
 
+    async def _ask(self, request: Mapping[str, Any], tasks: asyncio.TaskGroup) -> None:
+        urgent = _name(request.get("service")) in URGENT
+        if self._calls < (ANSWERS_MAX if urgent else CALLS_MAX):
+            self._calls += 1
+            tasks.create_task(self._call(request))
+        elif urgent:  # done first; then nothing more is read until the client reads
+            await self._respond(request, await self._done(request))
+        else:
+            busy = "busy" if self._desk is None else str(self._desk.busy())
+            await self._respond(request, {"values": busy, "result": False})
+
     async def _call(self, request: Mapping[str, Any]) -> None:
-        self._calls += 1
         try:
-            values = await self._served(_name(request.get("service")))
-            answer = {"values": values, "result": True}
-        except NotTaken as error:
-            answer = {"values": str(error), "result": False}
+            await self._respond(request, await self._done(request))
         finally:
             self._calls -= 1
+
+    async def _done(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            return {"values": await self._served(_name(request.get("service"))), "result": True}
+        except NotTaken as error:
+            return {"values": str(error), "result": False}
+
+    async def _respond(self, request: Mapping[str, Any], answer: dict[str, Any]) -> None:
         service, number = tag(request.get("service")), tag(request.get("id"))
         head = {"op": "service_response", "service": service, "id": number}
         await self._send(head | answer)

@@ -13,6 +13,8 @@ from typing import Any
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
+from motord.bus.guard import keep
+from motord.bus.inputs.gap import Gap
 from motord.bus.link import Source, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
@@ -34,6 +36,12 @@ STATUS_EVERY_S = 1.0
 LOOK_MIN_S, LOOK_MAX_S = 0.001, 0.1
 LOOKS_PER_SAMPLE = 2
 
+BROKEN = (
+    *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
+    *(SyntaxError, TypeError),
+)
+"""How code of another package fails that was never tried."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -49,6 +57,9 @@ class Station:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Feed] = {}
         self.sources: dict[str, Source] = {}
+        self._gaps: list[Gap] = []
+        self._failures: dict[str, int] = {}
+        """How often the adapter of a section has failed, where it has."""
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
@@ -61,6 +72,11 @@ class Station:
         """The right to command of [input.NAME]; the adapter runs it."""
         self.sources[name] = Source(self.path, name)
         return self.sources[name]
+
+    def gap(self, longest_s: float) -> Gap:
+        """Tells whether this process has just stood still for longer than that."""
+        self._gaps.append(Gap(longest_s))
+        return self._gaps[-1]
 
     async def call(self, method: str, **params: Any) -> Any:
         """Ask the daemon. Raises Refused and ClientError."""
@@ -85,30 +101,35 @@ class Station:
             }
             for name, source in self.sources.items()
         }
-        return {"publishers": told, "inputs": commanding}
+        return {"publishers": told, "inputs": commanding, "failures": self._failures}
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
         """Until cancelled."""
         adapters = self._adapters()
         async with asyncio.TaskGroup() as tasks:
-            for adapter in adapters:
-                tasks.create_task(adapter.run())
+            for where, adapter in adapters.items():
+                tasks.create_task(keep(where, adapter, self._failures))
+            for gap in self._gaps:
+                tasks.create_task(gap.watch())
             tasks.create_task(self._look())
             tasks.create_task(self._ask())
 
-    def _adapters(self) -> list[Adapter]:
-        made = [
-            self._adapter(f"publish.{name}", section, PUBLISHERS, PUBLISHER_POINTS)
+    def _adapters(self) -> dict[str, Adapter]:
+        """By their sections."""
+        publishers, inputs = (PUBLISHERS, PUBLISHER_POINTS), (INPUTS, INPUT_POINTS)
+        sections: list[tuple[str, Any, tuple[Mapping[str, str], str]]] = [
+            (f"publish.{name}", section, publishers)
             for name, section in self.robot.publish.items()
             if not isinstance(section, StdoutPublish | UdpPublish)
         ]
-        made += [
-            self._adapter(f"input.{name}", section, INPUTS, INPUT_POINTS)
+        sections += [
+            (f"input.{name}", section, inputs)
             for name, section in self.robot.input.items()
             if isinstance(section, BusInput) and not isinstance(section, RclpyInput)
         ]
-        return [adapter for adapter in made if adapter is not None]
+        made = {where: self._adapter(where, section, *kinds) for where, section, kinds in sections}
+        return {where: adapter for where, adapter in made.items() if adapter is not None}
 
     def _adapter(
         self, where: str, section: Any, table: Mapping[str, str], group: str
@@ -124,6 +145,9 @@ class Station:
             _log.error("%s is off: %s: pip install 'motord[%s]'", where, error, kind)
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
+        except BROKEN as error:
+            text = "%s is off: it cannot be made: %s: %s"
+            _log.error(text, where, type(error).__name__, error, exc_info=error)
         else:
             return adapter
         return None

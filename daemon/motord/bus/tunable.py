@@ -11,9 +11,9 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from motord.bus.inputs.desk import NotTaken
-from motord.bus.ros2.sparing import Sparing
 from motord.client import ClientError
 from motord.config import Robot
+from motord.sparing import Sparing
 
 _LIMITS = "limits."
 _FIXED = ("track_m", "wheel_radius_m")

@@ -71,10 +71,12 @@ class DrivesBattery(Battery):
 class InaBattery(Battery):
     """A power monitor of Texas Instruments on an I2C bus, its IN+ at the battery."""
 
-    source: Literal["ina219", "ina226"]
+    source: Literal["ina219", "ina226", "ina228", "ina238"]
     bus: str
     """Device file, as /dev/i2c-1."""
     address: int = number("on the bus, 0x40 to 0x4f by the pins A0 and A1", 0x40, 0x4F, "1", 0x40)
     shunt_ohm: float = number("resistance between IN+ and IN-", 1e-5, 10, "Ω", 0.1)
     inverted: bool = False
     """IN- is at the battery."""
+    chip_at_pack: bool = False
+    """The chip (ina228, ina238) is as warm as the pack: its temperature is the battery's."""

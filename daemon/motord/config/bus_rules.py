@@ -24,6 +24,7 @@ from motord.config.bus_sections import (
 )
 from motord.config.finding import Finding
 from motord.config.model import Robot
+from motord.config.recording_rules import memory_holds_the_time_before_a_fault
 from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
@@ -239,4 +240,5 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _zenoh_commands_are_meant,
     _zenoh_routers,
     _remaps_agree,
+    memory_holds_the_time_before_a_fault,
 )

@@ -26,7 +26,11 @@ ALL_TOPICS: tuple[Topic, ...] = (
     *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
 )
-ROUTER = r"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}$"
+_NAME = r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"
+_IPV6 = r"[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{1,40}(\.[0-9]{1,3}){0,3}(%[A-Za-z0-9_-]{1,15})?"
+HOST = rf"^({_NAME}|{_IPV6})$"
+"""A name or an address; what getaddrinfo raises UnicodeError for is none."""
+ROUTER = rf"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|{_NAME}):[0-9]{{1,5}}$"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -46,7 +50,7 @@ class UdpPublish(Publish):
     """A datagram of JSON for each sample."""
 
     kind: Literal["udp"]
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Where to; this machine unless something else is said."""
     port: int = number("UDP port", 1, 65535, "1", 9870)
 
@@ -100,7 +104,7 @@ class TokenInput(StampedInput):
 class MqttBroker(Section):
     """Where the broker is, and who we are there."""
 
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """The broker's name or address."""
     port: int | None = number("TCP port; 8883 with TLS, else 1883", 1, 65535, "1", None)
     tls: bool = False
@@ -145,7 +149,7 @@ class PrometheusPublish(Publish):
     """Figures for Prometheus: GET /metrics. They are those of the moment of asking."""
 
     kind: Literal["prometheus"]
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Address to listen at; this machine only, unless something else is said."""
     port: int = number("TCP port", 1, 65535, "1", 9464)
 
@@ -175,7 +179,7 @@ class McapPublish(BusPublish):
 class Server(BusPublish):
     """A server of the second process."""
 
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Address to listen at; this machine only, unless something else is said."""
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
@@ -228,6 +232,8 @@ class JoystickInput(BusInput):
     """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
     dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
     """Button to be held, by the kernel's name."""
+    estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button that is an emergency stop, whoever commands and whatever else is held."""
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")

@@ -119,10 +119,34 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         yield Finding((("joint", name, "counts_per_turn"), ("joint", name, "drive")), text)
 
 
+def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """The watchdog that somebody has set with the maker's tool. motord cannot read it, but it
+    counts on safety.drive_watchdog_s: for so long a wheel may go on when motord dies, and a drive
+    that was told nothing for so long has stopped itself."""
+    wanted_s = robot.safety.drive_watchdog_s
+    for name, joint in robot.joint.items():
+        own_s, line = joint.drive_watchdog_s, robot.line[joint.line]
+        if own_s is None:
+            continue
+        path: Path = ("joint", name, "drive_watchdog_s")
+        if not isinstance(line, CanLine):
+            yield Finding((path,), "is only for a drive on a CAN bus")
+        elif profiles[joint.drive].watchdog is not None:
+            text = f'is not used: motord sets that of drive "{joint.drive}" itself'
+            yield Finding((path,), f"{text}, to safety.drive_watchdog_s")
+        elif own_s < 2 / line.cycle_hz:
+            text = f'{own_s:g} s is shorter than two cycles of line "{joint.line}"'
+            yield Finding((path, ("line", joint.line, "cycle_hz")), text)
+        elif own_s != wanted_s:
+            text = f"{own_s:g} s is not safety.drive_watchdog_s ({wanted_s:g} s), on which motord"
+            yield Finding((path, ("safety", "drive_watchdog_s")), f"{text} counts: make them one")
+
+
 CAN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _load,
     _times,
     _cycles,
     _frames,
     _counts,
+    _watchdogs,
 )

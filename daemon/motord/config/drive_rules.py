@@ -20,6 +20,8 @@ from motord.config.wheels import (
     drive_can_reverse,
     drive_velocity_max_rad_s,
     takes_duty,
+    takes_torque,
+    torque_max_n_m,
     velocity_range_rad_s,
 )
 from motord.config.wire import budget, cycle_limit_hz, helps
@@ -101,6 +103,28 @@ def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding(on, text)
 
 
+def _torque(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        profile, drive = profiles[joint.drive], ("joint", name, "drive")
+        loop: Path = ("joint", name, "speed_loop")
+        if not takes_torque(joint, profile):
+            if joint.speed_loop is not None:
+                text = f'is not used: drive "{joint.drive}" holds the speed by itself'
+                yield Finding((loop, drive), text, warning=True)
+            continue
+        takes = f'drive "{joint.drive}" takes a torque'
+        if joint.velocity_max_rad_s is None:
+            path = ("joint", name, "velocity_max_rad_s")
+            yield Finding((path, drive), f"is missing: {takes}, and knows no speed at most")
+        if joint.speed_loop is None:
+            yield Finding((loop, drive), f"is missing: {takes}, and motord holds the speed")
+        elif joint.speed_loop.torque_max_n_m > (most := torque_max_n_m(joint, profile)) * (
+            1 + _ROUNDING
+        ):
+            text = f'is more than drive "{joint.drive}" takes (at most {most:.4g} N·m at the wheel)'
+            yield Finding(((*loop, "torque_max_n_m"), drive), text)
+
+
 def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     keys = ("duty_dead_band", "duty_min", "duty_max", "duty_slew_per_s", "full_duty_rad_s")
     for name, joint in robot.joint.items():
@@ -116,7 +140,8 @@ def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             continue
         for key in keys:
             if key in joint.model_fields_set:
-                text = f'is not used: drive "{joint.drive}" takes a velocity'
+                what = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
+                text = f'is not used: drive "{joint.drive}" takes {what}'
                 yield Finding((("joint", name, key), drive), text, warning=True)
 
 
@@ -255,6 +280,8 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for drive, joints in users.items():
         watchdog = profiles[drive].watchdog
         at = ("joint", joints[0], "drive")
+        if watchdog is None and all(robot.joint[name].drive_watchdog_s for name in joints):
+            continue  # said for each of them, which another rule looks at
         if watchdog is None:
             note = profiles[drive].watchdog_note
             text = f'drive "{drive}" without a communication watchdog: {note}'
@@ -269,6 +296,7 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _protocol,
     _mounting,
     _velocity,
+    _torque,
     _duty,
     _reverse,
     _counter,

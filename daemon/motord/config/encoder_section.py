@@ -46,4 +46,14 @@ class KernelEncoder(Encoder):
     count: int = number("which count of it", 0, 63, "1", 0)
 
 
-AnyEncoder = Annotated[GpioEncoder | KernelEncoder, Field(discriminator="kind")]
+class BoardEncoder(Encoder):
+    """On a board of one's own (docs/mcu-frame.md) that only counts; several may be on one."""
+
+    kind: Literal["mcu"]
+    port: str = Field(min_length=1)
+    """Device file (/dev/serial/by-id/...), or usb:SERIAL for the board with that serial number."""
+    baudrate: int = number("bits a second on the wire", 1200, 4_000_000, "1/s", 115200)
+    motor: int = number("which motor of the board, as its sketch numbers them", 1, 4, "1")
+
+
+AnyEncoder = Annotated[GpioEncoder | KernelEncoder | BoardEncoder, Field(discriminator="kind")]

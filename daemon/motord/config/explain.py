@@ -12,6 +12,7 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
+from motord.config.bus_sections import HOST, ROUTER
 from motord.config.problems import nearest
 from motord.config.schema import Node, allowed, choices, describe, robot_schema
 from motord.config.toml_lines import Path
@@ -38,6 +39,11 @@ _NOT_A = {
 }
 _OUT_OF_RANGE = ("greater_than_equal", "less_than_equal", "finite_number")
 _BAD_NAME = "a name is letters, digits, _ and -, begins with a letter, at most 32 long"
+_BAD_TEXT = {
+    HOST: "is neither the name of a machine nor an address",
+    ROUTER: "is neither tcp/HOST:PORT nor tls/HOST:PORT",
+}
+"""By patterns; all others are those of names."""
 _NOTHING = object()
 
 
@@ -117,7 +123,9 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
         text = f"{_shown(value)} is not {_NOT_A[kind]}{_hint(allowed(node))}"
         return Complaint(path, text, stand_in)
     if kind == "string_pattern_mismatch":
-        return Complaint(path, f"{_shown(value)}: {_BAD_NAME}", stand_in)
+        bad = _BAD_TEXT.get(error.get("ctx", {}).get("pattern", ""))
+        text = f"{_shown(value)} {bad}" if bad else f"{_shown(value)}: {_BAD_NAME}"
+        return Complaint(path, text, stand_in)
     if kind == "string_too_short":
         return Complaint(path, "is empty", stand_in)
     return Complaint(path, f"{_shown(value)}: {error['msg']}", stand_in)

@@ -27,6 +27,7 @@ from motord_hal.ascii.dialect import (
 )
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
+from motord_hal.can.adapters import why_unfit
 from motord_hal.lines import RT_CAN_INTERFACES
 
 
@@ -57,6 +58,15 @@ def _engine(robot: Robot) -> Iterator[Finding]:
                 yield Finding(paths, text)
         elif isinstance(line, DdsmLine) and line.engine == "asyncio":
             yield Finding(at, 'kind "ddsm" runs on "rt" only')
+
+
+def _adapter(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if isinstance(line, CanLine):
+            problem = why_unfit(line.interface, fd_frames=line.data_bitrate is not None)
+            if problem:
+                paths = (("line", name, "interface"), ("line", name, "data_bitrate"))
+                yield Finding(paths, problem)
 
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
@@ -163,6 +173,7 @@ def _priority(robot: Robot) -> Iterator[Finding]:
 LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_line,
     _engine,
+    _adapter,
     _one_board,
     _templates,
     _gap,

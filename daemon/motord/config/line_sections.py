@@ -113,7 +113,7 @@ class CanLine(Section):
 
     kind: Literal["can"]
     interface: str = Field(default="socketcan", pattern=r"^[a-z][a-z0-9_]*$")
-    """The kind of adapter, as python-can names it: socketcan, slcan, gs_usb, udp_multicast, ...; or
+    """The kind of adapter, as python-can names it: socketcan, slcan, kvaser, udp_multicast, ...; or
     unix, a socket that carries SocketCAN's frames."""
     channel: str = Field(min_length=1)
     """Which one: network interface (can0), serial port (/dev/ttyACM0), GROUP:PORT of UDP, a
@@ -214,6 +214,8 @@ class PwmLine(Section):
     """Part of the device path of the PWM chip, as 1f00098000.pwm, or pwmchipN; see docs/pwm.md."""
     gpio_chip: str | None = None
     """Label of the GPIO chip, as pinctrl-rp1, or its device file."""
+    software_pwm: bool = False
+    """A PWM chip will do whose pulses the kernel makes by timer interrupts (pwm-gpio)."""
     pwm_hz: float | None = number(
         "carrier; as each bridge's profile says where it is not given", 10, 1_000_000, "Hz", None
     )

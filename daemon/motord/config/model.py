@@ -43,6 +43,7 @@ from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
+from motord.config.speed_loop_section import SpeedLoop
 
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 
@@ -259,6 +260,8 @@ class Joint(Section):
         "rad/s",
         None,
     )
+    speed_loop: SpeedLoop | None = None
+    """Of a drive that takes a torque."""
     pins: dict[str, str] = Field(default_factory=dict)
     """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
     number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
@@ -273,6 +276,14 @@ class Joint(Section):
     )
     cycle_hz: float | None = number(
         "exchanges a second with its drive; the line's where it is not given", 1, 1000, "Hz", None
+    )
+    drive_watchdog_s: float | None = number(
+        "on CAN: the watchdog that was set in its drive with the maker's tool, where motord cannot"
+        " set it; as safety.drive_watchdog_s",
+        0.01,
+        10,
+        "s",
+        None,
     )
 
 

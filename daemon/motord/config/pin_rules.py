@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from motord.config.encoder_section import GpioEncoder
+from motord.config.encoder_section import BoardEncoder, GpioEncoder
 from motord.config.finding import Finding
 from motord.config.line_sections import PwmLine
 from motord.config.model import Robot
@@ -82,8 +82,32 @@ def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Fi
         yield Finding((at,), "gpio_chip is missing, here and on the line")
 
 
+def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
+    """Encoders on boards: each port is theirs alone, each motor of it one joint's."""
+    lines = {line.address: name for name, line in robot.line.items()}
+    seen: dict[tuple[str, int], str] = {}
+    rates: dict[str, tuple[str, int]] = {}
+    for name, joint in robot.joint.items():
+        encoder = joint.encoder
+        if not isinstance(encoder, BoardEncoder):
+            continue
+        at: Path = ("joint", name, "encoder")
+        if encoder.port in lines:
+            text = f"{encoder.port} is the port of line {lines[encoder.port]}"
+            yield Finding((at, ("line", lines[encoder.port])), text)
+        first = seen.setdefault((encoder.port, encoder.motor), name)
+        if first != name:
+            text = f"motor {encoder.motor} of that board is counted for joint {first} already"
+            yield Finding((at, ("joint", first, "encoder")), text)
+        other, baudrate = rates.setdefault(encoder.port, (name, encoder.baudrate))
+        if baudrate != encoder.baudrate:
+            text = f"baudrate is not that of joint {other} on the same port ({baudrate})"
+            yield Finding((at, ("joint", other, "encoder")), text)
+
+
 PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _pins,
     _encoders,
+    _boards,
     pins_have_one_owner,
 )

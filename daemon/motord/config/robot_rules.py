@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from motord.config.battery_section import DrivesBattery
+from motord.config.battery_rules import battery_alone
 from motord.config.finding import Finding
 from motord.config.imu_rules import imu_axes, imu_line, imu_rates
 from motord.config.model import REST_MAX_S, Robot, SkidBase
@@ -56,28 +56,6 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
         yield Finding((("base", "track_slip_factor"),), text, warning=True)
 
 
-def _battery(robot: Robot) -> Iterator[Finding]:
-    battery, forbids = robot.battery, robot.safety.on_battery_critical == "stop"
-    if battery is None:
-        if forbids:
-            at = (("safety", "on_battery_critical"), ("battery",))
-            yield Finding(at, "there is no [battery] that could be critical")
-        return
-    if battery.critical_v >= battery.low_v:
-        text = f"must be below low_v ({battery.low_v:g} V)"
-        yield Finding((("battery", "critical_v"), ("battery", "low_v")), text)
-    for name in battery.joints if isinstance(battery, DrivesBattery) else ():
-        if name not in robot.joint:
-            yield Finding((("battery", "joints"), ("joint",)), f'there is no joint "{name}"')
-    if isinstance(battery, DrivesBattery) and battery.voltage_from and battery.joints:
-        paths = (("battery", "joints"), ("battery", "voltage_from"))
-        yield Finding(paths, "the voltage is that of voltage_from")
-    for key, where in battery.readings.items() if isinstance(battery, DrivesBattery) else ():
-        name = where.partition(".")[0]
-        if name not in robot.joint:
-            yield Finding((("battery", key), ("joint",)), f'there is no joint "{name}"')
-
-
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
     estop = robot.safety.estop
     if estop is not None and estop.contact == "normally-open":
@@ -91,7 +69,7 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _line_count,
     _stops_in_time,
     _slip_factor,
-    _battery,
+    battery_alone,
     imu_axes,
     imu_line,
     imu_rates,

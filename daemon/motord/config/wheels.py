@@ -24,6 +24,16 @@ def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
     return profile.channels[joint.channel].duty_setpoint is not None
 
 
+def takes_torque(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point is a torque: the core holds the speed."""
+    return profile.channels[joint.channel].torque_setpoint is not None
+
+
+def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
+    """What its set-point can ask for, at the wheel; the gear loses nothing here."""
+    return min(map(abs, _setpoint(joint, profile).si_limits)) * joint.gear_ratio
+
+
 def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
     """Whether the set-point can say backward."""
     channel = profile.channels[joint.channel]
@@ -33,9 +43,11 @@ def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
 
 
 def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
-    """The fastest that the set-point can ask for. A duty drive without `full_duty_rad_s` could
-    turn anyhow fast: infinity."""
+    """The fastest that the set-point can ask for. A torque, and a duty without `full_duty_rad_s`,
+    could turn it anyhow fast: infinity."""
     setpoint = _setpoint(joint, profile)
+    if takes_torque(joint, profile):
+        return math.inf
     if takes_duty(joint, profile):
         return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
     return setpoint.si_limits[1] / joint.gear_ratio

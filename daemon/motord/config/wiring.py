@@ -11,6 +11,7 @@ from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles, rad_per_count
 from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.ports import (
+    BoardEncoder,
     CounterEncoder,
     DirectionKind,
     DirectionSpec,
@@ -69,7 +70,10 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
 
 def _with_pins(spec: LineSpec, line: PwmLine, loop_priority: int) -> LineSpec:
     pins = PinsSpec(
-        pwm_chip=line.pwm_chip or "", gpio_chip=line.gpio_chip or "", pwm_hz=line.pwm_hz
+        pwm_chip=line.pwm_chip or "",
+        gpio_chip=line.gpio_chip or "",
+        pwm_hz=line.pwm_hz,
+        software_pwm=line.software_pwm,
     )
     priority = min(line.priority, max(loop_priority - 1, 0))
     return replace(spec, pins=pins, priority=priority, cpu=line.cpu)
@@ -110,12 +114,19 @@ def _with_port(spec: LineSpec, line: SerialLine, loop_priority: int) -> LineSpec
 
 def _encoder(
     joint: Joint, profile: DriveProfile, line: AnyLine
-) -> EdgesEncoder | CounterEncoder | None:
+) -> EdgesEncoder | CounterEncoder | BoardEncoder | None:
     encoder, per_count = joint.encoder, rad_per_count(joint, profile)
     if encoder is None:
         return None
     if encoder.kind == "counter":
         return CounterEncoder(counter=encoder.counter, count=encoder.count, rad_per_count=per_count)
+    if encoder.kind == "mcu":
+        return BoardEncoder(
+            port=encoder.port,
+            baudrate=encoder.baudrate,
+            motor=encoder.motor,
+            rad_per_count=per_count,
+        )
     chip = encoder.gpio_chip or (line.gpio_chip if isinstance(line, PwmLine) else None)
     return EdgesEncoder(
         gpio_chip=chip or "", a=encoder.a, b=encoder.b, pull=encoder.pull, rad_per_count=per_count

@@ -5,6 +5,7 @@ the lease of an [input.*] of kind "ros2-rclpy". The standard library alone, no a
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import time
 from collections.abc import Callable
@@ -48,6 +49,7 @@ class Bridge:
         self._wall_s = wall_s
         self._lease: _Lease | None = None
         self._again_s = 0.0
+        self._asked_s = -math.inf
 
     def close(self) -> None:
         """The lease ends: the robot comes to rest if it was in command."""
@@ -64,10 +66,16 @@ class Bridge:
             return False, str(error)
 
     def drive(self, linear_m_s: float, angular_rad_s: float, stamp: Stamp | None = None) -> None:
-        """One command. `stamp`: when it was given, wall time. Raises NotTaken."""
+        """One command. `stamp`: when it was given, wall time. The first one without, after a
+        silence in which its lifetime is over, is left out: it may have waited in the queue, which
+        holds one, while this process stood still. Raises NotTaken."""
         stamp_ns = time.monotonic_ns() - round(self._age_s(stamp) * 1e9)
+        now_s = time.clock_gettime(time.CLOCK_BOOTTIME)  # it goes on while the machine sleeps
+        silent_s, self._asked_s = now_s - self._asked_s, now_s
         try:
-            self._held().send(linear_m_s, angular_rad_s, stamp_ns)
+            lease = self._held()
+            if stamp is not None or silent_s <= lease.lifetime_s:
+                lease.send(linear_m_s, angular_rad_s, stamp_ns)
         except (ClientError, OSError) as error:
             self.close()
             raise NotTaken(f"no lease: {error}") from error
@@ -109,6 +117,7 @@ class _Lease:
             self._sender = cleanup.enter_context(socket.socket(socket.AF_UNIX, kind))
             self._sender.connect(grant["socket"])
             self._token, self._sequence = bytes.fromhex(grant["token"]), 0
+            self.lifetime_s = float(grant["lease_s"])
             self._cleanup = cleanup.pop_all()
 
     def close(self) -> None:

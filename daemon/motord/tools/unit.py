@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from motord.config import Robot
-from motord.config.encoder_section import GpioEncoder, KernelEncoder
+from motord.config.encoder_section import BoardEncoder, GpioEncoder, KernelEncoder
 from motord.config.line_sections import CanLine, PwmLine, SerialLine
 
 _ALWAYS = "/dev/cpu_dma_latency"
@@ -36,6 +36,9 @@ def devices(robot: Robot) -> list[str]:
             found += _of_can(line)
         elif port := getattr(line, "port", None):
             found += _of_port(port)
+    for joint in robot.joint.values():
+        if isinstance(joint.encoder, BoardEncoder):
+            found += _of_port(joint.encoder.port)
     if _uses_gpio(robot):
         found.append("char-gpiochip")
     if any(hasattr(part, "bus") for part in (robot.imu, robot.battery)):
@@ -56,7 +59,7 @@ def _of_can(line: CanLine) -> tuple[str, ...]:
     """A network interface is no device."""
     if line.interface in ("slcan", "robotell", "seeedstudio"):
         return _of_port(line.channel.partition("@")[0])
-    return ("char-usb_device",) if line.interface == "gs_usb" else ()
+    return ("char-usb_device",) if line.interface == "canalystii" else ()
 
 
 def _uses_gpio(robot: Robot) -> bool:

@@ -90,7 +90,7 @@ class TextDialect:
 
     def _setpoint(self, joint: JointSpec, raw: Mapping[str, int]) -> float:
         channel = self._profile.channels[joint.channel]
-        name = channel.velocity_setpoint or channel.duty_setpoint or ""
+        name = channel.setpoint
         return self._profile.registers[name].to_si(raw.get(name, 0))
 
     def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:

@@ -79,9 +79,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """Zero in its set-points, then the profile's own steps."""
 
     @abc.abstractmethod
-    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
-        """All writes at once, ahead of all jobs; what does not get through becomes an urgent job of
-        this name. Raises PortError."""
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """All writes at once, ahead of all jobs. Returns those that have to be told again. Raises
+        PortError."""
 
     # ---------------------------------------------------------------------------------- what it is
     @property
@@ -212,13 +212,29 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         line's task. Raises PortError."""
         self._disarmed()
         self._power_off_by_s = now_s() + STOPPING_WITHIN_S
-        await self._write_now("quick_stop", self.plan.profile.quick_stop)
+        await self._tell_now("quick_stop", self.plan.profile.quick_stop)
 
     async def power_off(self) -> None:
         """Power off now, ahead of everything else. Of the line's task. Raises PortError."""
+        self._powerless()
+        await self._tell_now("disarm", self.plan.profile.disarm)
+
+    async def tell_power_off(self) -> bool:
+        """As power_off, but only once. False: not all of it got through."""
+        self._powerless()
+        return not await self._write_now(self.plan.profile.disarm)
+
+    async def _tell_now(self, name: str, steps: Sequence[Step]) -> None:
+        """What does not get through becomes a job, but for a drive that is not heard: that one is
+        probed."""
+        left = await self._write_now(steps)
+        if left and self.state is not DriveState.QUIET:
+            self.submit(Job(name, left, urgent=True))
+
+    def _powerless(self) -> None:
+        """It is told to have no power, whether it was stopping or not."""
         self._disarmed()
         self._power_off_by_s = None
-        await self._write_now("disarm", self.plan.profile.disarm)
 
     def stand_down(self) -> Job:
         """Zero from now on, power off with the next slot. Of any task."""

@@ -19,14 +19,15 @@ from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job, clear_steps
 from motord_hal.engine.line import DriveLine, fresh
 from motord_hal.engine.parameter import readable, write_steps
-from motord_hal.engine.plan import Plan, Wanted
+from motord_hal.engine.plan import REST, Plan, Wanted
 from motord_hal.errors import NoReply, PortError
-from motord_hal.ports import DriveState, EventKind, LineSpec, Listener
+from motord_hal.ports import DriveState, LineSpec, Listener
 from motord_hal.rt import Exchange
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
 JOB_ALLOWANCE_S = 1.0
@@ -39,6 +40,8 @@ AnyDrive = TypeVar("AnyDrive", bound=AsyncioDrive[Plan])
 class AsyncioLine(DriveLine[AnyDrive]):
     """ports.Line, engine "asyncio"."""
 
+    deaf = "no answer"
+    """Why drives may not get their last power-off, though the medium is there."""
     least_pause_s = 0.0
     """Between two cycles, however late the second one is: the event loop has a turn."""
 
@@ -105,7 +108,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
         wishes = self._wanted(drive).values()
-        return drive.is_cycled and drive.told_motion and not any(any(wish) for wish in wishes)
+        return drive.is_cycled and drive.told_motion and all(wish == REST for wish in wishes)
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
@@ -114,10 +117,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         if drive.state is not DriveState.ARMED or not newest.enabled or not fresh(newest.stamp_ns):
             return {}
         return {
-            joint.index: (
-                newest.joints[joint.index].velocity_rad_s,
-                newest.joints[joint.index].duty,
-            )
+            joint.index: newest.joints[joint.index]
             for joint in drive.plan.joints
             if joint.index < len(newest.joints)
         }
@@ -140,23 +140,34 @@ class AsyncioLine(DriveLine[AnyDrive]):
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
         # a quiet drive may hear it all the same, but it shall not keep the others waiting
-        drives = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
-        rest_by_s = now_s() + SHUTDOWN_STOPPING_S
+        left = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
+        why = self.deaf
         try:
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
-                for drive in drives:
-                    if drive.state is DriveState.ARMED:
-                        await drive.quick_stop()
-                while now_s() < rest_by_s and (left := [one for one in drives if one.is_stopping]):
-                    await self._cycle_at_rest(left)
-                await self._switch_off(drives)
-        except (TimeoutError, PortError) as error:
-            text = f"{self.spec.name}: not every drive was switched off at the end: {error}"
-            self._say_all(EventKind.DRIVE_WARNING, text)
+                await self._come_to_rest(left)
+                while left:
+                    for drive in list(left):
+                        if await self._switch_off(drive):
+                            left.remove(drive)
+                    await asyncio.sleep(STOPPING_CYCLE_S if left else 0.0)
+        except TimeoutError:
+            pass  # what is left is said
+        except PortError as error:
+            why = str(error)
+        self._say_left_on(left, why)
 
-    async def _switch_off(self, drives: Sequence[AnyDrive]) -> None:
+    async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:
+        """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""
+        rest_by_s = now_s() + SHUTDOWN_STOPPING_S
         for drive in drives:
-            await drive.power_off()
+            if drive.state is DriveState.ARMED:
+                await drive.quick_stop()
+        while now_s() < rest_by_s and (turning := [one for one in drives if one.is_stopping]):
+            await self._cycle_at_rest(turning)
+
+    async def _switch_off(self, drive: AnyDrive) -> bool:
+        """Once. False: the drive has not got it, or has not said so. Raises PortError."""
+        return await drive.tell_power_off()
 
     # ------------------------------------------------------------------------------ what is asked
     def _setpoints_ns(self) -> int:

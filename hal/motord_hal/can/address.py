@@ -7,6 +7,9 @@ from typing import Any
 
 import can
 
+from motord_hal.can.adapters import FD_ADAPTERS, why_unfit
+from motord_hal.errors import ProfileError
+
 
 def split_address(address: str) -> tuple[str, str]:
     """Interface and channel of INTERFACE:CHANNEL."""
@@ -15,8 +18,11 @@ def split_address(address: str) -> tuple[str, str]:
 
 
 def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[str, Any]:
-    """What python-can wants to know to open it. On SocketCAN the bit rate is the kernel's."""
+    """What python-can wants to know to open it. On SocketCAN the bit rate is the kernel's. Raises
+    ProfileError: see why_unfit."""
     interface, channel = split_address(address)
+    if problem := why_unfit(interface, fd_frames=data_bitrate is not None):
+        raise ProfileError(f"{address}: {problem}")
     wanted: dict[str, Any] = {"interface": interface, "channel": channel}
     if interface == "socketcan":
         return {**wanted, "fd": data_bitrate is not None}
@@ -26,4 +32,8 @@ def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[
     if interface == "virtual":
         protocol = can.CanProtocol.CAN_FD if data_bitrate else can.CanProtocol.CAN_20
         return {**wanted, "protocol": protocol}
+    if interface == "slcan":  # its driver would wait a millisecond for what has not come yet
+        wanted["timeout"] = 0
+    if data_bitrate is not None and interface in FD_ADAPTERS:
+        wanted |= {"fd": True, "data_bitrate": data_bitrate}
     return {**wanted, "bitrate": bitrate}

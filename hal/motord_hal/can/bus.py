@@ -19,11 +19,11 @@ from typing import Any
 import can
 
 from motord_hal.can.address import bus_arguments, split_address
-from motord_hal.can.errors import BusTrouble, error_words
-from motord_hal.can.interface import BUS_OFF_TEXT, check_up, restart_controller
+from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
+from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.clock import now_ns
+from motord_hal.clock import now_ns, now_s
 from motord_hal.errors import PortError
 
 OPEN_WITHIN_S = 5.0
@@ -38,6 +38,8 @@ AGE_MAX_S = 1.0
 likely to be wrong."""
 BAD_FRAMES_MAX = 100
 """So many failures to read in a row are no bad frames any more."""
+_UNREADABLE = (can.CanError, OSError, ValueError)
+"""ValueError: a driver that reads text (slcan) says so of what is none."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
 
 Taker = Callable[[can.Message, int], None]
@@ -55,6 +57,7 @@ class CanBus:
         data_bitrate: int | None,
         identifiers: Iterable[tuple[int, bool]],
         take: Taker,
+        warn: Callable[[str], None] = _log.warning,
     ) -> None:
         self.address = address
         self.errors: Counter[str] = Counter()
@@ -63,23 +66,19 @@ class CanBus:
         if split_address(address)[0] == "socketcan":  # elsewhere they are no cheaper than a look-up
             self._arguments["can_filters"] = [_filter(*one) for one in identifiers]
         self._take = take
+        self._warn = warn
+        self._warnings = BusWarnings()
         self._bus: can.BusABC | None = None
         self._fd: int | None = None
         self._reader: _ReaderThread | None = None
         self._bad_in_a_row = 0
-        self._bus_off = False
-        """The controller has left the bus, and nobody has restarted it since."""
+        self._fd_frames = data_bitrate is not None
+        self._bus_off = BusOffWatch(address)
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
         """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
-        check_up(self.address)
-        if self._bus_off:
-            refused = await restart_controller(self.address)
-            if refused:
-                self.errors["restart_refused"] += 1
-                _log.info("%s: not restarted: %s", self.address, refused)
-            self._bus_off = False
+        await make_ready(self.address, self.errors, fd_frames=self._fd_frames)
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
             async with asyncio.timeout(OPEN_WITHIN_S):
@@ -135,7 +134,7 @@ class CanBus:
                 return
             try:
                 message = self._bus.recv(timeout=0)
-            except (can.CanError, OSError) as error:
+            except _UNREADABLE as error:
                 self._fail(error)
                 return
             if message is None:
@@ -152,8 +151,9 @@ class CanBus:
     def _note(self, message: can.Message) -> None:
         kinds, trouble = error_words(message.arbitration_id, bytes(message.data))
         self.errors.update(kinds)
+        for warning in self._warnings.new(kinds, now_s()):
+            self._warn(f"{self.address}: {warning}")
         if trouble is BusTrouble.BUS_OFF:
-            self._bus_off = True
             self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     def _fail(self, error: Exception) -> None:
@@ -169,11 +169,15 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
 
     def catch_up(self) -> None:
-        """Take in what has come: an event loop that was late has not seen it yet."""
+        """Take in what has come: an event loop that was late has not seen it yet. And what has
+        not: the frame that says bus-off may have been lost."""
         if self._fd is not None:
             self._read(QUEUE_FRAMES)
         elif self._reader is not None:
             self._reader.drain()
+        if self.trouble is None and self._bus_off.is_off():
+            self.errors["bus_off"] += 1
+            self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     # ------------------------------------------------------------------------------------- sending
     def send(self, sent: Sent) -> bool:
@@ -269,7 +273,7 @@ class _ReaderThread:
         while not self._stopped.is_set():
             try:
                 message = self._bus.recv(timeout=THREAD_LOOKS_S)
-            except (can.CanError, OSError) as error:
+            except _UNREADABLE as error:
                 self._tell(self._fail, error)
                 self._stopped.wait(THREAD_LOOKS_S)
                 continue

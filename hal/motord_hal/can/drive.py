@@ -289,8 +289,9 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The drive may speak."""
-        self._waits_since_s = now_s()
+        """The drive may speak. One that may turn is told to stop, as one that has just fallen
+        silent."""
+        self._waits_since_s = self._quiet_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 
@@ -328,9 +329,9 @@ class CanDrive(AsyncioDrive[CanPlan]):
         super()._configured()
 
     # ----------------------------------------------------------------------------------- stopping
-    async def power_off(self) -> None:
-        """As AsyncioDrive.power_off. What has no power is told no zero either."""
-        await super().power_off()
+    def _powerless(self) -> None:
+        """As AsyncioDrive._powerless. What has no power is told no zero either."""
+        super()._powerless()
         self.told_motion = False
 
     @property
@@ -345,10 +346,10 @@ class CanDrive(AsyncioDrive[CanPlan]):
         )
 
     def _write_all(self, steps: Sequence[Step]) -> bool:
-        """All writes at once."""
-        return all(self._write(*one) for one in merged_writes(self.plan, steps))
+        """All writes at once, each of them also where the bus has not taken the one before it."""
+        sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
+        return all(sent)
 
-    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
-        """All of them become a job where the bus does not take one."""
-        if not self._write_all(steps):
-            self.submit(Job(name, steps, urgent=True))
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """As AsyncioDrive._write_now: all of them where the bus does not take one."""
+        return () if self._write_all(steps) else steps

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterable
+from types import MappingProxyType
 
 _BUS_OFF = 0x040
 _KINDS = (
@@ -18,6 +20,16 @@ _KINDS = (
 _CONTROLLER = 0x004
 _OVERFLOW, _PASSIVE = 0x03, 0x30
 """Of byte 1: receive or transmit buffer overflowed; receiver or sender is error-passive."""
+
+
+WARN_EVERY_S = 60.0
+"""So seldom the same is said again while it goes on."""
+_WARNINGS = MappingProxyType(
+    {
+        "error_passive": "error-passive: many frames fail (cable, termination, bit rate)",
+        "no_ack": "nobody acknowledges its frames (cable, drives without power, bit rate)",
+    }
+)
 
 
 class BusTrouble(enum.Enum):
@@ -35,3 +47,19 @@ def error_words(identifier: int, data: bytes) -> tuple[list[str], BusTrouble]:
             kinds.append("error_passive")
     off = identifier & _BUS_OFF
     return kinds or ["error_frame"], BusTrouble.BUS_OFF if off else BusTrouble.NONE
+
+
+class BusWarnings:
+    """What error frames foretell, for people: each kind once in WARN_EVERY_S."""
+
+    def __init__(self) -> None:
+        self._said_s: dict[str, float] = {}
+
+    def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
+        """What is to be said of these kinds of errors now."""
+        found = []
+        for kind in kinds:
+            if kind in _WARNINGS and now_s - self._said_s.get(kind, -WARN_EVERY_S) >= WARN_EVERY_S:
+                self._said_s[kind] = now_s
+                found.append(_WARNINGS[kind])
+        return found

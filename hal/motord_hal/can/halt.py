@@ -14,13 +14,16 @@ import can
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
+from motord_hal.drives.can_objects import ABORT_CODE
+from motord_hal.drives.can_profile import Frame
 from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import NoReply
+from motord_hal.errors import HalError, NoReply, Refused
 from motord_hal.halt import halt_unit
 from motord_hal.ports import LineSpec
 
 SEND_WITHIN_S = 0.1
 """A queue that is full for longer is one that nobody empties."""
+CONFIRM_WITHIN_S = 0.25
 HEAR_WITHIN_S = 0.5
 LOOK_EVERY_S = 0.005
 
@@ -36,24 +39,43 @@ class _Unit:
         self._held: dict[str, int] = {}
         self._fresh: dict[str, int] = {}
         """What has come since it was looked for."""
+        self._came: set[str] = set()
+        """The frames that have come since one was to be confirmed."""
 
     def take(self, message: can.Message) -> None:
         found = self._plan.parse(
             message.arbitration_id, bytes(message.data), extended=message.is_extended_id
         )
         if found is not None:
+            self._came.add(found[0].name)
             self._fresh.update(found[1])
 
     async def write(self, raw: Mapping[str, int]) -> None:
         self._held.update({name: raw[name] for name in self._plan.held if name in raw})
         for frame in dict.fromkeys(self._plan.frame_of(name) for name in raw):
+            self._came.clear()
             until_s = now_s() + SEND_WITHIN_S
             while not self._bus.send(self._plan.write(frame, {**self._held, **raw})):
                 if now_s() > until_s:
                     raise NoReply(f"the bus takes no frame in {SEND_WITHIN_S:g} s")
                 await asyncio.sleep(LOOK_EVERY_S)
+            if frame.confirm:
+                await self._confirmed(frame)
+
+    async def _confirmed(self, frame: Frame) -> None:
+        """Raises NoReply and Refused. The next one waits for it: a drive may take one at a time."""
+        until_s = now_s() + CONFIRM_WITHIN_S
+        while frame.confirm not in self._came:
+            self._bus.check()
+            if self._plan.table.abort in self._came:
+                code = self._fresh[ABORT_CODE]
+                raise Refused(f"{frame.name} was refused with {code:#010x}", code)
+            if now_s() > until_s:
+                raise NoReply(f"{frame.name} was not confirmed in {CONFIRM_WITHIN_S:g} s")
+            await asyncio.sleep(LOOK_EVERY_S)
 
     async def read(self, register: str) -> int:
+        register = self._plan.signal(register).object or register
         frame = self._plan.read_frame_of(register)
         question = None if frame.period_s else self._plan.question(frame)
         self._fresh.pop(register, None)
@@ -68,8 +90,11 @@ class _Unit:
         return self._fresh[register]
 
     async def halt(self) -> str:
-        """As halt.halt_unit, and then what the drive says of its power."""
-        return await halt_unit(self) or await self._confirm()
+        """As halt.halt_unit, and then what the drive says of its power: without power it has
+        stopped, whatever it did not acknowledge."""
+        problem = await halt_unit(self)
+        said = await self._confirm()
+        return said and (problem or said)
 
     async def _confirm(self) -> str:
         said = self.profile.enabled
@@ -80,7 +105,7 @@ class _Unit:
             while await self.read(said.register) & said.mask == said.equals:
                 if now_s() > until_s:
                     return f"{self.name}: says that it is enabled still"
-        except NoReply as error:
+        except HalError as error:
             return f"{self.name}: {error}"
         return ""
 

@@ -1,45 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN interface of the kernel: is it there, is it up, and the way back from bus-off."""
+"""A CAN interface of the kernel: is it there, is it up, does it carry CAN FD, and the way back from
+bus-off. Of other addresses than SocketCAN's nothing is asked."""
 
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from pathlib import Path
 
 from motord_hal.can.address import split_address
-from motord_hal.can.netlink import restart
+from motord_hal.can.netlink import BUS_OFF, can_state, restart
+from motord_hal.clock import now_s
 from motord_hal.errors import PortError
 
+NET = Path("/sys/class/net")
 IFF_UP = 0x1
 """linux/if.h"""
+CANFD_MTU = 72
+"""linux/can.h: of an interface that carries CAN FD; 16 is one that does not."""
+LOOK_EVERY_S = 0.5
 BUS_OFF_TEXT = (
     "bus-off: the controller has given up after too many errors (cable, termination, bit rate)"
 )
 
 
-def check_up(address: str) -> None:
-    """Raises PortError: a socket on an interface that is down opens, and then says nothing. Other
-    addresses than SocketCAN's are let through."""
+async def make_ready(address: str, errors: Counter[str], *, fd_frames: bool) -> None:
+    """A controller that is bus-off is restarted where that is permitted; where it is not, the
+    kernel may do it (restart-ms), or who may. Refusals are counted. Raises PortError: a socket on
+    an interface that is down or bus-off opens, and then says nothing."""
     interface, channel = split_address(address)
     if interface != "socketcan":
         return
-    flags = Path("/sys/class/net") / channel / "flags"
-    try:
-        up = int(flags.read_text(encoding="ascii"), 16) & IFF_UP
-    except (OSError, ValueError):
-        raise PortError(f"{address}: there is no such interface") from None
-    if not up:
+    if not _number(channel, "flags", address, 16) & IFF_UP:
         how = f"ip link set {channel} up type can bitrate ..."
         raise PortError(f"{address} is down: {how}")
+    if fd_frames and _number(channel, "mtu", address, 10) < CANFD_MTU:
+        how = f"ip link set {channel} type can bitrate ... dbitrate ... fd on"
+        raise PortError(f"{address} carries no CAN FD, which the robot file asks for: {how}")
+    refused = await asyncio.to_thread(_restart_if_off, channel)  # at most twice ANSWER_WITHIN_S
+    if refused:
+        errors["restart_refused"] += 1
+        how = f"ip link set {channel} type can restart, or restart-ms of the interface"
+        raise PortError(f"{address}: {BUS_OFF_TEXT}; not restarted ({refused}): {how}")
 
 
-async def restart_controller(address: str) -> str:
-    """Where it is permitted. Where it is not, the kernel may do it (restart-ms), or who may.
-    Returns why it was refused, or nothing."""
-    interface, channel = split_address(address)
-    if interface == "socketcan":
-        try:
-            await asyncio.to_thread(restart, channel)  # at most ANSWER_WITHIN_S
-        except OSError as error:
-            return str(error)
+def _number(channel: str, name: str, address: str, base: int) -> int:
+    try:
+        return int((NET / channel / name).read_text(encoding="ascii"), base)
+    except (OSError, ValueError):
+        raise PortError(f"{address}: there is no such interface") from None
+
+
+def _restart_if_off(channel: str) -> str:
+    """Why it was refused, or nothing."""
+    try:
+        if can_state(channel) == BUS_OFF:
+            restart(channel)
+    except OSError as error:
+        return str(error)
     return ""
+
+
+class BusOffWatch:
+    """Whether a controller has left the bus unheard: the frame that says so may have been lost."""
+
+    def __init__(self, address: str) -> None:
+        interface, self._channel = split_address(address)
+        self._next_s = 0.0 if interface == "socketcan" else float("inf")
+
+    def is_off(self) -> bool:
+        """Looked at every LOOK_EVERY_S. Only an interface without a carrier can be, and only of
+        such a one the kernel is asked, which may take ANSWER_WITHIN_S."""
+        if now_s() < self._next_s:
+            return False
+        self._next_s = now_s() + LOOK_EVERY_S
+        try:
+            carrier = (NET / self._channel / "carrier").read_text(encoding="ascii")
+            return carrier.strip() == "0" and can_state(self._channel) == BUS_OFF
+        except OSError:  # down or gone: its socket says so
+            return False

@@ -12,17 +12,16 @@ from collections.abc import Sequence
 
 import can
 
-from motord_hal.asyncio_engine.line import AsyncioLine
+from motord_hal.asyncio_engine.line import STOPPING_CYCLE_S, AsyncioLine
 from motord_hal.can.bus import CanBus
 from motord_hal.can.drive import CanDrive
 from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
 from motord_hal.engine.job import Job
 from motord_hal.engine.units import joints_by_unit
-from motord_hal.ports import LineSpec, LineStats, Listener
+from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 
-STOPPING_CYCLE_S = 0.01
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""
 
@@ -30,13 +29,15 @@ STEADY_S = 1.0
 class CanLine(AsyncioLine[CanDrive]):
     """ports.Line for `kind = "can"`, engine "asyncio"."""
 
+    deaf = "the bus takes no frames"
+
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
         plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
         identifiers = [one for plan in plans for one in plan.identifiers]
         self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
         self._bus = CanBus(
-            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame
+            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame, self._warn
         )
         self._drives = [
             CanDrive(
@@ -70,6 +71,9 @@ class CanLine(AsyncioLine[CanDrive]):
         )
 
     # ------------------------------------------------------------------------------------- its bus
+    def _warn(self, text: str) -> None:
+        self._say_all(EventKind.DRIVE_WARNING, f"{self.spec.name}: {text}")
+
     async def _open_wire(self) -> None:
         await self._bus.open()
         self._opened_s = now_s()

@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Restarting a CAN controller that has gone bus-off, by rtnetlink (linux/can/netlink.h): what
-`ip link set can0 type can restart` does. Needs CAP_NET_ADMIN."""
+"""A CAN controller by rtnetlink (linux/can/netlink.h): is it bus-off, and its restart, as by
+`ip link set can0 type can restart`. That needs CAP_NET_ADMIN."""
 
 from __future__ import annotations
 
 import os
 import socket
 import struct
+import sys
 
-_RTM_NEWLINK = 16
+_RTM_NEWLINK, _RTM_GETLINK = 16, 18
 _NLM_F_REQUEST, _NLM_F_ACK = 0x1, 0x4
 _NLMSG_ERROR = 2
 _IFLA_LINKINFO, _IFLA_INFO_KIND, _IFLA_INFO_DATA = 18, 1, 2
-_IFLA_CAN_RESTART = 7
+_IFLA_CAN_STATE, _IFLA_CAN_RESTART = 4, 7
+_TYPE_MASK = 0x3FFF
+"""linux/netlink.h, NLA_TYPE_MASK: without the marks for nested and big-endian."""
+BUS_OFF = 3
+"""linux/can/netlink.h, enum can_state"""
 _HEADER = struct.Struct("=IHHII")
 """struct nlmsghdr: length, type, flags, sequence, port."""
 _INTERFACE = struct.Struct("=BxHiII")
 """struct ifinfomsg: family, type, index, flags, change."""
 _ERROR = struct.Struct("=i")
 ANSWER_WITHIN_S = 0.5
+_ANSWER_BYTES = 16384
 
 
 def restart_request(index: int, sequence: int) -> bytes:
@@ -47,16 +53,64 @@ def answer_error(answer: bytes) -> int:
     return -int(code)
 
 
+def state_request(index: int, sequence: int) -> bytes:
+    """The message that asks for all that is known of the interface with this index."""
+    body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0)
+    return _HEADER.pack(_HEADER.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, sequence, 0) + body
+
+
+def state_in(answer: bytes) -> int | None:
+    """The controller's state in the answer; None: the interface has no controller. ValueError: it
+    is no such answer."""
+    if len(answer) < _HEADER.size + _INTERFACE.size:
+        raise ValueError(f"{len(answer)} bytes are no interface")
+    size, kind, _, _, _ = _HEADER.unpack_from(answer)
+    if kind != _RTM_NEWLINK:
+        raise ValueError(f"message {kind} is no interface")
+    link = _attributes(answer[_HEADER.size + _INTERFACE.size : size])
+    info = _attributes(link.get(_IFLA_LINKINFO, b""))
+    state = _attributes(info.get(_IFLA_INFO_DATA, b"")).get(_IFLA_CAN_STATE, b"")
+    is_can = info.get(_IFLA_INFO_KIND, b"").rstrip(b"\x00") == b"can"
+    return int.from_bytes(state, sys.byteorder) if is_can and len(state) == 4 else None
+
+
+def _attributes(data: bytes) -> dict[int, bytes]:
+    """By type. What is cut off is left out."""
+    found = {}
+    while len(data) >= 4:
+        size, kind = struct.unpack_from("=HH", data)
+        if not 4 <= size <= len(data):
+            break
+        found[kind & _TYPE_MASK] = data[4:size]
+        data = data[size + (-size % 4) :]
+    return found
+
+
+def _ask(message: bytes) -> bytes:
+    """Raises OSError. Waits at most ANSWER_WITHIN_S."""
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as link:
+        link.settimeout(ANSWER_WITHIN_S)
+        link.send(message)
+        return link.recv(_ANSWER_BYTES)
+
+
 def restart(interface: str) -> None:
     """Raises OSError: not permitted (EPERM), not bus-off (EINVAL, EBUSY), no such interface. Waits
     at most ANSWER_WITHIN_S."""
-    index = socket.if_nametoindex(interface)
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as link:
-        link.settimeout(ANSWER_WITHIN_S)
-        link.send(restart_request(index, 1))
-        try:
-            code = answer_error(link.recv(4096))
-        except ValueError as error:
-            raise OSError(0, str(error), interface) from error
+    answer = _ask(restart_request(socket.if_nametoindex(interface), 1))
+    try:
+        code = answer_error(answer)
+    except ValueError as error:
+        raise OSError(0, str(error), interface) from error
     if code:
         raise OSError(code, os.strerror(code), interface)
+
+
+def can_state(interface: str) -> int | None:
+    """State of the interface's controller, as BUS_OFF; None: it has none. Raises OSError: no such
+    interface. Waits at most ANSWER_WITHIN_S."""
+    answer = _ask(state_request(socket.if_nametoindex(interface), 1))
+    try:
+        return state_in(answer)
+    except ValueError as error:
+        raise OSError(0, str(error), interface) from error

@@ -136,8 +136,7 @@ class CanPlan(Plan):
 
     # ------------------------------------------------------------------------------------ building
     def _setpoint_names(self) -> list[str]:
-        channels = [self.channel(joint) for joint in self.joints]
-        return [channel.velocity_setpoint or channel.duty_setpoint or "" for channel in channels]
+        return [self.channel(joint).setpoint for joint in self.joints]
 
     def _fast_names(self) -> list[str]:
         names = [self.profile.enabled.register] if self.profile.enabled else []
@@ -204,6 +203,7 @@ class CanPlan(Plan):
             return Sent(identifier, extended, fd=False, data=b"", remote_bytes=size_bytes)
         return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
 
+    # ----------------------------------------------------------------------------------- receiving
     def parse(
         self, identifier: int, data: bytes, *, extended: bool
     ) -> tuple[Frame, dict[str, int]] | None:

@@ -32,6 +32,7 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
         if isinstance(signal, Signal) and signal.frame:
             _check_signal(table.frames[signal.frame], signal, problems)
             _check_reply(table, signal, problems)
+            _check_object(profile, signal, problems)
     for name in table.frames:
         _check_overlaps(name, signals_of(profile.registers, name), problems)
     if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
@@ -118,6 +119,18 @@ def _check_reply(table: CanTable, signal: Signal, problems: Problems) -> None:
         problems.add(key, "is the drive's frame for a signal that motord sends")
     if signal.start_bit + signal.length > 8 * reply.size_bytes:
         problems.add(key, f"{signal.name} reaches beyond the {reply.size_bytes} bytes of it")
+
+
+def _check_object(profile: DriveProfile, signal: Signal, problems: Problems) -> None:
+    """The object of a signal is read in its place: the same raw value means the same."""
+    if not signal.object:
+        return
+    key, found = f"signal.{signal.name}.object", profile.registers.get(signal.object)
+    if found is None or "r" not in found.access:
+        hint = did_you_mean(signal.object, profile.registers)
+        problems.add(key, f'"{signal.object}" is nothing that can be read{hint}')
+    elif (found.type, found.scale, found.unit) != (signal.type, signal.scale, signal.unit):
+        problems.add(key, f"{signal.object} has another type, scale or unit than {signal.name}")
 
 
 def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems) -> None:

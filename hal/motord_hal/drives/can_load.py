@@ -106,6 +106,7 @@ def _signal(name: str, table: Table, frames: dict[str, Frame], pole_pairs: int) 
         default=table.integer("default", -(1 << 31), (1 << 32) - 1, 0),
         frame=frame.name if frame else "",
         reply_frame=reply,
+        object=table.text("object") if "object" in table else "",
         start_bit=table.integer("start_bit", 0, 511),
         length=table.integer("length", 1, kind.bits, kind.bits),
         big_endian=table.text("byte_order", "little", choices=("little", "big")) == "big",

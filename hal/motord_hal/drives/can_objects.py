@@ -16,7 +16,9 @@ ABORT_FRAME, ABORT_CODE = "sdo_abort", "sdo_abort_code"
 _DOWNLOAD = {8: 0x2F, 16: 0x2B, 32: 0x23}
 """Initiate download, expedited, so many bits: CiA 301, 7.2.4.3.3."""
 _UPLOADED = {8: 0x4F, 16: 0x4B, 32: 0x43}
-"""The reply to an upload, 7.2.4.3.6."""
+"""The reply to an upload, 7.2.4.3.6, where the server says how many bytes count,"""
+_UPLOADED_UNSAID = 0x42
+"""and where it does not."""
 _UPLOAD, _DOWNLOADED, _ABORT = 0x40, 0x60, 0x80
 _TYPES = ("u8", "i8", "u16", "i16", "u32", "i32")
 _DATA_BIT = 32
@@ -44,7 +46,10 @@ def _object(name: str, table: Table) -> tuple[list[Frame], Signal]:
     write, wrote = f"sdo_write_{name}", f"sdo_wrote_{name}"
     frames = [
         _frame(ask, Sender.MOTORD, bytes((_UPLOAD,)) + place),
-        _frame(read, Sender.DRIVE, bytes((_UPLOADED[kind.bits],)) + place, ask=ask),
+        replace(
+            _frame(read, Sender.DRIVE, bytes((_UPLOADED[kind.bits],)) + place, ask=ask),
+            or_begins=bytes((_UPLOADED_UNSAID,)) + place,
+        ),
     ]
     if access == "rw":
         download = _frame(write, Sender.MOTORD, bytes((_DOWNLOAD[kind.bits],)) + place)

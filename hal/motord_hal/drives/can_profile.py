@@ -60,6 +60,8 @@ class Frame:
     they are 0 under the signals."""
     short: bool = False
     """Of an extended one: an identifier that fits 11 bits is sent with 11."""
+    or_begins: bytes = b""
+    """As long as `begins`: what tells it as well when it comes; empty: nothing else does."""
     answers: str = ""
     """The frame of motord's that it answers each time, asked or not; "": none."""
     confirm: str = ""
@@ -75,7 +77,8 @@ class Frame:
     def matches(self, data: bytes) -> bool:
         """Whether data that came may be this frame's."""
         if len(data) < self.size_bytes or not self.open_at:
-            return len(data) >= self.size_bytes and data.startswith(self.begins)
+            told = data.startswith(self.or_begins) if self.or_begins else False
+            return len(data) >= self.size_bytes and (told or data.startswith(self.begins))
         return all(
             data[at] == byte for at, byte in enumerate(self.begins) if at not in self.open_at
         )
@@ -96,6 +99,9 @@ class Signal(Register):
     """In `unit`: what raw 0 says."""
     reply_frame: str = ""
     """Of a signal that is written and read: the frame in which it is read."""
+    object: str = ""
+    """The object that says the same when it is asked, also where its frame does not come; "":
+    there is none."""
 
     @property
     def is_float(self) -> bool:

@@ -14,13 +14,14 @@ _SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
+    "torque_setpoint": (("n_m",), "w"),
     "position": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
     "temperature": (("c",), "r"),
     "fault": (("",), "r"),
 }
-
+_SETPOINTS = [entry for entry, (_, access) in _CHANNEL_RULES.items() if access == "w"]
 
 # the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
 _UNSEALED = 0xA0
@@ -180,8 +181,11 @@ def _reference(
 
 
 def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
-    if (channel.velocity_setpoint is None) == (channel.duty_setpoint is None):
-        problems.add(key, "must have exactly one of velocity_setpoint and duty_setpoint")
+    setpoints = (channel.velocity_setpoint, channel.duty_setpoint, channel.torque_setpoint)
+    if sum(name is not None for name in setpoints) != 1:
+        problems.add(key, f"must have exactly one of {', '.join(_SETPOINTS)}")
+    if channel.torque_setpoint is not None:
+        _check_torque(profile, key, channel, problems)
     setpoint = None
     for entry, (units, access) in _CHANNEL_RULES.items():
         name = getattr(channel, entry)
@@ -195,6 +199,19 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
         _check_together(profile, f"{key}.setpoint_with", setpoint, channel, problems)
     if channel.direction is not None:
         _check_direction(profile, f"{key}.direction", channel.direction, problems)
+
+
+def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
+    """The core closes the loop: it needs the speed, and both ways to push."""
+    if profile.protocol != "can":
+        problems.add(key, f'torque_setpoint: not with protocol "{profile.protocol}"')
+    if channel.velocity is None:
+        problems.add(key, "torque_setpoint needs velocity: a speed loop is closed over it")
+    setpoint = profile.registers.get(channel.torque_setpoint or "")
+    if setpoint is not None and None in (setpoint.minimum, setpoint.maximum):
+        problems.add(key, f'torque_setpoint: "{setpoint.name}" needs minimum and maximum')
+    if channel.direction is not None:
+        problems.add(key, "torque_setpoint goes without direction: it has a sign")
 
 
 def _check_setpoint(

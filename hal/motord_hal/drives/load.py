@@ -45,6 +45,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _CHANNEL_KEYS = (
     "velocity_setpoint",
     "duty_setpoint",
+    "torque_setpoint",
     "position",
     "velocity",
     "current",

@@ -56,6 +56,7 @@ SI_UNITS = MappingProxyType(
         "turn": ("rad", 2.0 * math.pi, 0.0),
         "turn/s": ("rad/s", 2.0 * math.pi, 0.0),
         "percent": ("1", 0.01, 0.0),
+        "n_m": ("N·m", 1.0, 0.0),
         "a": ("A", 1.0, 0.0),
         "v": ("V", 1.0, 0.0),
         "c": ("°C", 1.0, 0.0),
@@ -163,7 +164,9 @@ class Channel:
 
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
-    """Exactly one of the two set-points is there."""
+    torque_setpoint: str | None = None
+    """Of the motor; the speed loop is then the core's. Exactly one of the three set-points is
+    there."""
     setpoint_with: tuple[tuple[str, int], ...] = ()
     """(register, raw value) of what is written with each set-point, in one request: the drive obeys
     the set-point when it gets them."""
@@ -177,7 +180,14 @@ class Channel:
     @property
     def setpoint(self) -> str:
         """The set-point's register."""
-        return self.velocity_setpoint or self.duty_setpoint or ""
+        return self.velocity_setpoint or self.duty_setpoint or self.torque_setpoint or ""
+
+    def to_motor(self, gear_ratio: float) -> float:
+        """The motor's set-point for one of 1 at the wheel: a gear makes it faster and its torque
+        smaller; a duty is the same."""
+        if self.torque_setpoint is not None:
+            return 1.0 / gear_ratio
+        return gear_ratio if self.velocity_setpoint is not None else 1.0
 
     @property
     def commands(self) -> frozenset[str]:

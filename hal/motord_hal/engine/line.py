@@ -170,6 +170,13 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     def drive_faults(self) -> dict[str, tuple[str, ...]]:
         return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
 
+    def _say_left_on(self, drives: Sequence[AnyDrive], why: str = "") -> None:
+        """They may have power still when the medium is closed; nothing is said of none."""
+        names = tuple(name for drive in drives for name in drive.names)
+        if names:
+            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end"
+            self._say(EventKind.DRIVE_WARNING, names, ": ".join(filter(None, (text, why))))
+
     # --------------------------------------------------------------------------------- its engine's
     @abc.abstractmethod
     def _setpoints_ns(self) -> int:

@@ -9,9 +9,18 @@ from dataclasses import dataclass
 
 from motord_hal.drives.profile import Channel, DriveProfile
 from motord_hal.ports import JointSpec
+from motord_hal.rt import JointSetpoint
 
-Wanted = Mapping[int, tuple[float, float]]
-"""Joint index → (wheel rad/s, duty); empty: everything zero."""
+Wanted = Mapping[int, JointSetpoint]
+"""By joint index; empty: everything zero."""
+REST = JointSetpoint(0.0, 0.0)
+
+
+def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
+    """What the channel takes of it, at the wheel."""
+    if channel.torque_setpoint is not None:
+        return setpoint.torque_n_m
+    return setpoint.velocity_rad_s if channel.velocity_setpoint is not None else setpoint.duty
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +61,12 @@ class Plan:
         for joint in self.joints:
             channel = self.channel(joint)
             sign = -1.0 if joint.inverted else 1.0
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
-            if name is None:
-                name, value = channel.duty_setpoint, duty * sign
-            assert name is not None  # the profile's checks: exactly one of the two is there
+            value = of_kind(channel, wanted.get(joint.index, REST))
+            value *= channel.to_motor(joint.gear_ratio) * sign
             if not math.isfinite(value):
                 value = 0.0
             if channel.direction is not None:
                 value = abs(value)
-            raw[name] = self.profile.registers[name].from_si(value)
+            register = self.profile.registers[channel.setpoint]
+            raw[register.name] = register.from_si(value)
         return raw

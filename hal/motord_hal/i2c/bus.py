@@ -41,6 +41,10 @@ class Registers(Protocol):
 
     def write_word(self, register: int, value: int) -> None: ...
 
+    def read_row(self, register: int, size: int) -> bytes:
+        """A register of so many bytes, the upper one first."""
+        ...
+
     def close(self) -> None: ...
 
 

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219 and INA226: bus voltage, and current by the voltage over a shunt.
+"""INA219, INA226, INA228 and INA238: bus voltage, current by the voltage over a shunt, and of the
+last two their own temperature.
 
-Sources: the register maps of Texas Instruments' data sheets SBOS448 (INA219) and SBOS547 (INA226);
-counts and set-up compared with the kernel's drivers/hwmon/ina2xx.c. Current is shunt voltage over
-resistance: the chips' calibration register is not used, so that nobody else's value in it counts.
+Sources: the register maps of Texas Instruments' data sheets SBOS448 (INA219), SBOS547 (INA226),
+SLYS021 (INA228) and SLYS025 (INA238); counts and set-up compared with the kernel's
+drivers/hwmon/ina2xx.c and ina238.c. Current is shunt voltage over resistance: the chips'
+calibration register is not used, so that nobody else's value in it counts.
 """
 
 from __future__ import annotations
@@ -14,52 +16,77 @@ from types import MappingProxyType
 from motord_hal.errors import BadReply
 from motord_hal.i2c.bus import Registers
 
-_CONFIGURATION, _SHUNT, _BUS = 0x00, 0x01, 0x02
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """A number that the chip measures."""
+
+    register: int
+    unit: float
+    """V or °C of one count."""
+    shift: int = 0
+    """Bits below it in its register."""
+    register_bytes: int = 2
+    signed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chip:
-    """What differs between the two."""
+    """What differs between them."""
 
-    configuration: int
-    """Continuous measuring of both, averaged over some 70 ms where the chip can."""
-    shunt_v: float
-    """Of one count of the shunt register, two's complement."""
+    settings: tuple[tuple[int, int], ...]
+    """Register and content: continuous measuring of everything, averaged over some 50 to 70 ms."""
+    shunt: Field
     shunt_max: int
     """Counts at the end of the scale: what reads more was cut off."""
-    bus_v: float
-    """Of one count of the bus register."""
-    bus_shift: int
-    """Bits below the voltage in the bus register."""
-    overflow: int
+    bus: Field
+    overflow: int = 0
     """Bit of the bus register: what was computed from it is wrong."""
-    identity: tuple[int, int] | None
-    """Register and content by which the chip is known."""
+    temperature: Field | None = None
+    """Of the chip itself."""
+    identity: tuple[tuple[int, int, int], ...] = ()
+    """Register, mask and content by which the chip is known."""
 
 
+_TI = 0x5449
 CHIPS = MappingProxyType(
     {
         # SBOS448: 32 V, gain /8 (320 mV), 128 samples of 12 bits each, mode 7; 10 uV; 4 mV, bits
         # 15..3, OVF is bit 0
         "ina219": Chip(
-            configuration=0x3FFF,
-            shunt_v=10e-6,
+            settings=((0x00, 0x3FFF),),
+            shunt=Field(register=0x01, unit=10e-6, signed=True),
             shunt_max=32000,
-            bus_v=4e-3,
-            bus_shift=3,
+            bus=Field(register=0x02, unit=4e-3, shift=3),
             overflow=1,
-            identity=None,
         ),
         # SBOS547: mean of 16, 1.1 ms each, mode 7 (bit 14 reads as one); 2.5 uV; 1.25 mV;
         # manufacturer "TI" in register FEh
         "ina226": Chip(
-            configuration=0x4527,
-            shunt_v=2.5e-6,
+            settings=((0x00, 0x4527),),
+            shunt=Field(register=0x01, unit=2.5e-6, signed=True),
             shunt_max=32767,
-            bus_v=1.25e-3,
-            bus_shift=0,
-            overflow=0,
-            identity=(0xFE, 0x5449),
+            bus=Field(register=0x02, unit=1.25e-3),
+            identity=((0xFE, 0xFFFF, _TI),),
+        ),
+        # SLYS021: range of 163.84 mV; mean of 16, 1.05 ms each, mode Fh; 20 of 24 bits: 312.5 nV,
+        # 195.3125 uV; 7.8125 m°C; manufacturer in 3Eh, die 228h in 3Fh above its revision
+        "ina228": Chip(
+            settings=((0x00, 0x0000), (0x01, 0xFB6A)),
+            shunt=Field(register=0x04, unit=312.5e-9, shift=4, register_bytes=3, signed=True),
+            shunt_max=(1 << 19) - 1,
+            bus=Field(register=0x05, unit=195.3125e-6, shift=4, register_bytes=3, signed=True),
+            temperature=Field(register=0x06, unit=7.8125e-3, signed=True),
+            identity=((0x3E, 0xFFFF, _TI), (0x3F, 0xFFF0, 0x2280)),
+        ),
+        # SLYS025: as the INA228, 16 bits: 5 uV; 3.125 mV; 0.125 °C in bits 15..4
+        "ina238": Chip(
+            settings=((0x00, 0x0000), (0x01, 0xFB6A)),
+            shunt=Field(register=0x04, unit=5e-6, signed=True),
+            shunt_max=32767,
+            bus=Field(register=0x05, unit=3.125e-3, signed=True),
+            temperature=Field(register=0x06, unit=0.125, shift=4, signed=True),
+            identity=((0x3E, 0xFFFF, _TI), (0x3F, 0xFFF0, 0x2380)),
         ),
     }
 )
@@ -71,6 +98,8 @@ class Power:
 
     voltage_v: float
     current_a: float
+    chip_c: float = float("nan")
+    """Of the chip itself; NaN where it does not measure it."""
 
 
 class Ina:
@@ -81,33 +110,48 @@ class Ina:
         self._chip = chip = CHIPS[kind]
         self._registers = registers
         self._shunt_ohm = shunt_ohm
-        if chip.identity is not None:
-            register, wanted = chip.identity
-            if (found := registers.read_word(register)) != wanted:
+        for register, mask, wanted in chip.identity:
+            if (found := registers.read_word(register)) & mask != wanted:
                 raise BadReply(f"no {kind}: register 0x{register:02X} reads 0x{found:04X}")
-        registers.write_word(_CONFIGURATION, chip.configuration)
-        self._check_configuration()
+        for register, value in chip.settings:
+            registers.write_word(register, value)
+        self._check_settings()
 
     def read(self) -> Power:
         """Raises HalError, also where the chip has lost its set-up: it was without power then, and
         has to be opened again."""
-        self._check_configuration()
-        bus = self._registers.read_word(_BUS)
-        shunt = self._registers.read_word(_SHUNT)
-        signed = shunt - 0x10000 if shunt & 0x8000 else shunt
-        cut_off = abs(signed) >= self._chip.shunt_max or bus & self._chip.overflow
-        current_a = signed * self._chip.shunt_v / self._shunt_ohm
+        self._check_settings()
+        chip = self._chip
+        bus, shunt = self._raw(chip.bus), self._raw(chip.shunt)
+        counts = _counts(chip.shunt, shunt)
+        cut_off = abs(counts) >= chip.shunt_max or bus & chip.overflow
+        nothing = float("nan")
+        own = chip.temperature
         return Power(
-            voltage_v=(bus >> self._chip.bus_shift) * self._chip.bus_v,
-            current_a=float("nan") if cut_off else current_a,
+            voltage_v=_counts(chip.bus, bus) * chip.bus.unit,
+            current_a=nothing if cut_off else counts * chip.shunt.unit / self._shunt_ohm,
+            chip_c=_counts(own, self._raw(own)) * own.unit if own is not None else nothing,
         )
+
+    def _raw(self, field: Field) -> int:
+        if field.register_bytes == 2:
+            return self._registers.read_word(field.register)
+        return int.from_bytes(self._registers.read_row(field.register, field.register_bytes), "big")
 
     def close(self) -> None:
         """Lets go of the bus."""
         self._registers.close()
 
-    def _check_configuration(self) -> None:
-        found = self._registers.read_word(_CONFIGURATION)
-        if found != self._chip.configuration:
-            said = f"reads 0x{found:04X}, was written 0x{self._chip.configuration:04X}"
-            raise BadReply(f"the chip's configuration {said}: it is another chip, or lost power")
+    def _check_settings(self) -> None:
+        for register, wanted in self._chip.settings:
+            if (found := self._registers.read_word(register)) != wanted:
+                said = f"reads 0x{found:04X}, was written 0x{wanted:04X}"
+                raise BadReply(
+                    f"the chip's configuration {said}: it is another chip, or lost power"
+                )
+
+
+def _counts(field: Field, raw: int) -> int:
+    """Of a register, as it was read."""
+    bits = 8 * field.register_bytes
+    return (raw - (1 << bits) if field.signed and raw >> (bits - 1) else raw) >> field.shift

@@ -206,15 +206,14 @@ class Board(AsyncioDrive[DrivePlan]):
                 self._written_ns = now_ns()
 
     # ------------------------------------------------------------------------------------ stopping
-    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
-        """The next frame carries them, and every one after it."""
-        del name
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """As AsyncioDrive._write_now: the next frame carries them, and every one after it."""
         self._hold(steps)
+        return ()
 
     def _take_power(self) -> None:
         """From the next frame on."""
-        self._disarmed()
-        self._power_off_by_s = None
+        self._powerless()
         self._hold(self.plan.profile.disarm)
 
     def stand_down(self) -> Job:

@@ -17,6 +17,7 @@ from motord_hal.asyncio_engine.tally import RoundTripTally
 from motord_hal.clock import now_ns
 from motord_hal.engine.job import Job
 from motord_hal.engine.parameter import readable
+from motord_hal.engine.plan import REST
 from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import NoReply, ProfileError
 from motord_hal.mcu.board import Board
@@ -31,6 +32,7 @@ from motord_hal.rt import Exchange
 class McuLine(AsyncioLine[Board]):
     """ports.Line for `kind = "mcu"`, engine "asyncio"."""
 
+    deaf = "the port takes no bytes"
     least_pause_s = 0.001
     """Also where the port takes no bytes."""
 
@@ -92,22 +94,26 @@ class McuLine(AsyncioLine[Board]):
             self._send(board)
         await asyncio.sleep(self._short_pause_s)
 
-    async def _switch_off(self, drives: Sequence[Board]) -> None:
-        await super()._switch_off(drives)
-        await self._cycle_at_rest(drives)
-        await asyncio.sleep(self._short_pause_s)  # until it is on the wire
+    async def _switch_off(self, drive: Board) -> bool:
+        """False: the port takes no bytes now."""
+        await drive.tell_power_off()
+        sent = self._send(drive)
+        await asyncio.sleep(2 * self._short_pause_s)  # until it is on the wire
+        return sent
 
     @property
     def _short_pause_s(self) -> float:
         return min(self._period_s, LOOK_EVERY_S)
 
-    def _send(self, board: Board) -> None:
+    def _send(self, board: Board) -> bool:
+        """False: the port takes no bytes now."""
         wanted = self._wanted(board)
         data = self._dialect.setpoints(board.setpoints(wanted), now_ns())
         if self._stream.send(data):
-            board.sent(motion=any(any(wish) for wish in wanted.values()))
-        else:
-            self._errors["no_room"] += 1
+            board.sent(motion=any(wish != REST for wish in wanted.values()))
+            return True
+        self._errors["no_room"] += 1
+        return False
 
     def _take_in(self, data: bytes) -> None:
         for said in self._dialect.feed(data, now_ns()):

@@ -306,8 +306,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._ways.clear()
         self._forget_enabled()
 
-    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
-        """From the step on that is not answered, it becomes a job."""
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """As AsyncioDrive._write_now: from the one on that was not answered."""
         for number, step in enumerate(steps):
             if step.value is None:
                 continue
@@ -315,6 +315,5 @@ class Drive(AsyncioDrive[DrivePlan]):
                 await self._write({step.register: step.value})
             except (NoReply, BadReply, Refused) as error:
                 self._failed(error)
-                if self.state is not DriveState.QUIET:
-                    self.submit(Job(name, steps[number:], urgent=True))
-                return
+                return steps[number:]
+        return ()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.engine.job import kept_registers
-from motord_hal.engine.plan import Plan, Reading, Wanted
+from motord_hal.engine.plan import REST, Plan, Reading, Wanted, of_kind
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -185,9 +185,7 @@ class DrivePlan(Plan):
             if channel.direction is None:
                 continue
             name = channel.setpoint
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            value = velocity_rad_s if channel.velocity_setpoint else duty
-            forward = (value > 0) != joint.inverted
+            forward = (of_kind(channel, wanted.get(joint.index, REST)) > 0) != joint.inverted
             way = channel.direction.forward if forward else channel.direction.reverse
             ways[channel.direction.register] = way if raw[name] else channel.direction.rest
         return ways

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Iterator
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import DriveProfile
+from motord_hal.encoder.board import CountingBoard
 from motord_hal.engine.line import LineTask
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
+    BoardEncoder,
     DriveState,
     EventKind,
     LineSpec,
@@ -54,6 +57,7 @@ class PwmLine(LineTask):
         self._stats = LineStats()
         self._epoch = 0
         self._started_s = 0.0
+        self._boards = list(self._counting_boards())
 
     # ------------------------------------------------------------------------------------ what is
     @property
@@ -93,6 +97,29 @@ class PwmLine(LineTask):
         return self._stats
 
     # ------------------------------------------------------------------------------------ the task
+    async def run(self) -> None:
+        """As ports.Line.run."""
+        async with asyncio.TaskGroup() as tasks:
+            for board in self._boards:
+                tasks.create_task(board.run())
+            await super().run()
+
+    def _counting_boards(self) -> Iterator[CountingBoard]:
+        """One for each port that encoders of this line hang on."""
+        by_port: dict[str, dict[int, int]] = {}
+        encoders: dict[str, BoardEncoder] = {}
+        for place, joint in enumerate(self.spec.joints):
+            if isinstance(joint.encoder, BoardEncoder):
+                encoders[joint.encoder.port] = joint.encoder
+                by_port.setdefault(joint.encoder.port, {})[joint.encoder.motor] = place
+        for port, wheels in by_port.items():
+            names = tuple(self._names[place] for place in wheels.values())
+
+            def say(kind: EventKind, text: str, names: tuple[str, ...] = names) -> None:
+                self._say(kind, names, f"{self.spec.name}: {', '.join(names)}: {text}")
+
+            yield CountingBoard(encoders[port], wheels, self._thread.tell, say)
+
     async def _open_medium(self) -> str:
         pins = await open_pins(self.spec)
         self._start(pins)

@@ -11,13 +11,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord_hal.drives.profile import BRIDGE_MODES, Bridge
+from motord_hal.encoder.board import told_encoder
 from motord_hal.encoder.counter import open_counter
 from motord_hal.encoder.edges import open_edges
 from motord_hal.errors import PortError, ProfileError
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
 from motord_hal.pinmux import not_muxed, pwm_step
-from motord_hal.ports import CounterEncoder, JointSpec, LineSpec
-from motord_hal.pwm.sysfs import Channel, ChipAbsent, device_of, find_chip, open_channel
+from motord_hal.ports import BoardEncoder, CounterEncoder, JointSpec, LineSpec
+from motord_hal.pwm.sysfs import (
+    Channel,
+    ChipAbsent,
+    device_of,
+    find_chip,
+    made_in_software,
+    open_channel,
+)
 from motord_hal.rt_pwm import EncoderConfig, Pin
 
 FAULT = "fault"
@@ -25,6 +33,8 @@ FAULT = "fault"
 PUMP = "pump"
 """An output that changes with every cycle while the motor may move: a charge pump or a watchdog
 behind it takes the power when any thread hangs or the process dies."""
+SOFTWARE_PERIOD_MIN_NS = 1_000_000
+"""Each of its edges is an interrupt: 2000 a second for a pin are enough."""
 _LOW = dict.fromkeys(BRIDGE_MODES, (0.0, 0.0))
 _CHANNEL = re.compile(r"pwm(\d+)")
 
@@ -78,7 +88,7 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
         if soft:
             raise ValueError(
                 f"pin {place.pin} needs a PWM channel, {place.gpio} is a GPIO line: motors are not "
-                "driven by PWM made in software"
+                "driven by PWM made in software, but by the kernel's pwm-gpio where it is asked for"
             )
         if place.pin in (FAULT, PUMP) and place.channel is not None:
             what = "an input" if place.pin == FAULT else "no PWM"
@@ -119,7 +129,7 @@ class OpenPins:
             if fd >= 0:
                 os.close(fd)
         for encoder in self.encoders:
-            if encoder is not None:
+            if encoder is not None and encoder.fd >= 0:
                 os.close(encoder.fd)
 
 
@@ -164,6 +174,8 @@ def _open_inputs(spec: LineSpec, opened: OpenPins, places: list[Place]) -> None:
 def _open_encoder(spec: LineSpec, joint: JointSpec) -> EncoderConfig | None:
     if joint.encoder is None:
         return None
+    if isinstance(joint.encoder, BoardEncoder):
+        return told_encoder(joint.encoder)
     if isinstance(joint.encoder, CounterEncoder):
         return open_counter(joint.encoder, joint.name)
     return open_edges(joint.encoder, joint.name, f"motord {spec.name}")
@@ -194,6 +206,8 @@ async def _open_channels(spec: LineSpec, opened: OpenPins, places: list[Place]) 
     if not places:
         return
     chip = _find_chip(spec)
+    if made_in_software(chip):
+        _allow_software(spec, places)
     for place in places:
         channel = await _open_channel(spec, chip, place)
         opened.channels.append(channel)
@@ -218,6 +232,18 @@ def _find_chip(spec: LineSpec) -> Path:
         lines = [place.gpio for place in _places(spec)]
         step = pwm_step(spec.pins.pwm_chip, _channels(spec), lines)
         raise PortError(f"{first.purpose}: {error}. {step}") from error
+
+
+def _allow_software(spec: LineSpec, places: list[Place]) -> None:
+    """Raises PortError where it was not asked for, or is too much to ask."""
+    pulses = f"{spec.name}: the pulses of {spec.pins.pwm_chip} are made in software"
+    if not spec.pins.software_pwm:
+        raise PortError(
+            f"{pulses}, and late when the machine is busy: software_pwm = true in the line's "
+            "section allows them for motors"
+        )
+    if min(period_ns(spec, place) for place in places) < SOFTWARE_PERIOD_MIN_NS:
+        raise PortError(f"{pulses}: the line's pwm_hz must be at most 1000")
 
 
 async def rest_pins(spec: LineSpec) -> list[str]:

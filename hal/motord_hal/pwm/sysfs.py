@@ -23,6 +23,7 @@ from motord_hal.pinmux import freeing_step, pwm_owner
 from motord_hal.pwm.claim import claim
 
 CLASS = Path("/sys/class/pwm")
+SOFTWARE_DRIVER = "pwm-gpio"
 WRITABLE_WITHIN_S = 2.0
 """Until udev has given the files of a new channel to their group."""
 LOOK_EVERY_S = 0.01
@@ -70,6 +71,12 @@ def find_chip(wanted: str, root: Path = CLASS) -> Path:
     if found:
         raise PortError(f'{len(found)} PWM chips fit "{wanted}"; there: {there}')
     raise ChipAbsent(f'no PWM chip "{wanted}"; there: {there or "none"}')
+
+
+def made_in_software(chip: Path) -> bool:
+    """Whether timer interrupts of the kernel make the chip's pulses on a GPIO line
+    (drivers/pwm/pwm-gpio.c, Linux 6.11)."""
+    return Path(os.path.realpath(chip / "device" / "driver")).name == SOFTWARE_DRIVER
 
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 from motord_hal.engine.line import DriveLine
 from motord_hal.engine.parameter import write_steps
 from motord_hal.errors import HalError, PortError
-from motord_hal.ports import EventKind, LineSpec, Listener
+from motord_hal.ports import LineSpec, Listener
 from motord_hal.rt_engine.drive import DriveSays, RtDrive
 from motord_hal.rt_engine.news import News
 
@@ -130,13 +131,14 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive: C does it, and this waits for it."""
         self._thread.shut_down()
-        try:
+        report = self._thread.report()
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SHUTDOWN_WITHIN_S):
                 while (report := self._thread.report()).running and not report.shut_down:
                     await self._news.wait()
-        except TimeoutError:
-            text = f"{self.spec.name}: not every drive was switched off at the end"
-            self._say_all(EventKind.DRIVE_WARNING, text)
+        done = report.shut_down
+        pairs = zip(self._drives, report.drives, strict=True)
+        self._say_left_on([drive for drive, said in pairs if said.stop_waits or not done])
 
     # ---------------------------------------------------------------------------------- its orders
     def _setpoints_ns(self) -> int:

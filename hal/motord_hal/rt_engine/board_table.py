@@ -174,7 +174,7 @@ def _setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register
 def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
     channel = plan.channel(joint)
     _, register = _setpoint_of(plan, joint)
-    gear = joint.gear_ratio if channel.velocity_setpoint else 1.0
+    gear = channel.to_motor(joint.gear_ratio)
     low, high = raw_limits(register)
     return {
         "place": layout.told[register.name],

@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import socket
 from collections import Counter
 
-from motord_hal.can.errors import BusTrouble, error_words
-from motord_hal.can.interface import BUS_OFF_TEXT, restart_controller
+from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
+from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import CanPlan
+from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job
 from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import PortError, ProfileError
-from motord_hal.ports import LineSpec, LineStats, Listener
+from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
 from motord_hal.rt_engine.base import RtLineBase
@@ -27,7 +27,6 @@ from motord_hal.rt_engine.can_table import can_table
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""
 _IDENTIFIER = 0x1FFF_FFFF
-_log = logging.getLogger(__name__)
 
 
 class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
@@ -56,12 +55,13 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         ]
         self._bus: socket.socket | None = None
         self._trouble: PortError | None = None
-        self._bus_off = False
-        """The controller has left the bus, and nobody has restarted it since."""
+        self._bus_off = BusOffWatch(spec.port)
         self._errors: Counter[str] = Counter()
+        self._warnings = BusWarnings()
         self._frames = self._cycles = 0
-        self._epoch = 0
-        """What comes after a reopening is new, though its counters may look alike."""
+        self._before = {"epoch": 0, "may_turn": 0}
+        """What comes after a reopening is new, though its counters may look alike; and who was
+        armed may turn still."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
@@ -85,10 +85,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ------------------------------------------------------------------------------- its own medium
     async def _start(self) -> tuple[str, ...]:
-        if self._bus_off:
-            await self._restart()
         identifiers = [one for plan in self._plans for one in plan.identifiers]
         fd_frames = self.spec.data_baudrate is not None
+        await make_ready(self.spec.port, self._errors, fd_frames=fd_frames)
         self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)
         self._trouble = None
         self._thread.start(
@@ -96,25 +95,21 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             fd=self._bus.fileno(),
             event_fd=self._news.event_fd,
             priority=self.spec.priority,
-            epoch=self._epoch,
+            before=self._before,
             cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
         )
         self._report = self._thread.report()
         return ()
-
-    async def _restart(self) -> None:
-        refused = await restart_controller(self.spec.port)
-        if refused:
-            self._errors["restart_refused"] += 1
-            _log.info("%s: not restarted: %s", self.spec.port, refused)
-        self._bus_off = False
 
     def _close_port(self) -> None:
         if self._report is not None:
             last = self._thread.report()
             self._frames += last.received
             self._cycles += last.cycles
-            self._epoch = max(drive.epoch for drive in last.drives)
+            self._before = {
+                "epoch": max(drive.epoch for drive in last.drives),
+                "may_turn": sum(one.may_turn << n for n, one in enumerate(last.drives)),
+            }
             self._errors += _errors(last)
         if self._bus is not None:
             self._bus.close()
@@ -123,6 +118,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
             return self._trouble
+        if self._bus_off.is_off():  # the frame that says so was lost
+            self._errors["bus_off"] += 1
+            return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:
             self._errors["port"] += 1
             return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
@@ -147,14 +145,18 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
                 heard.data,
                 extended=heard.identifier & EXTENDED != 0,
             )
-            if found is not None:
-                self._drives[heard.drive].jobs.heard(*found)
+            if found is None:
+                self._errors["bad_frame"] += 1
+                continue
+            self._drives[heard.drive].jobs.heard(*found)
 
     def _note(self, heard: Heard) -> None:
         kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
         self._errors.update(kinds)
+        for warning in self._warnings.new(kinds, now_s()):
+            text = f"{self.spec.name}: {self.spec.port}: {warning}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
         if trouble is BusTrouble.BUS_OFF:
-            self._bus_off = True
             self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
             self._news.poke()
 

@@ -10,7 +10,6 @@ import struct
 from collections.abc import Iterable
 
 from motord_hal.can.address import split_address
-from motord_hal.can.interface import check_up
 from motord_hal.can.unix_client import SO_TIMESTAMPNS
 from motord_hal.errors import PortError
 from motord_hal.rt_can import EXTENDED, REMOTE
@@ -27,7 +26,6 @@ def open_socket(
     address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
 ) -> socket.socket:
     """Not blocking, heard by who is on the bus from now on. Raises PortError."""
-    check_up(address)
     interface, channel = split_address(address)
     try:
         if interface == "unix":

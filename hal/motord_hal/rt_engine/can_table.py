@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from motord_hal.can.job_step import merged_writes
@@ -18,8 +19,8 @@ from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, sign
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Step
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_can import EXTENDED, REMOTE
-from motord_hal.rt_engine.table import sources
-from motord_hal.rt_table import FieldKind, SetpointKind
+from motord_hal.rt_engine.table import setpoint_kind, sources
+from motord_hal.rt_table import FieldKind
 
 SAMPLE_PART = 0.5
 """As of the asyncio engine: measurements that the bus has bunched are told apart by this part of
@@ -58,7 +59,7 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
         "ask": list(_questions(plan, plan.asked_fast)),
         "slow": list(_questions(plan, plan.asked_slow)),
         "probe": list(_questions(plan, probes)),
-        "match": [_match(plan, frame, inputs) for frame in plan.table.frames_from(Sender.DRIVE)],
+        "match": list(_matches(plan, inputs)),
         "input": [_input(plan, spec, frame) for frame in inputs],
         "quick_stop": _step_writes(plan, plan.profile.quick_stop),
         "disarm": _step_writes(plan, plan.profile.disarm),
@@ -145,15 +146,13 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
         signal = plan.signal(channel.setpoint)
         if plan.frame_of(signal.name) is not frame:
             continue
-        gear = joint.gear_ratio if channel.velocity_setpoint else 1.0
         sign = -1.0 if joint.inverted else 1.0
-        kind = SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
         low, high = _raw_limits(signal)
         yield {
             "place": _place(signal),
             "joint": joint.index,
-            "kind": int(kind),
-            "raw_per_si": sign * gear / _si_per_raw(signal),
+            "kind": int(setpoint_kind(channel)),
+            "raw_per_si": sign * channel.to_motor(joint.gear_ratio) / _si_per_raw(signal),
             "raw_min": low,
             "raw_max": high,
         }
@@ -167,15 +166,34 @@ def _raw_limits(signal: Signal) -> tuple[float, float]:
 
 
 # --------------------------------------------------------------------------------------- frames in
+def _matches(plan: CanPlan, inputs: Sequence[Frame]) -> Iterator[Plain]:
+    """How each frame is known. Replies about objects that the cycle does not live on are Python's,
+    which sees what each of them is: one match stands for all, behind those of their identifier."""
+    reply = plan.table.frames.get(plan.table.abort)
+    for frame in plan.table.frames_from(Sender.DRIVE):
+        if reply is None or frame in inputs or frame.base != reply.base:
+            yield _match(plan, frame, inputs)
+    if reply is not None:
+        yield _match(plan, replace(reply, begins=b""), inputs)
+
+
 def _match(plan: CanPlan, frame: Frame, inputs: Sequence[Frame]) -> Plain:
     return {
         "id": frame.identifier(plan.node) | EXTENDED * frame.is_extended(plan.node),
         "bytes": frame.size_bytes,
         "begins_bytes": len(frame.begins),
         "begins": list(frame.begins),
-        "begins_mask": [0xFF * (at not in frame.open_at) for at in range(len(frame.begins))],
+        "begins_mask": list(_told_by(frame)),
         "input": 1 + inputs.index(frame) if frame in inputs else 0,
     }
+
+
+def _told_by(frame: Frame) -> Iterator[int]:
+    """Bits of each of its first bytes that tell it: those in which all its beginnings agree."""
+    for at, (one, other) in enumerate(
+        zip(frame.begins, frame.or_begins or frame.begins, strict=True)
+    ):
+        yield 0 if at in frame.open_at else 0xFF & ~(one ^ other)
 
 
 def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:

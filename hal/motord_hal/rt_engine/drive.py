@@ -61,6 +61,10 @@ class DriveSays(Protocol):
     def stopping(self) -> bool: ...
     @property
     def cycles(self) -> int: ...
+    @property
+    def stop_waits(self) -> bool:
+        """It has not been told, or has not acknowledged, all of its newest stop."""
+        ...
 
 
 class Jobs(Protocol):

@@ -54,6 +54,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         ]
         self._books = Books(1.0 / sum(drive.cycle_time_s() for drive in frames))
         self._port: OpenPort | None = None
+        self._may_turn = 0
+        """Bit n: drive n was armed when the port was lost."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment."""
@@ -76,6 +78,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             de_active_high=direction.active_high,
             de_before_ns=round(direction.before_s * 1e9),
             de_after_ns=round(direction.after_s * 1e9),
+            may_turn=self._may_turn,
         )
         self._thread.start(thread, self._table)
         self._report = self._thread.report()
@@ -90,6 +93,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
 
     def _close_port(self) -> None:
         if self._report is not None:
+            drives = self._thread.report().drives
+            self._may_turn = sum(one.may_turn << n for n, one in enumerate(drives))
             self._books.close(self._thread)
         if self._port is not None:
             self._port.close()

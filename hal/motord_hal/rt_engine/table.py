@@ -129,7 +129,6 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
             continue
         register = frames.profile.registers[name]
         magnitude = channel.direction is not None
-        gear = joint.gear_ratio if channel.velocity_setpoint else 1.0
         sign = -1.0 if joint.inverted and not magnitude else 1.0
         low, high = raw_limits(register)
         yield LineSetpoint(
@@ -138,13 +137,15 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
             byte=places[name],
             form=_FORMS[register.type.value],
             magnitude=int(magnitude),
-            raw_per_si=sign * gear / si_per_raw(register),
+            raw_per_si=sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register),
             raw_min=low,
             raw_max=high,
         )
 
 
 def setpoint_kind(channel: Channel) -> SetpointKind:
+    if channel.torque_setpoint is not None:
+        return SetpointKind.TORQUE
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
 
 

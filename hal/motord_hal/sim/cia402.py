@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
-from motord_hal.drives.can_profile import Frame
+from motord_hal.drives.can_profile import Frame, Signal
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.sim.axis import Axis
+from motord_hal.sim.content import NamedContent
 from motord_hal.sim.drive import SimulatedDrive
 
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
@@ -46,6 +48,10 @@ class Cia402Drive(SimulatedDrive):
         self._kept: dict[str, tuple[Frame, bytes]] = {}
         """PDOs that wait for the next SYNC, by name."""
         self.registers.make_live("status_word", self._status)
+        assert isinstance(self.registers, NamedContent)  # that of every drive on a CAN bus
+        for one in profile.registers.values():
+            if isinstance(one, Signal) and one.object:
+                self.registers.make_live(one.object, partial(self.registers.value, one.name))
 
     def sends(self, frame: Frame) -> bool:
         """Whether it sends this frame now, as it was set up."""
@@ -89,7 +95,7 @@ class Cia402Drive(SimulatedDrive):
                 self.registers.put("mode_shown", raw)
         super().execute_can([], now_s)
         for name, raw in written:
-            if name == "control_word":
+            if name in ("control_word", "control_object"):
                 self._obey_control(raw)
         self._apply()
 

@@ -272,6 +272,8 @@ class SimulatedDrive:
         value = self.profile.registers[name].to_si(raw) * self._way(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)
+        elif channel.torque_setpoint is not None:
+            axis.wheel.drive(value * axis.motor_per_wheel)
         else:
             axis.wheel.push(value * axis.sign, axis.full_duty_rad_s)
 

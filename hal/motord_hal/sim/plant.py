@@ -55,6 +55,7 @@ class _Power(enum.Enum):
     OFF = enum.auto()
     SPEED = enum.auto()
     DUTY = enum.auto()
+    TORQUE = enum.auto()
 
 
 def _finite(name: str, value: float) -> float:
@@ -79,6 +80,7 @@ class Wheel:
         self._integral_n_m = 0.0
         self._duty = 0.0
         self._full_duty_rad_s = 1.0
+        self._asked_n_m = 0.0
 
     @property
     def current_a(self) -> float:
@@ -103,6 +105,11 @@ class Wheel:
         self._full_duty_rad_s = _finite("full duty", full_duty_rad_s)
         self._power = _Power.DUTY
 
+    def drive(self, torque_n_m: float) -> None:
+        """Current loop: this torque at the wheel. NaN and infinity: ValueError."""
+        self._asked_n_m = _finite("torque", torque_n_m)
+        self._power = _Power.TORQUE
+
     def _regulate(self, target_rad_s: float, slope_rad_s2: float) -> None:
         if self._power is not _Power.SPEED:
             self._reference_rad_s = self.velocity_rad_s
@@ -121,6 +128,8 @@ class Wheel:
     def _wanted_torque_n_m(self, dt_s: float) -> float:
         if self._power is _Power.OFF:
             return 0.0
+        if self._power is _Power.TORQUE:
+            return self._asked_n_m
         if self._power is _Power.DUTY:
             slower = self.velocity_rad_s / self._full_duty_rad_s
             return self.model.torque_max_n_m * (self._duty - slower)

@@ -48,7 +48,7 @@ class TextTalk:
         written = {}
         for joint in self._joints:
             channel = self._profile.channels[joint.channel]
-            name = channel.velocity_setpoint or channel.duty_setpoint or ""
+            name = channel.setpoint
             written[name] = self._profile.registers[name].from_si(motors[joint.name])
         return written
 

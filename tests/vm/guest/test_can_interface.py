@@ -157,6 +157,22 @@ async def test_an_interface_that_is_taken_away_and_comes_back_brings_its_drives_
         await back_disarmed(rig, peer)
 
 
+@pytest.mark.parametrize("kind", ENGINES.values())
+async def test_can_fd_is_refused_in_words_on_an_interface_that_does_not_carry_it(kind):
+    ip("add", "classic0", "type", "vcan")
+    ip("set", "classic0", "mtu", "16")
+    ip("set", "classic0", "up")
+    try:
+        peer = Peer(kind, (0,), "socketcan:classic0")
+        spec = spec_of(peer, 0, data_baudrate=2_000_000)
+        async with living(peer), running(spec) as rig:
+            await until(lambda: rig.events != [], "the line says something")
+            assert rig.kinds() == [EventKind.LINE_LOST]
+            assert "carries no CAN FD" in rig.events[0].text
+    finally:
+        ip("del", "classic0")
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, engine):
     own, far = controllers

@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from motord.bus.inputs.gap import Gap
 from motord.bus.link import Source
 from motord.bus.secret import Token
 from motord.client import ClientError
@@ -25,6 +27,8 @@ COMMANDS = ("cmd_vel", "joint_commands")
 """Topics that are taken: Desk.take."""
 URGENT = ("estop", "stop")
 CALLS_MAX = 4
+URGENT_MAX = 16
+"""Calls of one urgent method that the daemon has not answered yet."""
 FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
 OLD_S = 3600.0
@@ -52,39 +56,50 @@ class Desk:
             self._token = Token(station.beside_robot_file(section.token_file))
         self._stamped = section.stamped
         self._joints = {name: place for place, name in enumerate(station.robot.joint)}
-        self._calls = 0
+        self._calls: Counter[str] = Counter()
         self._said_s = -SAY_AGAIN_S
         self.source: Source = station.source(name)
+        self._gap: Gap = station.gap(section.lease_s)
 
     def admit(self, shown: object) -> None:
         """Raises NotTaken for who does not show the token."""
         if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
-    def take(self, topic: str, message: object) -> None:
+    def take(self, topic: str, message: object, waited_s: float = 0.0) -> None:
         """A message on one of COMMANDS, as `drive` or `drive_joints`. Raises NotTaken."""
         match topic:
             case "cmd_vel":
-                self.drive(message)
+                self.drive(message, waited_s)
             case "joint_commands":
-                self.drive_joints(message)
+                self.drive_joints(message, waited_s)
             case other:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
-    def drive(self, message: object) -> None:
-        """Pass a Twist or a TwistStamped on. Raises NotTaken."""
+    def drive(self, message: object, waited_s: float = 0.0) -> None:
+        """Pass a Twist or a TwistStamped on. `waited_s`: on its way, as far as that is known; it is
+        the age of one that says none itself. Raises NotTaken."""
         linear_m_s, angular_rad_s, age_s = self._twist(message)
-        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+        stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
             raise self._no(_NO_LEASE)
 
-    def drive_joints(self, message: object) -> None:
-        """Pass the velocities of a JointState on; wheels that it does not name are to rest. Raises
-        NotTaken."""
+    def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
+        """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to
+        rest. Raises NotTaken."""
         velocity_rad_s, age_s = self._wheels(message)
-        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+        stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive_joints(velocity_rad_s, stamp_ns):
             raise self._no(_NO_LEASE)
+
+    def _stamp_ns(self, age_s: float, waited_s: float) -> int:
+        """When a command was given, CLOCK_MONOTONIC. Raises NotTaken for one of unknown age that
+        may have waited here."""
+        if not self._stamped:
+            if self._gap.just_over():
+                raise self._no("motord-bus stood still: it may have waited for that to end")
+            age_s = max(age_s, min(waited_s, OLD_S))
+        return time.monotonic_ns() - round(age_s * 1e9)
 
     def _wheels(self, message: object) -> tuple[list[float], float]:
         """rad/s in the order of the robot file, and the command's age in s."""
@@ -133,17 +148,25 @@ class Desk:
 
     async def act(self, method: object) -> Any:
         """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
-        if method not in METHODS:
+        if not isinstance(method, str) or method not in METHODS:
             raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
-        if self._calls >= CALLS_MAX and method not in URGENT:
-            raise self._no(f"{CALLS_MAX} calls are under way")
-        self._calls += 1
+        if method in URGENT:
+            full = self._calls[method] >= URGENT_MAX
+        else:
+            full = self._calls.total() - sum(self._calls[name] for name in URGENT) >= CALLS_MAX
+        if full:
+            raise self.busy()
+        self._calls[method] += 1
         try:
-            return await self._station.call(str(method))
+            return await self._station.call(method)
         except ClientError as error:
             raise NotTaken(str(error)) from error
         finally:
-            self._calls -= 1
+            self._calls[method] -= 1
+
+    def busy(self) -> NotTaken:
+        """What a call is told that others have left no room for."""
+        return self._no("busy: too many calls are under way")
 
     def _no(self, why: str) -> NotTaken:
         """Counted, and said from time to time."""

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 
 import evdev
 
+from motord.bus.guard import first, raise_if_cancelled
 from motord.bus.inputs.stick import Codes, Stick
+from motord.bus.inputs.urgent import Urgent
 from motord.bus.link import Source
 from motord.config import JoystickInput
 
@@ -36,12 +38,16 @@ class Joystick:
             dead_man=_code(section.dead_man),
             linear=_code(section.linear_axis),
             angular=_code(section.angular_axis),
+            estop=None if section.estop_button is None else _code(section.estop_button),
         )
+        self._estop = Urgent(name, "estop", station.call)
+        self._gap = station.gap(section.lease_s)
 
     async def run(self) -> None:
         """As Adapter.run."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._source.run())
+            tasks.create_task(self._estop.run())
             tasks.create_task(self._keep())
 
     async def _keep(self) -> None:
@@ -56,7 +62,8 @@ class Joystick:
             except* (OSError, ValueError) as errors:
                 if not failing:
                     failing = True
-                    _log.warning("input.%s: %s", self._name, errors.exceptions[0])
+                    _log.warning("input.%s: %s", self._name, first(errors))
+            raise_if_cancelled()
             await asyncio.sleep(LOOK_AGAIN_S)
 
     def _found(self) -> evdev.InputDevice[str]:
@@ -78,14 +85,26 @@ class Joystick:
         stick = Stick(self._section, self._codes, ranges)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._command(stick))
+            self._look_for_estop(device)
             async for event in device.async_read_loop():
-                stick.take(event.type, event.code, event.value)
+                if stick.take(event.type, event.code, event.value):
+                    self._estop.ask("by its button")
+                if stick.doubted:
+                    stick.doubted = False
+                    self._look_for_estop(device)
+
+    def _look_for_estop(self, device: evdev.InputDevice[str]) -> None:
+        """Where its event may have been missed. Raises OSError."""
+        if self._codes.estop in device.active_keys():
+            self._estop.ask("by its button, which is held")
 
     async def _command(self, stick: Stick) -> None:
         """As long as it is held; one zero when it is let go, and the command is handed back."""
         commanding = False
         try:
             while True:
+                if self._gap.just_over():
+                    stick.let_go()  # it may have been let go meanwhile
                 if stick.held:
                     self._source.drive(*stick.twist())
                     commanding = True

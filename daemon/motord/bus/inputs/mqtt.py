@@ -14,12 +14,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
-from motord.bus.inputs.desk import COMMANDS, Desk, NotTaken, request_of, tag
+from motord.bus.inputs.desk import COMMANDS, URGENT, Desk, NotTaken, request_of, tag
 from motord.bus.mqtt_connection import MqttConnection
 from motord.bus.mqtt_names import CALL
 from motord.config import MqttInput
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from motord.bus.station import Station
 
 PAYLOAD_BYTES_MAX = 4096
-TASKS_MAX = 16
+CALLS_MAX, ANSWERS_MAX = 16, 64
+"""Calls under way, and answers that the broker has not taken yet. What is urgent passes both."""
 
 _log = logging.getLogger(__name__)
 
@@ -67,16 +68,33 @@ class MqttCommands:
         self._desk.admit(request.get("token"))
         if (topic := self._commands.get(str(message.topic))) is not None:
             self._desk.take(topic, request)
-        elif len(self._calls) < TASKS_MAX:
-            call = tasks.create_task(self._act(client, request))
+        else:
+            call = tasks.create_task(self._call(client, request))
             self._calls.add(call)
             call.add_done_callback(self._calls.discard)
 
+    def _call(
+        self, client: aiomqtt.Client, request: Mapping[str, Any]
+    ) -> Coroutine[Any, Any, None]:
+        """What is to be done for it. Raises NotTaken where not even an answer is possible."""
+        if len(self._calls) < CALLS_MAX or request.get("method") in URGENT:
+            return self._act(client, request)
+        busy = self._desk.busy()
+        if len(self._calls) >= ANSWERS_MAX:
+            raise busy
+        return self._answer(client, request, error=str(busy))
+
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
-        number, method = tag(request.get("id")), tag(request.get("method"))
-        answer: dict[str, Any] = {"id": number, "method": method}
         try:
-            answer["result"] = await self._desk.act(method)
+            said = {"result": await self._desk.act(tag(request.get("method")))}
         except NotTaken as error:
-            answer["error"] = str(error)
-        await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
+            said = {"error": str(error)}
+        if len(self._calls) <= ANSWERS_MAX:
+            await self._answer(client, request, **said)
+
+    async def _answer(
+        self, client: aiomqtt.Client, request: Mapping[str, Any], **said: object
+    ) -> None:
+        answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | said
+        with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
+            await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)

@@ -23,6 +23,7 @@ class Codes:
     dead_man: int
     linear: int
     angular: int
+    estop: int | None = None
 
 
 class Stick:
@@ -43,16 +44,25 @@ class Stick:
         self._ranges = ranges
         self.held = False
         """Released, lost or never pressed: nobody commands."""
+        self.doubted = False
+        """Events were lost, and the e-stop button's may be among them: look at the device itself,
+        and set it back."""
 
-    def take(self, kind: int, code: int, value: int) -> None:
-        """One event."""
+    def take(self, kind: int, code: int, value: int) -> bool:
+        """One event. Returns whether it is an emergency stop."""
         if kind == EV_KEY and code == self._codes.dead_man:
             self.held = value != 0
         elif kind == EV_ABS and code in self._values:
             self._values[code] = self._part(code, value)
         elif kind == EV_SYN and code == SYN_DROPPED:
-            self.held = False  # events were lost: whether it is held is not known any more
-            self._values = dict.fromkeys(self._values, 0.0)
+            self.let_go()  # events were lost: whether it is held is not known any more
+            self.doubted = True
+        return kind == EV_KEY and code == self._codes.estop and value != 0
+
+    def let_go(self) -> None:
+        """Until it is pressed again; the axes are taken to be in their middle."""
+        self.held = False
+        self._values = dict.fromkeys(self._values, 0.0)
 
     def _part(self, axis: int, value: int) -> float:
         """-1 to 1, and 0 in the dead zone."""

@@ -13,19 +13,20 @@ import contextlib
 import logging
 import threading
 import time
-from collections import deque
 from typing import TYPE_CHECKING
 
 from motord.bus.feed import Sample
 from motord.bus.journal import TOPIC, TYPE_NAME, Journal, NoJournal
 from motord.bus.messages import wall_time
-from motord.bus.publish.mcap_files import Entry, Folder, Recording
+from motord.bus.publish.mcap_files import ALL, Entry, Folder, Recording
+from motord.bus.publish.mcap_waiting import Waiting
 from motord.bus.ros2.cdr import encode
 from motord.bus.ros2.direct import encoder, stamp_ns
 from motord.bus.ros2.static_frames import STATIC, static_transforms
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
 from motord.bus.topics import TOPICS
 from motord.config import McapPublish
+from motord.config.recording_rules import memory_bytes
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -34,8 +35,8 @@ WRITE_EVERY_S = 0.5
 AGAIN_S = 5.0
 JOURNAL_EVERY_S = 0.05
 JOURNAL_AGAIN_S = 0.5
-WAITING_MAX = 20_000
-"""Messages that wait for the disk, or that are kept for a fault, at most."""
+LOST = "lost"
+"""In the name of a file that was saved because the daemon, or this process, ended while armed."""
 
 _log = logging.getLogger(__name__)
 
@@ -49,6 +50,7 @@ class McapRecorder:
         self._folder = Folder(
             station.beside_robot_file(section.folder),
             station.body.robot,
+            everything=section.mode == "all",
             total_max_mb=section.total_max_mb,
             free_min_mb=section.free_min_mb,
         )
@@ -57,7 +59,10 @@ class McapRecorder:
             kind = TOPICS["tf"].type_name
             frames = static_transforms(urdf(station.robot), wall_time(time.time_ns(), 0))
             self._latched.append((STATIC, kind, bytes(encode(kind, frames))))
-        self._waiting: deque[Entry] = deque(maxlen=WAITING_MAX)
+        self._waiting = Waiting(memory_bytes(station.robot))
+        self._armed = False
+        self._why: str | None = None
+        """A fault whose file is not written yet."""
         self._recording: Recording | None = None
         self._since_s = 0.0
         self._failing = False
@@ -80,9 +85,7 @@ class McapRecorder:
             self._keep(_entry(sample))
 
     def _keep(self, entry: Entry) -> None:
-        if len(self._waiting) == WAITING_MAX and self._section.mode == "all":
-            self._feed.dropped += 1
-        self._waiting.append(entry)
+        self._feed.dropped += self._waiting.keep(entry)
 
     async def _collect_journal(self) -> None:
         """What a replay needs, as long as there is a daemon that writes it."""
@@ -107,7 +110,7 @@ class McapRecorder:
     async def _all(self) -> None:
         while True:
             await asyncio.sleep(AGAIN_S if self._failing else WRITE_EVERY_S)
-            batch = self._taken()
+            batch = self._waiting.take()
             try:
                 await asyncio.to_thread(self._write, batch)
             except OSError as error:
@@ -123,7 +126,7 @@ class McapRecorder:
                 recording, self._recording = self._recording, None
                 recording.close()
             if self._recording is None:
-                self._recording = self._folder.open("all")
+                self._recording = self._folder.open(ALL)
                 self._recording.add(self._described(batch))
                 self._since_s = time.monotonic()
             else:
@@ -132,30 +135,31 @@ class McapRecorder:
 
     # ------------------------------------------------------------------------------------ faults
     async def _faults(self) -> None:
-        """A file each time that a fault is latched."""
+        """A file each time that a fault is latched, and when the daemon is lost while armed."""
         latched = False
         while True:
             await asyncio.sleep(WRITE_EVERY_S)
             self._forget()
-            view = self._station.view
+            view, armed = self._station.view, self._armed
+            self._armed = view is not None and view.snapshot.armed
             if view is None:
+                if armed:
+                    await self._save(LOST)
                 continue
             if view.snapshot.faults and not latched:
+                self._why = "-".join(view.snapshot.faults)
                 await asyncio.sleep(self._section.after_s)
                 self._forget()
-                await self._save("-".join(view.snapshot.faults))
+                await self._save(self._why)
             latched = bool(view.snapshot.faults)
 
     def _forget(self) -> None:
         """What is older than a fault's file would hold."""
-        oldest_ns = time.time_ns() - round(
-            (self._section.before_s + self._section.after_s + WRITE_EVERY_S) * 1e9
-        )
-        while self._waiting and self._waiting[0].log_ns < oldest_ns:
-            self._waiting.popleft()
+        kept_s = self._section.before_s + self._section.after_s + WRITE_EVERY_S
+        self._waiting.forget(time.time_ns() - round(kept_s * 1e9))
 
     async def _save(self, what: str) -> None:
-        batch = self._taken()
+        batch, self._why = self._waiting.take(), None
         try:
             path = await asyncio.to_thread(self._write_whole, batch, what)
         except OSError as error:
@@ -167,11 +171,15 @@ class McapRecorder:
     def _write_whole(self, batch: list[Entry], what: str) -> str:
         """In the thread. Raises OSError."""
         with self._writing:
-            self._recording = self._folder.open(what)
-            self._recording.add([*self._described(batch), *batch])
-            recording, self._recording = self._recording, None
-            recording.close()
-            return str(recording.path)
+            return self._written(batch, what)
+
+    def _written(self, batch: list[Entry], what: str) -> str:
+        """The file of it. Raises OSError."""
+        self._recording = self._folder.open(what)
+        self._recording.add([*self._described(batch), *batch])
+        recording, self._recording = self._recording, None
+        recording.close()
+        return str(recording.path)
 
     # -------------------------------------------------------------------------------------- both
     def _described(self, batch: list[Entry]) -> list[Entry]:
@@ -179,22 +187,29 @@ class McapRecorder:
         log_ns = batch[0].log_ns if batch else time.time_ns()
         return [Entry(topic, kind, log_ns, message) for topic, kind, message in self._latched]
 
-    def _taken(self) -> list[Entry]:
-        batch = list(self._waiting)
-        self._waiting.clear()
-        return batch
-
     def _finish(self) -> None:
         """At the end: what waits, and the index."""
         with self._writing:
-            recording, self._recording = self._recording, None
-            if recording is None:
-                return
             try:
-                recording.add(self._taken())
-                recording.close()
+                if self._section.mode == "fault":
+                    self._finish_fault()
+                elif self._recording is not None:
+                    recording, self._recording = self._recording, None
+                    recording.add(self._waiting.take())
+                    recording.close()
             except OSError as error:
                 _log.warning("publish.%s: %s", self._name, error)
+
+    def _finish_fault(self) -> None:
+        """A fault whose time after it is not over, or an end while the robot is armed. Raises
+        OSError."""
+        view = self._station.view
+        armed = self._armed or (view is not None and view.snapshot.armed)
+        why = self._why or (LOST if armed else None)
+        if why is not None and len(self._waiting):
+            self._forget()
+            path = self._written(self._waiting.take(), why)
+            _log.info("publish.%s: what led to the end is in %s", self._name, path)
 
     def _fail(self, error: OSError, lost: int) -> None:
         self._feed.dropped += lost

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from motord.bus.ros2.types import definition
 from motord.snapshot import SNAPSHOT_VERSION
 
 MB = 1_000_000
+ALL = "all"
+"""In the name of a file of mode all, where others have what they were saved for."""
 CHUNK_BYTES = 256 * 1024
 """So much is lost at most when the process is killed; `mcap recover` mends the file."""
 
@@ -84,11 +87,16 @@ class Recording:
 
 
 class Folder:
-    """All recordings of one robot's publisher."""
+    """All recordings of one robot and one mode."""
 
-    def __init__(self, path: Path, robot: str, *, total_max_mb: int, free_min_mb: int) -> None:
+    def __init__(
+        self, path: Path, robot: str, *, everything: bool, total_max_mb: int, free_min_mb: int
+    ) -> None:
+        """`everything`: mode all; else what was saved for a fault."""
         self._path = path
         self._robot = robot
+        what = ALL if everything else f"(?!{ALL}\\.)[^.]+"
+        self._name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}-\d{{9}}-{what}\.mcap")
         self._total_max_bytes = total_max_mb * MB
         self._free_min_bytes = free_min_mb * MB
 
@@ -101,8 +109,9 @@ class Folder:
         return Recording(self._path / name, self._robot)
 
     def make_room(self, keep: Path | None = None) -> None:
-        """Delete the oldest until all fit. Raises OSError where there is too little room anyway."""
-        files = sorted(self._path.glob(f"{self._robot}-*.mcap"))
+        """Delete our oldest until all of ours fit. Raises OSError where there is too little room
+        anyway."""
+        files = sorted(file for file in self._path.iterdir() if self._name.fullmatch(file.name))
         sizes = {file: file.stat().st_size for file in files}
         for file in files:
             if sum(sizes.values()) <= self._total_max_bytes and self._has_room():

@@ -46,7 +46,7 @@ class UdpPublisher:
                     )
                 family, _, _, _, address = found[0]
                 return family, address
-            except (OSError, TimeoutError) as error:
+            except (OSError, TimeoutError, ValueError) as error:  # the last: no name at all
                 self._say(f"{self._host} has no address: {str(error) or 'no answer'}")
             await asyncio.sleep(RESOLVE_AGAIN_S)
 

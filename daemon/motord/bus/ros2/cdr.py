@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, partial
+from functools import cache, lru_cache, partial
+from itertools import groupby
 from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
@@ -31,6 +32,9 @@ _CODES = {
     "float64": "d",
 }
 _UINT32 = struct.Struct("<I")
+_PADS = (b"", bytes(3), bytes(2), bytes(1))
+"""To the next multiple of 4, by the bytes after the last one."""
+_WORD_CHARS = 64
 Write = Callable[[bytearray, Any], None]
 
 
@@ -64,24 +68,24 @@ def encode(name: str, message: Any) -> bytearray:
 
 @cache
 def _writers(name: str) -> tuple[Write, ...]:
-    """Fixed fields, also those of nested types, are written together; the others one by one."""
+    """Fixed fields behind each other, also those of nested types, are written together, and so are
+    strings; the others one by one."""
     writers: list[Write] = []
-    fixed: list[tuple[str, str]] = []
-
-    def flush() -> None:
-        if fixed:
-            paths, codes = zip(*fixed, strict=True)
-            writers.append(_fixed(paths, "".join(codes)))
-            fixed.clear()
-
-    for path, field in _flat(name):
-        if field.count is None and field.kind != "string":
-            fixed.append((path, _CODES[field.kind]))
+    for kind, run in groupby(_flat(name), lambda found: _kind(found[1])):
+        paths, fields = zip(*run, strict=True)
+        if kind == "fixed":
+            writers.append(_fixed(paths, "".join(_CODES[field.kind] for field in fields)))
+        elif kind == "string":
+            writers.append(_strings(paths))
         else:
-            flush()
-            writers.append(_variable(path, field))
-    flush()
+            writers += map(_variable, paths, fields)
     return tuple(writers)
+
+
+def _kind(field: Field) -> str:
+    if field.count is not None:
+        return "variable"
+    return "string" if field.kind == "string" else "fixed"
 
 
 def _flat(name: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
@@ -100,10 +104,16 @@ def _fixed(paths: Sequence[str], codes: str) -> Write:
     return lambda out, message: out.extend(packs[(len(out) - 4) & 7](*get(message)))
 
 
+def _strings(paths: Sequence[str]) -> Write:
+    get: Callable[[Any], Any] = attrgetter(*paths)
+    if len(paths) == 1:
+        return lambda out, message: _write_strings(out, (get(message),))
+    return lambda out, message: _write_strings(out, get(message))
+
+
 def _variable(path: str, field: Field) -> Write:
+    """Several of a kind."""
     get = attrgetter(path)
-    if field.count is None:
-        return lambda out, message: _write_string(out, get(message))
     write_items = _items(field)
     if not field.sequence:
         return lambda out, message: write_items(out, get(message))
@@ -120,12 +130,7 @@ def _variable(path: str, field: Field) -> Write:
 
 def _items(field: Field) -> Write:
     if field.kind == "string":
-
-        def write_strings(out: bytearray, items: Sequence[str]) -> None:
-            for item in items:
-                _write_string(out, item)
-
-        return write_strings
+        return _write_strings
     if field.primitive:
         code = _CODES[field.kind]
         return lambda out, items: out.extend(
@@ -135,8 +140,9 @@ def _items(field: Field) -> Write:
             ).pack(*items)
         )
 
+    writers = _writers(field.kind)
+
     def write_nested(out: bytearray, items: Sequence[Any]) -> None:
-        writers = _writers(field.kind)
         for item in items:
             for write in writers:
                 write(out, item)
@@ -144,12 +150,19 @@ def _items(field: Field) -> Write:
     return write_nested
 
 
-def _write_string(out: bytearray, text: str) -> None:
+def _write_strings(out: bytearray, texts: Sequence[str]) -> None:
+    for text in texts:
+        out += _PADS[len(out) & 3]
+        out += _word(text) if len(text) < _WORD_CHARS else _string(text)
+
+
+def _string(text: str) -> bytes:
     raw = text.encode()
-    out.extend(bytes(-len(out) % 4))
-    out.extend(_UINT32.pack(len(raw) + 1))
-    out.extend(raw)
-    out.append(0)
+    return _UINT32.pack(len(raw) + 1) + raw + b"\0"
+
+
+_word = lru_cache(1024)(_string)
+"""Names and states are the same ones again and again."""
 
 
 def decode(name: str, raw: bytes) -> SimpleNamespace:

@@ -20,13 +20,13 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import TRIGGERS, URGENT, Desk, NotTaken
+from motord.bus.inputs.urgent import Urgent
 from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.sparing import Sparing
 from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
+URGENT_RELIABLE = Quality(alone=False)
+"""Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +47,7 @@ class Ros2Commands:
         self._desk = Desk(name, section, station)
         self._node = node_of(station, section)
         self._stamped = section.stamped
-        self._asked = {method: asyncio.Event() for method in URGENT}
+        self._urgent = {method: Urgent(name, method, station.call) for method in URGENT}
         kind = "TwistStamped" if section.stamped else "Twist"
         self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
         self._node.subscribe(
@@ -54,8 +56,9 @@ class Ros2Commands:
         for method in TRIGGERS:
             self._node.serve(f"~/{method}", "std_srvs/srv/Trigger", self._trigger(method))
         self._node.serve("~/set_armed", "std_srvs/srv/SetBool", self._set_armed)
-        for method in URGENT:
-            self._node.subscribe(f"~/{method}", "std_msgs/msg/String", self._urgent(method))
+        for method, urgent in self._urgent.items():
+            for quality in (URGENT_RELIABLE, NEWEST):
+                self._node.subscribe(f"~/{method}", "std_msgs/msg/String", _asking(urgent), quality)
         Parameters(station.robot, station.call).serve(self._node)
         self._lifecycle = Lifecycle(station, self._desk)
         self._lifecycle.serve(self._node)
@@ -71,20 +74,20 @@ class Ros2Commands:
             tasks.create_task(self._lifecycle.run())
             for run in self._moves.runs():
                 tasks.create_task(run())
-            for method in URGENT:
-                tasks.create_task(self._act(method))
+            for urgent in self._urgent.values():
+                tasks.create_task(urgent.run())
 
-    def _drive(self, message: SimpleNamespace) -> None:
+    def _drive(self, message: SimpleNamespace, waited_s: float) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
-            self._desk.drive(_as_mapping(message))
+            self._desk.drive(_as_mapping(message), waited_s)
             self._mover.driven()
 
-    def _drive_joints(self, message: SimpleNamespace) -> None:
+    def _drive_joints(self, message: SimpleNamespace, waited_s: float) -> None:
         with contextlib.suppress(NotTaken):
             command = _as_mapping(message)
             if not self._stamped:
                 del command["header"]
-            self._desk.drive_joints(command)
+            self._desk.drive_joints(command, waited_s)
             self._mover.driven()
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
@@ -103,26 +106,12 @@ class Ros2Commands:
             return SimpleNamespace(success=False, message=str(error))
         return SimpleNamespace(success=True, message=result["state"])
 
-    def _urgent(self, method: str) -> Callable[[SimpleNamespace], None]:
-        voice = Sparing(_log)
 
-        def ask(message: SimpleNamespace) -> None:
-            voice.say(f"input.{self._name}: {method} by topic: {message.data[:200]!r}")
-            self._asked[method].set()
+def _asking(urgent: Urgent) -> Callable[[SimpleNamespace, float], None]:
+    def ask(message: SimpleNamespace, _: float) -> None:
+        urgent.ask(f"by topic: {message.data[:200]!r}")
 
-        return ask
-
-    async def _act(self, method: str) -> None:
-        """As often as it is asked for by topic, but once at a time. Each method has a task of its
-        own: an emergency stop does not wait for a stop to end."""
-        asked, voice = self._asked[method], Sparing(_log)
-        while True:
-            await asked.wait()
-            asked.clear()
-            try:
-                await self._desk.act(method)
-            except NotTaken as error:
-                voice.say(f"input.{self._name}: {method}: {error}")
+    return ask
 
 
 def _as_mapping(value: Any) -> Any:

@@ -12,11 +12,17 @@ import asyncio
 import logging
 import os
 import threading
+from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
 from typing import Any, Literal
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
@@ -34,7 +40,9 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from motord.bus.ros2.cyclone_types import cyclone_type
+from motord.bus.ros2.other_types import Side, other_type_said
 from motord.bus.ros2.quality import Quality
+from motord.sparing import Sparing
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
@@ -44,6 +52,7 @@ BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
 _LOOK_EVERY_S = 2.0
+_LOOK_AT_MOST = 64
 _LOCALHOST = (
     '<General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
@@ -123,20 +132,24 @@ class Writer:
 
 class Reader:
     def __init__(
-        self, entity: DataReader[Any], name: str, depth: int, take: Callable[[bytes, Any], None]
+        self,
+        entity: DataReader[Any],
+        name: str,
+        quality: Quality,
+        take: Callable[[bytes, Any], None],
     ) -> None:
         self.entity = entity
         self.name = name
         self.gid = entity.guid.bytes
         self.condition = ReadCondition(entity, _ANY)
         self._handle = entity._ref  # noqa: SLF001  the binding's take would decode, too
-        self._depth = depth
+        self._quality = quality
         self._take = take
         self._said = 0
 
     def deliver(self) -> None:
         """All that has arrived."""
-        taken = ddspy_take(self._handle, _ANY, self._depth)
+        taken = ddspy_take(self._handle, _ANY, self._quality.depth)
         if isinstance(taken, int):
             return
         for raw, info in taken:
@@ -145,6 +158,8 @@ class Reader:
 
     def say_mismatch(self) -> None:
         """A writer that offers less than this reader asks for is not heard: said once for each."""
+        if not self._quality.alone:
+            return
         entity: Any = self.entity
         status = entity.get_requested_incompatible_qos_status()
         if status is not None and status.total_count > self._said:
@@ -153,6 +168,10 @@ class Reader:
 
 
 _MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
+_OTHER_MIDDLEWARE = (
+    "a client whose middleware is not Cyclone DDS (as rmw_fastrtps, the default of Jazzy) gets no"
+    " answer: run it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or run the bridge (ros2-rclpy)"
+)
 _POLICIES = {
     2: "durability (volatile or transient local)",
     11: "reliability (best effort or reliable)",
@@ -164,6 +183,44 @@ _POLICIES = {
 
 def _policy(number: int) -> str:
     return _POLICIES.get(number, f"quality of service number {number}")
+
+
+def client_of(qos: Any) -> bytes | None:
+    """`clientid` in an endpoint's user data: rmw_cyclonedds gives it to every client of a
+    service."""
+    for policy in qos:
+        if getattr(policy, "__scope__", "") == "Userdata":
+            for pair in policy.data.split(b";"):
+                key, _, value = pair.partition(b"=")
+                if key == b"clientid":
+                    return bytes(value)
+    return None
+
+
+class _Discovered:
+    """Endpoints of the domain that have come since the last look."""
+
+    def __init__(self, participant: DomainParticipant) -> None:
+        self._voices: defaultdict[str, Sparing] = defaultdict(lambda: Sparing(_log))
+        """By topic of ours, so that there are not more of them than of these."""
+        self._readers: dict[Side, Any] = {
+            "writer": BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
+            "reader": BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
+        }
+
+    def look(self, side: Side, ours: dict[str, str], requests: set[str]) -> None:
+        """`ours`: by topic, the type that we have on the other side."""
+        try:
+            found = self._readers[side].take(N=_LOOK_AT_MOST)
+        except DDSException as error:
+            self._voices[side].say(f"DDS does not tell of {side}s: {error.msg}")
+            return
+        for one in found:
+            topic = one.topic_name
+            if topic in ours and (said := other_type_said(topic, side, ours[topic], one.type_name)):
+                self._voices[topic].say(said)
+            elif topic in requests and client_of(one.qos) is None:
+                self._voices[topic].say(f"{topic}: {_OTHER_MIDDLEWARE}")
 
 
 class Participant:
@@ -181,6 +238,10 @@ class Participant:
         self.readers: list[Reader] = []
         self.writers: list[Writer] = []
         self._topics: dict[str, Topic[Any]] = {}
+        self._read: dict[str, str] = {}
+        self._written: dict[str, str] = {}
+        """Types by topic."""
+        self._requests: set[str] = set()
         self._guard = GuardCondition(self.entity)
         self._arrived = asyncio.Event()
         self._taken = threading.Event()
@@ -197,6 +258,8 @@ class Participant:
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error
+        if not service:
+            self._written[topic] = kind
         self.writers.append(Writer(entity, topic))
         return self.writers[-1]
 
@@ -218,7 +281,11 @@ class Participant:
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error
-        self.readers.append(Reader(entity, topic, quality.depth, take))
+        if service:
+            self._requests.add(topic)
+        else:
+            self._read[topic] = kind
+        self.readers.append(Reader(entity, topic, quality, take))
         return self.readers[-1]
 
     def _topic(self, name: str, kind: str, service: bool) -> Topic[Any]:
@@ -229,6 +296,8 @@ class Participant:
     async def run(self) -> None:
         """Deliver what arrives, until cancelled. Raises DdsError when the library fails."""
         loop = asyncio.get_running_loop()
+        self._ending, self._broken = False, None
+        self._guard.set(False)
         waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
         waiting.start()
         try:
@@ -253,10 +322,13 @@ class Participant:
 
     async def _say_mismatches(self) -> None:
         endpoints: tuple[Reader | Writer, ...] = (*self.readers, *self.writers)
+        discovered = _Discovered(self.entity)
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             for endpoint in endpoints:
                 endpoint.say_mismatch()
+            discovered.look("writer", self._read, self._requests)
+            discovered.look("reader", self._written, set())
 
     def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
         """In a thread of its own: tell the loop of arrivals, one word at a time."""

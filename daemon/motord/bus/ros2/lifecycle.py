@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from motord.bus.inputs.desk import Desk, NotTaken
 from motord.bus.messages import state_name
 from motord.bus.ros2.nodes import Node
-from motord.bus.ros2.sparing import Sparing
+from motord.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -13,10 +13,11 @@ from typing import Any
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
+from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.service import Service
-from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
+from motord.sparing import Sparing
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
@@ -73,7 +74,7 @@ class Node:
         self._readers: list[Reader] = []
         self._writers: list[Writer] = []
         self._services: list[Service] = []
-        self._running = False
+        self._running = asyncio.Lock()
         self._graph_type = _GRAPH_TYPES[distribution]
         self._gid_bytes = _GID_BYTES[distribution]
         self._graph = self._participant.writer(
@@ -95,20 +96,21 @@ class Node:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace], None],
+        take: Callable[[SimpleNamespace, float], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message. Raises DdsError."""
+        """`take` is called for each message, and told how long in s it waited on its way. Raises
+        DdsError."""
         topic = names.topic(self.full(name))
-        voice = Sparing(_log)
+        voice, delays = Sparing(_log), Delays()
 
-        def taken(raw: bytes, _: Any) -> None:
+        def taken(raw: bytes, info: Any) -> None:
             try:
                 message = decode(kind, raw)
             except ValueError as error:
                 voice.say(f"{topic}: not understood: {error}")
                 return
-            take(message)
+            take(message, delays.waited_s(info.publication_handle, info.source_timestamp))
 
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
         self._readers.append(reader)
@@ -129,12 +131,10 @@ class Node:
         self._writers.append(service.writer)
 
     async def run(self) -> None:
-        """Until cancelled. Of several who share the node, the first one does it for all."""
-        if self._running:
-            return
-        self._running = True
-        self._announce()
-        async with asyncio.TaskGroup() as tasks:
+        """Until cancelled. Of several who share the node one does it for all, and the next one
+        when that one fails."""
+        async with self._running, asyncio.TaskGroup() as tasks:
+            self._announce()
             for service in self._services:
                 tasks.create_task(service.run())
             tasks.create_task(self._participant.run())

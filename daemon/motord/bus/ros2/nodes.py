@@ -42,10 +42,10 @@ class Node(Protocol):
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace], None],
+        take: Callable[[SimpleNamespace, float], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message."""
+        """`take` is called for each message, and told how long in s it waited on its way."""
         ...
 
     def serve(
@@ -60,7 +60,8 @@ class Node(Protocol):
         ...
 
     async def run(self) -> None:
-        """Until cancelled. Of several who share the node, the first one does it for all."""
+        """Until cancelled. Of several who share the node one does it for all, and the next one
+        when that one fails."""
         ...
 
 

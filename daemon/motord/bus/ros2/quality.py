@@ -18,6 +18,8 @@ class Quality:
     reliable: bool = True
     latched: bool = False
     """TRANSIENT_LOCAL: who comes later is told the newest, too."""
+    alone: bool = True
+    """False: another endpoint beside it serves whom this one does not go with."""
 
 
 _LATCHED = Quality(depth=1, latched=True)

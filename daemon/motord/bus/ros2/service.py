@@ -17,10 +17,10 @@ from cyclonedds.core import DDSException
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
-from motord.bus.ros2.dds import Participant
+from motord.bus.ros2.dds import Participant, client_of
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.sparing import Sparing
 from motord.bus.ros2.types import type_hash
+from motord.sparing import Sparing
 
 WAITING_MAX = 32
 """Requests; more are not answered."""
@@ -110,7 +110,7 @@ class Service:
             found = self.reader.entity.get_matched_publication_data(handle)
         except DDSException:
             return None
-        return None if found is None else _client_of(found.qos)
+        return None if found is None else client_of(found.qos)
 
     def _hearing(self) -> set[bytes | None]:
         heard: set[bytes | None] = set()
@@ -120,16 +120,5 @@ class Service:
             except DDSException:
                 continue  # it has just gone
             if found is not None:
-                heard.add(_client_of(found.qos))
+                heard.add(client_of(found.qos))
         return heard
-
-
-def _client_of(qos: Any) -> bytes | None:
-    """`clientid` in an endpoint's user data."""
-    for policy in qos:
-        if getattr(policy, "__scope__", "") == "Userdata":
-            for pair in policy.data.split(b";"):
-                key, _, value = pair.partition(b"=")
-                if key == b"clientid":
-                    return bytes(value)
-    return None

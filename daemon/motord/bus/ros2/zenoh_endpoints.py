@@ -17,6 +17,8 @@ import zenoh.ext
 
 from motord.bus.inbox import Inbox
 from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.delay import Delays
+from motord.bus.ros2.other_types import other_type_said
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh_names import (
     PUBLISHER,
@@ -26,7 +28,9 @@ from motord.bus.ros2.zenoh_names import (
     NodeNames,
     gid,
     quality_said,
+    type_of,
 )
+from motord.sparing import Sparing
 
 WAITING_MAX = 32
 """Requests; more are refused."""
@@ -111,11 +115,18 @@ class Publisher:
 
 class Subscription:
     def __init__(
-        self, topic: str, kind: str, quality: Quality, take: Callable[[SimpleNamespace], None]
+        self,
+        topic: str,
+        kind: str,
+        quality: Quality,
+        take: Callable[[SimpleNamespace, float], None],
     ) -> None:
+        """`take` is told how long in s a message waited on its way, too."""
         self._topic, self._kind, self._quality = topic, kind, quality
         self._tell = take
-        self._inbox: Inbox[bytes] = Inbox(quality.depth, self._take)
+        self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
+        self._delays, self._voice = Delays(), Sparing(_log)
+        self._publishers: Inbox[str] = Inbox(WAITING_MAX, self._look_at)
         self._kept: tuple[Any, ...] = ()
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
@@ -124,19 +135,42 @@ class Subscription:
         key = names.key(self._topic, self._kind)
         said = (SUBSCRIPTION, self._topic, self._kind, self._quality)
         subscriber = session.declare_subscriber(key, self._arrived)
-        self._kept = (subscriber, *_token(session, names, number, said))
+        self._publishers.open()
+        others = session.liveliness().declare_subscriber(
+            names.any_publisher(self._topic), self._announced, history=True
+        )
+        self._kept = (subscriber, others, *_token(session, names, number, said))
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
-            self._inbox.put(sample.payload.to_bytes())
+            said = b"" if sample.attachment is None else sample.attachment.to_bytes()
+            self._inbox.put((sample.payload.to_bytes(), said))
 
-    def _take(self, raw: bytes) -> None:
+    def _announced(self, token: zenoh.Sample) -> None:
+        if token.kind == zenoh.SampleKind.PUT:
+            self._publishers.put(str(token.key_expr))
+
+    def _look_at(self, token: str) -> None:
+        said = other_type_said(self._topic, "writer", self._kind, type_of(token))
+        if said is not None:
+            self._voice.say(said)
+
+    def _take(self, arrived: tuple[bytes, bytes]) -> None:
+        raw, said = arrived
         try:
             message = decode(self._kind, raw)
         except ValueError as error:
-            _log.warning("%s: not understood: %s", self._topic, error)
+            self._voice.say(f"{self._topic}: not understood: {error}")
             return
-        self._tell(message)
+        self._tell(message, self._waited_s(said))
+
+    def _waited_s(self, said: bytes) -> float:
+        """Nothing is known of what ROS 2 did not send; it is heard all the same."""
+        try:
+            sent = Attachment.decode(said)
+        except ValueError:
+            return 0.0
+        return self._delays.waited_s(sent.gid, sent.stamp_ns)
 
 
 class Service:
@@ -155,6 +189,7 @@ class Service:
         self._answer = answer
         self._inbox: Inbox[zenoh.Query] = Inbox(WAITING_MAX, self._take)
         self._waiting: asyncio.Queue[zenoh.Query] = asyncio.Queue(WAITING_MAX)
+        self._voice = Sparing(_log)
         self._key = ""
         self._kept: tuple[Any, ...] = ()
 
@@ -184,7 +219,7 @@ class Service:
             try:
                 await self._serve(query)
             except (ValueError, zenoh.ZError) as error:
-                _log.warning("service %s: not answered: %s", self._name, error)
+                self._voice.say(f"service {self._name}: not answered: {error}")
                 _refuse(query, str(error))
 
     async def _serve(self, query: zenoh.Query) -> None:

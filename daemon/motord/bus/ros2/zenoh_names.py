@@ -15,6 +15,7 @@ from motord.bus.ros2.types import type_hash
 NODE, PUBLISHER, SUBSCRIPTION, SERVER = "NN", "MP", "MS", "SS"
 _SPACE = "@ros2_lv"
 _DEPTH_DEFAULT = 42
+_TYPE_PLACE = 10
 _NO_HASH = "TypeHashNotSupported"
 """What rmw_zenoh of Humble says in its place."""
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -41,6 +42,10 @@ class NodeNames:
         said = f"{_mangled(topic)}/{dds_type(kind)}/{self._hash(kind)}/{quality}"
         return f"{self._token(number, what)}/{said}"
 
+    def any_publisher(self, topic: str) -> str:
+        """The tokens of whoever publishes a topic, of whatever type, as a key expression."""
+        return f"{_SPACE}/{self.domain_id}/*/*/*/{PUBLISHER}/*/*/*/{_mangled(topic)}/*/*/*"
+
     def key(self, topic: str, kind: str) -> str:
         """Where a topic's messages, or a service's requests, go."""
         return f"{self.domain_id}/{topic.strip('/')}/{dds_type(kind)}/{self._hash(kind)}"
@@ -62,6 +67,11 @@ def quality_said(*, depth: int, reliable: bool, latched: bool) -> str:
     default is left out. Numbers are those of rmw/types.h."""
     depth_said = "" if depth == _DEPTH_DEFAULT else str(depth)
     return f"{'' if reliable else 2}:{1 if latched else ''}:,{depth_said}:,:,:,,"
+
+
+def type_of(token: str) -> str:
+    """Of the topic that an endpoint's token announces, as `dds_type`."""
+    return token.split("/")[_TYPE_PLACE]
 
 
 def gid(token: str) -> bytes:

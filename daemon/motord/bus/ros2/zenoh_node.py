@@ -94,7 +94,7 @@ class ZenohNode:
         self._endpoints: list[Endpoint] = []
         self._services: list[Service] = []
         self._said = False
-        self._running = False
+        self._running = asyncio.Lock()
         self._ending = False
 
     def full(self, name: str) -> str:
@@ -111,10 +111,11 @@ class ZenohNode:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace], None],
+        take: Callable[[SimpleNamespace, float], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, in the event loop."""
+        """`take` is called for each message, in the event loop, and told how long in s it waited on
+        its way."""
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(
@@ -132,17 +133,16 @@ class ZenohNode:
 
     async def run(self) -> None:
         """Until cancelled. Without a router, and after one was lost, it is asked for again. Of
-        several who share the node, the first one does it for all."""
-        if self._running:
-            return
-        self._running = True
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                for service in self._services:
-                    tasks.create_task(service.run())
-                tasks.create_task(self._keep())
-        finally:
-            self._ending = True
+        several who share the node one does it for all, and the next one when that one fails."""
+        async with self._running:
+            self._ending = False
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    for service in self._services:
+                        tasks.create_task(service.run())
+                    tasks.create_task(self._keep())
+            finally:
+                self._ending = True
 
     async def _keep(self) -> None:
         while True:

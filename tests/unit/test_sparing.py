@@ -3,7 +3,7 @@
 
 import logging
 
-from motord.bus.ros2 import sparing
+from motord import sparing
 
 
 def test_a_thousand_of_one_matter_are_one_line(caplog):

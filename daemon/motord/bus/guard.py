@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An adapter that fails is run again by itself: no other bus and no other input has to suffer."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import MutableMapping
+
+from motord.bus.adapters import Adapter
+
+AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
+WELL_AFTER_S = 60.0
+"""Who has worked for so long may come back at once, and is heard of again."""
+
+_log = logging.getLogger(__name__)
+
+
+async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int]) -> None:
+    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; of
+    a row of them only the first is said. MemoryError goes on: the whole process has no room."""
+    again_s, failing = AGAIN_MIN_S, False
+    while True:
+        began_s = time.monotonic()
+        async with asyncio.TaskGroup() as tasks:
+            life = tasks.create_task(_life(adapter))
+        error = asyncio.CancelledError("by itself") if life.cancelled() else life.result()
+        if error is None:
+            return
+        failures[where] = failures.get(where, 0) + 1
+        if time.monotonic() - began_s > WELL_AFTER_S:
+            again_s, failing = AGAIN_MIN_S, False
+        if not failing:
+            failing = True
+            text = "%s failed, and is run again, also if it goes on so: %s: %s"
+            _log.error(text, where, type(error).__name__, error, exc_info=error)
+        await asyncio.sleep(again_s)
+        again_s = min(2.0 * again_s, AGAIN_MAX_S)
+
+
+async def _life(adapter: Adapter) -> BaseException | None:
+    """What it failed with. A task of its own: until Python 3.12 a group leaves its task marked as
+    one that is to be cancelled when a member fails while the group ends."""
+    error = None
+    try:
+        await adapter.run()
+    except* MemoryError:
+        raise
+    except* Exception as errors:  # noqa: BLE001  somebody else's code may raise anything
+        error = first(errors)
+    return error
+
+
+def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
+    """One of a group, to be said."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error
+
+
+def raise_if_cancelled() -> None:
+    """A client library may answer a cancellation with an error of its own."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError

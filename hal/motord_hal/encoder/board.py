@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board that only counts: docs/mcu-frame.md, its motors never enabled.
+
+Its feedback has the board's own time, so the way of a wheel is as old as it is; a board that is
+silent lets the feedback of its wheels get old, which the core judges.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Callable, Mapping
+
+from motord_hal.clock import now_ns, now_s
+from motord_hal.errors import PortError
+from motord_hal.mcu.frames import (
+    FEEDBACK_HEAD_BYTES,
+    FEEDBACK_MOTOR_BYTES,
+    Frame,
+    FrameError,
+    Splitter,
+    Type,
+    build,
+    parse,
+    setpoints_payload,
+)
+from motord_hal.mcu.link import Stream
+from motord_hal.mcu.stamps import NS_PER_US, BoardClock
+from motord_hal.ports import BoardEncoder, EventKind, LineSpec
+from motord_hal.retry import Backoff
+from motord_hal.rt_pwm import EncoderConfig, EncoderKind
+
+FEEDBACK_S = 0.01
+ASK_EVERY_S = 0.05
+SILENT_S = 0.25
+REOPEN_FIRST_S = 0.1
+REOPEN_LIMIT_S = 2.0
+WIDEST = (1 << 64) - 1
+_RESTARTED = _RESTART_NOTED = 8
+_COUNT = struct.Struct("<i")
+_COUNTS = 1 << 32
+
+Tell = Callable[[int, int, int, int], None]
+"""BridgeThread.tell."""
+Say = Callable[[EventKind, str], None]
+
+
+def told_encoder(encoder: BoardEncoder) -> EncoderConfig:
+    """What the thread of the pins is to know of it."""
+    return EncoderConfig(
+        kind=EncoderKind.TOLD, fd=-1, ceiling=WIDEST, rad_per_count=encoder.rad_per_count
+    )
+
+
+class CountingBoard:
+    """One port. `wheels`: motor of the board → place of the joint on its line."""
+
+    def __init__(
+        self, encoder: BoardEncoder, wheels: Mapping[int, int], tell: Tell, say: Say
+    ) -> None:
+        self._wheels = dict(wheels)
+        self._tell = tell
+        self._say = say
+        self._port = encoder.port
+        self._stream = Stream(_spec(encoder), self._take_in)
+        self._splitter = Splitter()
+        self._clock = BoardClock()
+        self._sequence = 0
+        self._control = 0
+        self._counts: dict[int, int] = {}
+        self._origin = 0
+        self._heard_s = 0.0
+        self._well = False
+        self._problem = ""
+
+    async def run(self) -> None:
+        """Open, ask, listen; open again with back-off; for ever."""
+        backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
+        while True:
+            try:
+                await self._listen(backoff)
+            except PortError as error:
+                self._fail(str(error))
+            finally:
+                self._stream.close()
+            await asyncio.sleep(backoff.next_s())
+
+    async def _listen(self, backoff: Backoff) -> None:
+        """Until the port has gone. Raises PortError."""
+        self._stream.open()
+        self._splitter, self._clock = Splitter(), BoardClock()
+        self._heard_s = now_s()
+        while True:
+            self._stream.send(self._question())
+            await asyncio.sleep(ASK_EVERY_S)
+            if now_s() - self._heard_s > SILENT_S:
+                self._fail(f"{self._port}: the board that counts is silent")
+            elif self._well:
+                backoff.reset()
+
+    def _question(self) -> bytes:
+        """Set-points of zero that enable nothing: they say how often the board is to speak."""
+        payload = bytearray(setpoints_payload((), {}, max(self._wheels), FEEDBACK_S))
+        payload[0] = self._control
+        self._sequence = self._sequence + 1 & 0xFFFF
+        return build(Frame(Type.SETPOINTS, self._sequence, now_ns() // NS_PER_US, bytes(payload)))
+
+    def _take_in(self, data: bytes) -> None:
+        came_ns = now_ns()
+        for piece in self._splitter.feed(data):
+            try:
+                frame = parse(piece)
+            except FrameError:
+                continue  # the next one holds what this one held
+            last = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * max(self._wheels)
+            if frame.type == Type.FEEDBACK and len(frame.payload) >= last:
+                self._count(frame, came_ns)
+
+    def _count(self, frame: Frame, came_ns: int) -> None:
+        if frame.payload[0] & _RESTARTED:
+            if not self._control:
+                self._origin += 1
+            self._control = _RESTART_NOTED
+            return  # its clock and its counts begin anew: the next frame is the first one
+        if self._control:
+            self._control = 0
+            self._clock = BoardClock()
+            self._counts.clear()
+        stamp_ns = self._clock.stamp_ns(frame.time_us, came_ns)
+        for motor, place in self._wheels.items():
+            at = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * (motor - 1)
+            (raw,) = _COUNT.unpack_from(frame.payload, at)
+            before = self._counts.get(motor, raw)
+            moved = (raw - before + _COUNTS // 2) % _COUNTS - _COUNTS // 2
+            self._counts[motor] = before + moved
+            self._tell(place, self._counts[motor], stamp_ns, self._origin)
+        self._hear()
+
+    def _hear(self) -> None:
+        self._heard_s = now_s()
+        if not self._well:
+            self._well = True
+            self._problem = ""
+            self._say(EventKind.DRIVE_BACK, f"{self._port}: the board counts")
+
+    def _fail(self, problem: str) -> None:
+        """Said once each time it stops counting."""
+        self._well = False
+        if problem != self._problem:
+            self._problem = problem
+            self._say(EventKind.DRIVE_WARNING, problem)
+
+
+def _spec(encoder: BoardEncoder) -> LineSpec:
+    """What a stream needs of a line."""
+    return LineSpec(
+        index=0,
+        name="encoders",
+        kind="mcu",
+        port=encoder.port,
+        baudrate=encoder.baudrate,
+        parity="none",
+        stop_bits=1,
+        cycle_hz=1.0 / FEEDBACK_S,
+        gap_s=None,
+        engine="asyncio",
+        joints=(),
+        watchdog_s=0.0,
+    )

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Encoders on a board of one's own beside bridges on pins: the line against the reference board,
+compiled for this machine."""
+
+import math
+
+import pytest
+from loop_side import running, until
+from mcu_peer import McuPeer, compiled
+from test_pwm_line import PERIOD_NS, Chip, armed, spec_of
+
+from motord_hal.clock import now_ns
+from motord_hal.drives.load import find_profile
+from motord_hal.ports import BoardEncoder, DriveState, EventKind, JointSpec
+
+PER_COUNT = math.tau / 1320
+BY_HAND_RAD_S = 4.0
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return compiled(tmp_path_factory.mktemp("board"))
+
+
+@pytest.fixture
+def peer(program, tmp_path):
+    peer = McuPeer(program, tmp_path / "board")
+    yield peer
+    peer.pull()
+
+
+@pytest.fixture
+def chip(tmp_path):
+    return Chip(tmp_path / "chip")
+
+
+@pytest.fixture
+async def rig(peer, chip):
+    async with running(line_with(peer, chip)) as rig:
+        await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "the board counts")
+        yield rig
+
+
+def line_with(peer, chip):
+    """The left wheel's encoder counts down when it turns forward."""
+    profile, port = find_profile("bts7960"), str(peer.link)
+    joints = tuple(
+        JointSpec(
+            index=number,
+            name=name,
+            profile=profile,
+            unit=number + 1,
+            pins={"rpwm": f"pwm{2 * number}", "lpwm": f"pwm{2 * number + 1}"},
+            encoder=BoardEncoder(
+                port=port, baudrate=115200, motor=number + 1, rad_per_count=sign * PER_COUNT
+            ),
+        )
+        for number, (name, sign) in enumerate((("left", -1.0), ("right", 1.0)))
+    )
+    return spec_of(chip, joints=joints)
+
+
+def said(rig, joint=0):
+    return rig.loop.exchange.take_feedback(joint)
+
+
+def way(rig):
+    """Counts of the left wheel, signed."""
+    count = said(rig).count
+    return count - (1 << 64) if count >> 63 else count
+
+
+async def test_a_wheel_that_turns_is_counted_with_its_speed_and_its_time(rig, peer):
+    assert (way(rig), said(rig).velocity_rad_s) == (0, 0.0)
+    peer.do("t")
+    await until(lambda: way(rig) < -200, "it turns")
+    await until(lambda: said(rig).velocity_rad_s == pytest.approx(BY_HAND_RAD_S, rel=0.2))
+    first = said(rig)
+    assert 0 < first.stamp_ns <= now_ns()
+    assert said(rig, 1).count == 0
+    await until(lambda: said(rig).stamp_ns > first.stamp_ns)
+    peer.do("s")
+    await until(lambda: said(rig).velocity_rad_s == 0.0, "it stands")
+
+
+async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, peer, chip):
+    await armed(rig)
+    rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+    await until(lambda: chip.duties()[0] == PERIOD_NS // 2)
+    stamp_ns = said(rig).stamp_ns
+    await until(lambda: said(rig).stamp_ns > stamp_ns + 50_000_000)
+    assert not any(told.enabled for told in peer.told)
+
+
+async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_said_once(rig, peer):
+    peer.do("m")
+    await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is said")
+    assert "left, right" in rig.events[-1].text
+    assert "the board that counts is silent" in rig.events[-1].text
+    old = said(rig).stamp_ns
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles + 20)
+    assert said(rig).stamp_ns == old
+    assert rig.states() == {DriveState.READY}  # the pins are as they were; the core judges the age
+    peer.do("w")
+    await until(lambda: said(rig).stamp_ns > old, "it counts again")
+    assert rig.kinds().count(EventKind.DRIVE_WARNING) == 1
+    assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
+
+
+async def test_a_board_that_begins_anew_is_a_new_origin_and_no_way(rig, peer):
+    peer.do("t")
+    await until(lambda: way(rig) < -100)
+    peer.do("s")
+    await until(lambda: said(rig).velocity_rad_s == 0.0)
+    before, epoch = way(rig), said(rig).epoch
+    peer.do("r")
+    await until(lambda: said(rig).epoch == epoch + 1, "a new epoch")
+    assert way(rig) == before
+
+
+async def test_a_board_that_is_pulled_is_found_again(program, peer, chip):
+    async with running(line_with(peer, chip)) as rig:
+        await until(lambda: said(rig).stamp_ns > 0)
+        peer.pull()
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is said")
+        old = said(rig).stamp_ns
+        again = McuPeer(program, peer.link)
+        await until(lambda: said(rig).stamp_ns > old, "it counts again")
+    again.pull()

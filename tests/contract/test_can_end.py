@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a CAN line of either engine ends on a bus whose queue is full: told again, or said."""
+
+import asyncio
+
+import pytest
+from loop_side import running, until
+from scripted_odrive import BUSES, INPUT_VELOCITY, STATE, Peer, living
+from test_can_line import TURN, joints, spec_of
+from test_can_rt import IDLE, Bus, arm, lively
+
+from motord_hal.ports import DriveState, EventKind
+
+ENGINES = ["asyncio", "rt"]
+
+
+@pytest.fixture
+def bus(tmp_path):
+    bus = Bus(tmp_path)
+    yield bus
+    bus.close()
+
+
+def rig_on(bus, engine):
+    return running(spec_of(bus, 0, joints=joints(0), engine=engine))
+
+
+async def opened(rig, bus):
+    await until(lambda: EventKind.LINE_OPEN in rig.kinds())
+    bus.accept()
+
+
+async def fill(rig, bus):
+    """Nobody takes in what is sent, until nothing can be sent any more."""
+
+    def full():
+        bus.say()
+        return rig.line.stats().errors.get("tx_full", 0) > 3
+
+    await until(full)
+
+
+def said_at_the_end(rig):
+    return [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+async def test_a_drive_that_cannot_be_switched_off_is_said_by_name(bus, engine):
+    async with rig_on(bus, engine) as rig:
+        await opened(rig, bus)
+        await arm(rig, bus)
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+        await fill(rig, bus)
+    (warning,) = said_at_the_end(rig)
+    assert "wheel0 not switched off at the end" in warning.text
+    assert warning.joints == ("wheel0",)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_told_again(bus, engine):
+    async def hear_late():
+        await asyncio.sleep(0.1)
+        while True:
+            bus.hear()
+            await asyncio.sleep(0.005)
+
+    async with asyncio.TaskGroup() as group:
+        async with rig_on(bus, engine) as rig:
+            await opened(rig, bus)
+            await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
+            await fill(rig, bus)
+            bus.heard.clear()
+            hearing = group.create_task(hear_late())
+        bus.hear()
+        hearing.cancel()
+    assert bus.states()[-1] == IDLE
+    assert said_at_the_end(rig) == []
+
+
+@pytest.mark.parametrize("kind", BUSES)
+async def test_a_wheel_that_is_being_stopped_goes_on_being_braked_before_it_loses_power(kind):
+    async with living(Peer(kind, nodes=(0,))) as peer:
+        axis = peer.axes[0]
+        async with running(spec_of(peer, 0)) as rig:
+            await rig.arm()
+            axis.velocity_turns_s = 2.0
+            rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+            await until(lambda: any(axis.velocities()))
+            rig.loop.running = False
+            await until(lambda: rig.states() == {DriveState.READY})
+            mark = len(axis.heard)
+            assert axis.state != IDLE
+        await until(lambda: axis.state == IDLE)
+        told = [command for command, _ in axis.heard[mark:]]
+        assert told[: told.index(STATE)].count(INPUT_VELOCITY) > 5

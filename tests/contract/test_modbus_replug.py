@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Modbus lines of both engines whose port goes and comes back: what is said, and who is told."""
+
+import pytest
+from loop_side import running, until
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_slave import Unit
+from test_modbus_line import (
+    CONTROL,
+    ENGINES,
+    QUICK_STOP,
+    RPM,
+    TARGET_1,
+    hub_servo,
+    registers_of,
+    spec_of,
+)
+
+from motord_hal.ports import DriveState, EventKind, LineState
+
+
+@pytest.fixture(params=[*ENGINES, *GATEWAYS])
+async def peer(tmp_path, request):
+    peer = peer_on(request.param, tmp_path)
+    peer.units = {1: Unit(registers_of("zlac8015d"))}
+    yield peer
+    peer.pull()
+
+
+@pytest.fixture
+async def rig(peer):
+    async with running(spec_of(peer, hub_servo())) as rig:
+        yield rig
+
+
+async def test_a_pulled_port_is_said_once_and_comes_back_disarmed(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: 60 in peer.written(TARGET_1))
+    peer.pull()
+    await until(lambda: rig.line.state is LineState.CLOSED)
+    await until(lambda: EventKind.LINE_LOST in rig.kinds())
+    mark = len(peer.heard)
+    peer.plug()
+    await rig.ready()
+    assert all(
+        not any(h.request.values) for h in peer.heard[mark:] if h.request.address == TARGET_1
+    )
+    assert rig.kinds()[2:] == [
+        EventKind.LINE_LOST,
+        EventKind.LINE_OPEN,
+        EventKind.DRIVE_READY,
+    ]
+    assert rig.line.stats().reopened == 1
+
+
+async def test_an_armed_drive_is_told_to_stop_after_a_replug_though_it_does_not_answer(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: 60 in peer.written(TARGET_1))
+    peer.pull()
+    await until(lambda: rig.line.state is LineState.CLOSED)
+    peer.units[1].silent = True
+    mark = len(peer.heard)
+    peer.plug()
+
+    def told(address):
+        since = [heard.request for heard in peer.heard[mark:]]
+        return [one.values[0] for one in since if one.address == address and one.values]
+
+    await until(lambda: QUICK_STOP in told(CONTROL))
+    await until(lambda: told(TARGET_1) != [])
+    assert set(told(TARGET_1)) == {0}
+    assert rig.line.drive_states["left1"] is not DriveState.READY
+
+
+async def test_an_absent_port_is_said_once_and_opened_when_it_comes(peer):
+    peer.pull()
+    async with running(spec_of(peer, hub_servo())) as rig:
+        await until(lambda: rig.kinds() == [EventKind.LINE_LOST])
+        assert any(w in rig.events[0].text for w in ("No such file", "nobody listens"))
+        pause_s = rig.line._backoff._next_s
+        await until(lambda: rig.line._backoff._next_s > pause_s, "it has tried again")
+        assert rig.kinds() == [EventKind.LINE_LOST]
+        peer.plug()
+        await rig.ready()

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The second process as the daemon hears it, whatever it says: a real child, in error or on purpose
+a bad one."""
+
+import asyncio
+import contextlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from motord import bus_supervisor
+from motord.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
+from motord.config import load_robot
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+DEADLINE_S = 30.0
+BEAT = b'{"inputs":{"pad":1}}\n'
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    """Who floods does not hear that it is to end."""
+    monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.1)
+
+
+@contextlib.asynccontextmanager
+async def child(code):
+    """What that program says is heard until the end of the block."""
+    supervisor = BusSupervisor(load_robot(DEMO), Path("no.sock"))
+    supervisor._command = [sys.executable, "-c", f"import os\n{code}"]
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(supervisor.run())
+        yield supervisor
+        task.cancel()
+
+
+async def until(condition):
+    async with asyncio.timeout(DEADLINE_S):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"5",
+        b"null",
+        b"[]",
+        b'"x"',
+        b"{",
+        b"\xff{}",
+        b"[" * 5000,
+        b'{"a":NaN}',
+        b'{"a":-1e999}',
+        b"",
+    ],
+)
+async def test_what_are_no_figures_is_passed_over(said, caplog):
+    lines = said + b"\n" + BEAT
+    async with child(f"os.write(1, {lines!r}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        assert supervisor.report()["inputs"] == {"pad": 1}
+    async with child(f"os.write(1, {said!r} + b'\\n'); os.read(0, 1)") as supervisor:
+        await until(lambda: "no figures" in caplog.text)
+        assert set(supervisor.report()) == {"pid", "restarts"}
+
+
+async def test_its_word_on_itself_is_the_daemons():
+    said = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
+    async with child(f"os.write(1, {said!r}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        report = supervisor.report()
+        assert report["restarts"] == 0
+        assert report["pid"] > 1
+
+
+@pytest.mark.parametrize("line", [b"\n", b"{\n", b"[warning] no route\n"])
+async def test_a_flood_is_said_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
+    flood = f"flood = {line!r} * 3000\nwhile True: os.write(1, flood)"
+    async with child(flood) as supervisor:
+        await until(lambda: "no figures" in caplog.text)
+        for _ in range(100):
+            assert supervisor.report()["pid"] is not None
+            await asyncio.sleep(0.002)
+    assert caplog.text.count("no figures") == 1
+
+
+async def test_a_beat_of_many_figures_is_heard_whole():
+    said = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
+    async with child(f"os.write(1, {said}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        assert len(supervisor.report()["inputs"]) == BEAT_BYTES_MAX // 2
+
+
+@pytest.mark.parametrize("line", [b"noise\n", b"x"])
+async def test_who_says_much_and_no_figures_is_ended_as_one_that_hangs(line, caplog, monkeypatch):
+    monkeypatch.setattr(bus_supervisor, "SILENT_S", 1.0)
+    async with child(f"while True: os.write(1, {line!r} * 3000)") as supervisor:
+        await until(lambda: supervisor.report()["restarts"] >= 1)
+    assert "was silent" in caplog.text

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stop by who waits for no answer is asked of the daemon until it answers."""
+
+import asyncio
+import contextlib
+
+from motord.bus.inputs.urgent import Urgent
+from motord.client import REFUSED, ClientError, Refused
+
+DEADLINE_S = 30.0
+
+
+class Door:
+    """The way to a daemon that does not answer at first."""
+
+    def __init__(self, *errors):
+        self.errors = list(errors)
+        self.calls = []
+        self.answered = asyncio.Event()
+
+    async def call(self, method):
+        self.calls.append(method)
+        if self.errors:
+            raise self.errors.pop(0)
+        self.answered.set()
+
+
+@contextlib.asynccontextmanager
+async def working(urgent):
+    async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(urgent.run())
+        yield
+        task.cancel()
+
+
+async def test_a_daemon_that_does_not_answer_is_asked_again(caplog):
+    door = Door(ClientError("no answer"), ClientError("no answer"))
+    urgent = Urgent("pad", "estop", door.call)
+    async with working(urgent):
+        urgent.ask("by its button")
+        await door.answered.wait()
+    assert door.calls == ["estop"] * 3
+    assert caplog.text.count("asked again until") == 1
+    assert "input.pad: estop by its button" in caplog.text
+
+
+async def test_a_refusal_is_an_answer_and_what_is_asked_for_after_it_is_done(caplog):
+    door = Door(Refused("not now", REFUSED))
+    urgent = Urgent("pad", "stop", door.call)
+    async with working(urgent):
+        urgent.ask("by topic")
+        while not door.calls:
+            await asyncio.sleep(0)
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert door.calls == ["stop"]
+        urgent.ask("by topic")
+        await door.answered.wait()
+    assert door.calls == ["stop"] * 2
+    assert "refused: not now" in caplog.text
+
+
+async def test_what_is_asked_for_while_a_call_is_under_way_is_done_once_more():
+    under_way, go_on, calls = asyncio.Event(), asyncio.Event(), []
+
+    async def call(method):
+        calls.append(method)
+        under_way.set()
+        await go_on.wait()
+
+    urgent = Urgent("pad", "estop", call)
+    async with working(urgent):
+        urgent.ask("once")
+        await under_way.wait()
+        under_way.clear()
+        for _ in range(5):
+            urgent.ask("again")
+        go_on.set()
+        await under_way.wait()
+    assert calls == ["estop"] * 2
