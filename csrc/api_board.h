@@ -28,15 +28,10 @@ typedef struct {
     uint32_t reserved;
 } board_place;
 
-/* What a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+/* Where a payload holds what a joint is to do. */
 typedef struct {
     board_place place;
-    uint32_t joint;             /* place in setpoints.joint */
-    uint32_t kind;              /* setpoint_kind */
-    double raw_per_si;          /* sign, gear, scale: not 0 */
-    double raw_min;             /* <= 0 */
-    double raw_max;             /* >= 0 */
+    setpoint_scale scale;
 } board_setpoint;
 
 /* What stays in the payload from now on. */
@@ -48,16 +43,7 @@ typedef struct {
 /* A place in what the board says. */
 typedef struct {
     board_place place;
-    uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */
-    uint32_t kind;              /* field_kind */
-    uint32_t equals_mask;       /* ENABLED, KEPT: (raw & equals_mask) == equals */
-    uint32_t equals;
-    uint32_t counter_bits;      /* COUNT: 1..64 */
-    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
-    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
-    uint32_t harmless[FIELD_HARMLESS_MAX];
-    double si_per_raw;
+    field_meaning meaning;
 } board_field;
 
 typedef enum { NUMBER_NONE = 0, NUMBER_INTEGER = 1, NUMBER_FIXED = 2, NUMBER_GENERAL = 3 } board_number_form;

@@ -44,15 +44,10 @@ typedef struct {
     uint32_t form;              /* can_form */
 } can_place;
 
-/* Where a frame holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+/* Where a frame holds what a joint is to do. */
 typedef struct {
     can_place place;
-    uint32_t joint;             /* place in setpoints.joint */
-    uint32_t kind;              /* setpoint_kind */
-    double raw_per_si;          /* sign, gear, scale: not 0 */
-    double raw_min;             /* <= 0 */
-    double raw_max;             /* >= 0 */
+    setpoint_scale scale;
 } can_setpoint;
 
 /* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last (can_write.output). */
@@ -75,16 +70,7 @@ typedef struct {
 /* A place in a frame of the drive that says something. */
 typedef struct {
     can_place place;
-    uint32_t joint;             /* place in the core's arrays; not read for ENABLED */
-    uint32_t kind;              /* field_kind; no KEPT */
-    uint32_t equals_mask;       /* ENABLED: (raw & equals_mask) == equals */
-    uint32_t equals;
-    uint32_t counter_bits;      /* COUNT: 1..64 */
-    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
-    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
-    uint32_t harmless[FIELD_HARMLESS_MAX];
-    double si_per_raw;          /* COUNT: counts */
+    field_meaning meaning;      /* no KEPT; COUNT: si is counts */
     double si_at_zero;          /* what raw 0 says */
 } can_field;
 

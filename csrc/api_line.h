@@ -74,6 +74,30 @@ typedef enum {
     FIELD_KEPT = 7              /* (raw & equals_mask) == equals, else the drive has lost its set-up */
 } field_kind;
 
+/* Of buses and boards: the number that says what a joint is to do, raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
+ * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+typedef struct {
+    uint32_t joint;             /* place in setpoints.joint */
+    uint32_t kind;              /* setpoint_kind */
+    double raw_per_si;          /* sign, gear, scale: not 0 */
+    double raw_min;             /* <= 0 */
+    double raw_max;             /* >= 0 */
+} setpoint_scale;
+
+/* Of buses and boards: what a number that was read says. */
+typedef struct {
+    uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */
+    uint32_t kind;              /* field_kind */
+    uint32_t equals_mask;       /* ENABLED, KEPT: (raw & equals_mask) == equals */
+    uint32_t equals;
+    uint32_t counter_bits;      /* COUNT: 1..64 */
+    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
+    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
+    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
+    uint32_t harmless[FIELD_HARMLESS_MAX];
+    double si_per_raw;
+} field_meaning;
+
 /* A place in a reply that says something. */
 typedef struct {
     uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */

@@ -24,7 +24,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     memcpy(m->held, table->payload, sizeof m->held);
     board_hold(m, table->disarm, table->disarm_count, now_ns);
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
-        m->joints |= 1U << table->setpoint[i].joint;
+        m->joints |= 1U << table->setpoint[i].scale.joint;
     }
     board_forget(m);
     return 0;

@@ -18,13 +18,10 @@ static void check_place(finding *f, const board_place *place, uint32_t bytes)
 
 static void check_setpoint(finding *f, const board_setpoint *setpoint, uint32_t bytes)
 {
-    check_place(f, &setpoint->place, bytes);
-    need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
-    need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
-    need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
+    const board_place *place = &setpoint->place;
+    check_place(f, place, bytes);
     if (!f->bad) {
-        need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= (double)board_raw_min(&setpoint->place), "setpoint.raw_min");
-        need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= (double)board_raw_max(&setpoint->place), "setpoint.raw_max");
+        check_scale(f, &setpoint->scale, SETPOINT_DUTY, (double)board_raw_min(place), (double)board_raw_max(place));
     }
 }
 
@@ -47,11 +44,7 @@ bool board_write_is_good(const board_write *write, uint32_t payload_bytes)
 static void check_field(finding *f, const board_field *field, uint32_t bytes)
 {
     check_place(f, &field->place, bytes);
-    need(f, field->joint < JOINTS_MAX, "field.joint");
-    need(f, field->kind <= FIELD_KEPT, "field.kind");
-    need(f, isfinite(field->si_per_raw), "field.si_per_raw");
-    need(f, field->counter_bits <= 64 && (field->kind != FIELD_COUNT || field->counter_bits >= 1), "field.counter_bits");
-    need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
+    check_meaning(f, &field->meaning, FIELD_KEPT);
 }
 
 /* What a part may come to stays a number that is written exactly. */
@@ -60,7 +53,7 @@ static void check_written(finding *f, const board_part *part, const board_table 
     double most = 0.0;
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
         const board_setpoint *setpoint = &table->setpoint[i];
-        most += fabs(part->number_per_raw[i]) * fmax(setpoint->raw_max, -setpoint->raw_min);
+        most += fabs(part->number_per_raw[i]) * fmax(setpoint->scale.raw_max, -setpoint->scale.raw_min);
     }
     need(f, most <= NUMBER_MAX, "part.number_per_raw");
     need(f, part->sign == 0 || part->sign == '+' || part->sign == ' ', "part.sign");

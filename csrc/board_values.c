@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "board_machine.h"
-#include "fault_word.h"
 #include "joint_values.h"
 
 /* ----------------------------------------------------------------------------------------------------- places */
@@ -37,20 +36,13 @@ int64_t board_raw_max(const board_place *place)
 
 /* ------------------------------------------------------------------------------------------------- set-points */
 /* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
-static double wanted(const board_machine *m, const board_setpoint *setpoint)
-{
-    bool may_move = m->mode == DRIVE_ARMED && m->newest.enabled == 1;
-    return may_move ? setpoint_of(&m->newest, setpoint->joint, setpoint->kind) : 0.0;
-}
-
 bool board_payload(const board_machine *m, uint8_t *payload)
 {
-    bool motion = false;
+    bool motion = false, may_move = m->mode == DRIVE_ARMED && m->newest.enabled == 1;
     memcpy(payload, m->held, BOARD_PAYLOAD_MAX);
     for (uint32_t i = 0; i < m->table.setpoint_count; i++) {
         const board_setpoint *setpoint = &m->table.setpoint[i];
-        double wish = wanted(m, setpoint) * setpoint->raw_per_si;
-        int64_t raw = (int64_t)nearbyint(held_within(wish, setpoint->raw_min, setpoint->raw_max));
+        int64_t raw = (int64_t)nearbyint(scaled(&m->newest, may_move, &setpoint->scale));
         board_put(payload, &setpoint->place, raw);
         motion |= raw != 0;
     }
@@ -60,15 +52,14 @@ bool board_payload(const board_machine *m, uint8_t *payload)
 /* --------------------------------------------------------------------------------------------------- feedback */
 static void read_joint(board_machine *m, const board_field *field, int64_t raw)
 {
-    board_joint *joint = &m->joint[field->joint];
+    board_joint *joint = &m->joint[field->meaning.joint];
     joint_feedback *feedback = &joint->feedback;
-    if (field->kind == FIELD_COUNT) {
-        feedback->count = (uint64_t)raw & (field->counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << field->counter_bits) - 1);
-    } else if (!feedback_measured(feedback, field->kind, (double)raw * field->si_per_raw)) {
+    if (field->meaning.kind == FIELD_COUNT) {
+        feedback->count = (uint64_t)raw & count_mask(field->meaning.counter_bits);
+    } else if (!feedback_measured(feedback, field->meaning.kind, (double)raw * field->meaning.si_per_raw)) {
         m->news |= joint->fault_word != (uint32_t)raw;
         joint->fault_word = (uint32_t)raw;
-        feedback->drive_faults = fault_that_stops((uint32_t)raw, field->is_code != 0, field->harmless_bits, field->harmless,
-                                                  field->harmless_codes);
+        feedback->drive_faults = fault_meant(&field->meaning, (uint32_t)raw);
     }
 }
 
@@ -78,10 +69,10 @@ bool board_read(board_machine *m)
     for (uint32_t i = 0; i < m->table.field_count; i++) {
         const board_field *field = &m->table.field[i];
         int64_t raw = board_get(m->said, &field->place);
-        bool equals = ((uint32_t)raw & field->equals_mask) == field->equals;
-        if (field->kind == FIELD_ENABLED) {
+        bool equals = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals;
+        if (field->meaning.kind == FIELD_ENABLED) {
             m->enabled = equals ? 1 : 0;
-        } else if (field->kind == FIELD_KEPT) {
+        } else if (field->meaning.kind == FIELD_KEPT) {
             kept &= equals;
         } else {
             read_joint(m, field, raw);

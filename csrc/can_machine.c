@@ -10,7 +10,7 @@
 static bool has_power(const can_input *input)
 {
     for (uint32_t i = 0; i < input->field_count; i++) {
-        if (input->field[i].kind == FIELD_ENABLED) {
+        if (input->field[i].meaning.kind == FIELD_ENABLED) {
             return true;
         }
     }
@@ -47,7 +47,7 @@ static void init_drive(can_machine *m, uint32_t number, const can_before *before
     drive->enabled = 2;
     for (uint32_t o = 0; o < table->output_count; o++) {
         for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
-            drive->joints |= 1U << table->output[o].setpoint[i].joint;
+            drive->joints |= 1U << table->output[o].setpoint[i].scale.joint;
         }
     }
     init_inputs(drive, table);

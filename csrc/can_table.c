@@ -30,11 +30,7 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
 {
     double most = setpoint->place.form == CAN_FLOAT ? (double)FLT_MAX : 4294967296.0;
     check_place(f, &setpoint->place, bytes);
-    need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
-    need(f, setpoint->kind <= SETPOINT_TORQUE, "setpoint.kind");
-    need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
-    need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= -most, "setpoint.raw_min");
-    need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= most, "setpoint.raw_max");
+    check_scale(f, &setpoint->scale, SETPOINT_TORQUE, -most, most);
 }
 
 static void check_output(finding *f, const can_output *output)
@@ -64,11 +60,8 @@ bool can_write_is_good(const can_write *write, uint32_t output_count)
 static void check_field(finding *f, const can_field *field, uint32_t bytes)
 {
     check_place(f, &field->place, bytes);
-    need(f, field->joint < JOINTS_MAX, "field.joint");
-    need(f, field->kind <= FIELD_ENABLED, "field.kind");
-    need(f, isfinite(field->si_per_raw) && isfinite(field->si_at_zero), "field.si_per_raw");
-    need(f, field->counter_bits <= 64 && (field->kind != FIELD_COUNT || field->counter_bits >= 1), "field.counter_bits");
-    need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
+    check_meaning(f, &field->meaning, FIELD_ENABLED);
+    need(f, isfinite(field->si_at_zero), "field.si_at_zero");
 }
 
 static void check_input(finding *f, const can_input *input, uint32_t bytes)

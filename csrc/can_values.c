@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "can_machine.h"
-#include "fault_word.h"
 #include "joint_values.h"
 
 static const double COUNT_MAX = 4611686018427387904.0;   /* 2^62: any counter's position is nearer */
@@ -54,15 +53,10 @@ static double number_of(const can_place *place, int64_t raw)
 
 /* ------------------------------------------------------------------------------------------------ set-points */
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
-static double wanted(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
-{
-    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1;
-    return may_move ? setpoint_of(&m->newest, setpoint->joint, setpoint->kind) : 0.0;
-}
-
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    double raw = held_within(wanted(m, drive, setpoint) * setpoint->raw_per_si, setpoint->raw_min, setpoint->raw_max);
+    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1;
+    double raw = scaled(&m->newest, may_move, &setpoint->scale);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
     }
@@ -102,46 +96,44 @@ bool can_wants_motion(const can_machine *m, uint32_t drive)
 /* -------------------------------------------------------------------------------------------------- feedback */
 static void read_count(can_joint_state *joint, const can_field *field, double number, int64_t stamp_ns)
 {
-    double count = number * field->si_per_raw + field->si_at_zero;
+    double count = number * field->meaning.si_per_raw + field->si_at_zero;
     joint->no_number = !(fabs(count) < COUNT_MAX);
     if (!joint->no_number) {
-        uint64_t mask = field->counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << field->counter_bits) - 1;
-        joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & mask;
+        joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & count_mask(field->meaning.counter_bits);
         joint->count_ns = stamp_ns;
     }
 }
 
 static void read_fault(can_machine *m, uint32_t number, const can_field *field, uint32_t word)
 {
-    can_joint_state *joint = &m->joint[field->joint];
+    can_joint_state *joint = &m->joint[field->meaning.joint];
     can_drive_state *drive = &m->drive[number];
     bool other = joint->fault_word != word;
     joint->fault_word = word;
-    joint->feedback.drive_faults =
-        fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
+    joint->feedback.drive_faults = fault_meant(&field->meaning, word);
     m->news |= other;
     if (other && joint->feedback.drive_faults != 0) {
         drive->faults++;
         drive->last_fault = word;
-        drive->last_fault_joint = field->joint;
+        drive->last_fault_joint = field->meaning.joint;
     }
 }
 
 static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data, int64_t stamp_ns)
 {
-    can_joint_state *joint = &m->joint[field->joint];
+    can_joint_state *joint = &m->joint[field->meaning.joint];
     int64_t raw = can_get(data, &field->place);
-    double si = number_of(&field->place, raw) * field->si_per_raw + field->si_at_zero;
+    double si = number_of(&field->place, raw) * field->meaning.si_per_raw + field->si_at_zero;
     si = isfinite(si) ? si : (double)NAN;
-    joint->newest_ns = field->kind < FIELD_ENABLED ? stamp_ns : joint->newest_ns;
-    if (feedback_measured(&joint->feedback, field->kind, si)) {
-        joint->velocity_ns = field->kind == FIELD_VELOCITY ? stamp_ns : joint->velocity_ns;
-    } else if (field->kind == FIELD_COUNT) {
+    joint->newest_ns = field->meaning.kind < FIELD_ENABLED ? stamp_ns : joint->newest_ns;
+    if (feedback_measured(&joint->feedback, field->meaning.kind, si)) {
+        joint->velocity_ns = field->meaning.kind == FIELD_VELOCITY ? stamp_ns : joint->velocity_ns;
+    } else if (field->meaning.kind == FIELD_COUNT) {
         read_count(joint, field, number_of(&field->place, raw), stamp_ns);
-    } else if (field->kind == FIELD_FAULT) {
+    } else if (field->meaning.kind == FIELD_FAULT) {
         read_fault(m, number, field, (uint32_t)raw);
     } else {
-        m->drive[number].enabled = ((uint32_t)raw & field->equals_mask) == field->equals ? 1 : 0;
+        m->drive[number].enabled = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
     }
 }
 

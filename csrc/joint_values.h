@@ -5,6 +5,7 @@
 
 #include <math.h>
 
+#include "fault_word.h"
 #include "rt.h"
 
 static const double REST_VELOCITY_RAD_S = 0.1;
@@ -20,9 +21,22 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
-static inline double held_within(double value, double least, double most)
+/* The number that tells a joint what the core wants of it; where it may not move, that of 0. */
+static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
-    return fmin(fmax(value, least), most);
+    double raw = (may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0) * scale->raw_per_si;
+    return fmin(fmax(raw, scale->raw_min), scale->raw_max);
+}
+
+static inline uint64_t count_mask(uint32_t counter_bits)
+{
+    return counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << counter_bits) - 1;
+}
+
+/* What of a fault word stops the robot. */
+static inline uint32_t fault_meant(const field_meaning *field, uint32_t word)
+{
+    return fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
 }
 
 /* Nothing is known of the joint. */

@@ -30,7 +30,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     if (setpoint->magnitude != 0) {
         raw = fabs(raw);
     }
-    return (int64_t)nearbyint(held_within(raw, setpoint->raw_min, setpoint->raw_max));
+    return (int64_t)nearbyint(fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max));
 }
 
 /* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn unheard. */

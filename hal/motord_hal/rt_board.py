@@ -7,14 +7,24 @@ The meaning of each field is in csrc/api_board.h; tables and orders are plain va
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
 from typing import Any
 
-from _motord_rt import ffi
+from _motord_rt import ffi, lib
 
+from motord_hal.ports import RoundTrips
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode, TimedThread, check_plain_table
-from motord_hal.rt_thread import LineLife, Plain, life_of
+from motord_hal.rt_line import Demoted, Mode
+from motord_hal.rt_thread import (
+    LineLife,
+    Plain,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    life_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,31 +66,48 @@ class BoardReport(LineLife):
 
 
 def check_table(name: str, table: Plain) -> None:
-    """As rt_line.check_table."""
-    check_plain_table("board", name, table)
+    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+
+    def first_bad() -> str:
+        found = lib.board_table_check(ffi.new("board_table *", table), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
-class BoardThread(TimedThread):
-    """One board's thread. Its drive has the number 0."""
+class BoardThread(ThreadDoor):
+    """One board's thread in C, from `start` to `stop`. One caller's thread at a time. Its drive has
+    the number 0."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        super().__init__("board", line, exchange)
+        super().__init__(line, ffi.new("board_control *"), lib.board_put_control, lib.board_stop)
+        self._exchange = exchange
         self._ordered = 0
+        self._report = ffi.new("board_report *")
+        self._histogram = ffi.new("histogram *")
 
     def start(self, table: Plain, **config: int) -> None:
-        """`config` as in board_config. Raises HalError."""
-        self._start(table, config)
+        """`config` as in board_config; the descriptors stay the caller's: he closes them after
+        `stop`. Raises HalError."""
+        raw = ffi.new("board_table *", table)
+        raw_config = ffi.new("board_config *", config_of(config, self._exchange))
+        ffi.memmove(self._control, bytes(ffi.sizeof("board_control")), ffi.sizeof("board_control"))
+        check_code(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
         self._ordered = 0
 
     def _wish_of(self, drive: int) -> Any:
-        assert drive == 0  # there is one
+        del drive
         return self._control.wish
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
-        taken = self._put("order", ffi.new("board_order *", order))
-        self._ordered += taken
-        return taken
+        code = lib.board_put_order(self._line, ffi.new("board_order *", order))
+        if code == -errno.EAGAIN:
+            return False
+        check_code(code, "the line takes no write")
+        self._ordered += 1
+        return True
 
     @property
     def ordered(self) -> int:
@@ -89,7 +116,8 @@ class BoardThread(TimedThread):
 
     def report(self) -> BoardReport:
         """As the line has it now."""
-        raw = self._read_report()
+        raw = self._report
+        lib.board_read_report(self._line, raw)
         return BoardReport(
             **life_of(raw),
             shut_down=raw.shut_down != 0,
@@ -104,6 +132,12 @@ class BoardThread(TimedThread):
             fault_words=tuple(raw.fault_word),
             drives=(_says(raw),),
         )
+
+    def round_trips(self) -> RoundTrips:
+        """From set-points to the feedback that had heard them, since the start."""
+        lib.board_histogram_read(self._line, self._histogram)
+        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
+        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
 
 
 def _says(raw: Any) -> BoardSays:

@@ -7,14 +7,23 @@ there.
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
 from motord_hal.rt import Exchange
-from motord_hal.rt_line import Demoted, Mode, RtThread, check_plain_table
-from motord_hal.rt_thread import LineLife, Plain, life_of
+from motord_hal.rt_line import Demoted, Mode
+from motord_hal.rt_thread import (
+    LineLife,
+    Plain,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    life_of,
+)
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
@@ -68,22 +77,36 @@ class Heard:
 
 
 def check_table(name: str, table: Plain) -> None:
-    """As rt_line.check_table."""
-    check_plain_table("can", name, table)
+    """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+
+    def first_bad() -> str:
+        found = lib.can_table_check(ffi.new("can_table *", table), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
-class CanThread(RtThread):
-    """One bus's thread."""
+class CanThread(ThreadDoor):
+    """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        super().__init__("can", line, exchange)
+        super().__init__(line, ffi.new("can_control *"), lib.can_put_control, lib.can_stop)
+        self._exchange = exchange
         self._drives = 0
         self._ordered: list[int] = []
         self._heard = ffi.new("can_received *")
+        self._report = ffi.new("can_report *")
 
     def start(self, table: Plain, *, before: Plain, **config: int) -> None:
-        """`before` as in can_before, `config` as in can_config. Raises HalError."""
-        self._drives = self._start(table, {**config, "before": before}).drive_count
+        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
+        he closes them after `stop`. Raises HalError."""
+        raw = ffi.new("can_table *", table)
+        own = config_of(config, self._exchange) | {"before": before}
+        raw_config = ffi.new("can_config *", own)
+        ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
+        check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
+        self._drives = raw.drive_count
         self._ordered = [0] * self._drives
 
     def listen(self, drive: int, *, wanted: bool) -> None:
@@ -94,9 +117,12 @@ class CanThread(RtThread):
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
-        taken = self._put("order", ffi.new("can_order *", order))
-        self._ordered[order["drive"]] += taken
-        return taken
+        code = lib.can_put_order(self._line, ffi.new("can_order *", order))
+        if code == -errno.EAGAIN:
+            return False
+        check_code(code, "the bus takes no frame")
+        self._ordered[order["drive"]] += 1
+        return True
 
     def ordered(self, drive: int) -> int:
         """Orders for a drive since the start; the report says what has become of them."""
@@ -105,14 +131,15 @@ class CanThread(RtThread):
     def take(self) -> Heard | None:
         """The next frame that is for Python."""
         raw = self._heard
-        if self._call("take_received", raw) != 1:
+        if lib.can_take_received(self._line, raw) != 1:
             return None
         packet = raw.packet
         return Heard(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
 
     def report(self) -> CanReport:
         """As the bus has it now."""
-        raw = self._read_report()
+        raw = self._report
+        lib.can_read_report(self._line, raw)
         return CanReport(
             **life_of(raw),
             shut_down=raw.shut_down != 0,

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the lines that run in C: one thread a line, its table, its asks, its report; and what
-the threads of all media have in common.
+"""The door to the lines that run in C: one thread a line, its table, its asks, its report.
 
 The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
 is done when a person, a fault or a parameter asks for it.
@@ -16,11 +15,18 @@ from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.errors import ProfileError
-from motord_hal.ports import RoundTrips
+from motord_hal.ports import LineSpec, RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_table import LineFrame, LineTable
-from motord_hal.rt_thread import LineLife, Plain, check_code, config_of, life_of
+from motord_hal.rt_thread import (
+    LineLife,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    cpu_mask,
+    life_of,
+)
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
@@ -71,6 +77,23 @@ class ThreadSpec:
     de_after_ns: int = 0
     may_turn: int = 0
     """Bit n: drive n was armed before the port was opened; it is told to stop first."""
+
+    @classmethod
+    def of(
+        cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
+    ) -> ThreadSpec:
+        """As the robot file has it."""
+        return cls(
+            fd=fd,
+            event_fd=event_fd,
+            priority=spec.priority,
+            cpu_mask=cpu_mask(spec),
+            de_fd=de_fd,
+            de_active_high=spec.direction.active_high,
+            de_before_ns=round(spec.direction.before_s * 1e9),
+            de_after_ns=round(spec.direction.after_s * 1e9),
+            may_turn=may_turn,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,123 +151,35 @@ class LineReport(LineLife):
     drives: tuple[DriveReport, ...]
 
 
-def check_plain_table(kind: str, name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    try:
-        found = getattr(lib, f"{kind}_table_check")(ffi.new(f"{kind}_table *", table), field)
-    except (IndexError, OverflowError) as error:  # more than the table has places for
-        raise ProfileError(f"{name}: the line cannot run: {error}") from error
-    if found != ffi.NULL:
-        raise ProfileError(f"{name}: the line cannot run with {ffi.string(found).decode()}")
-
-
-class RtThread:
-    """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
-
-    def __init__(self, kind: str, line: int, exchange: Exchange) -> None:
-        """`kind`: the word that its names in C begin with."""
-        self._kind = kind
-        self._line = line
-        self._exchange = exchange
-        self._control = ffi.new(f"{kind}_control *")
-        self._report = ffi.new(f"{kind}_report *")
-
-    def _call(self, name: str, *values: Any) -> Any:
-        return getattr(lib, f"{self._kind}_{name}")(self._line, *values)
-
-    def _start(self, table: Plain, config: Plain) -> Any:
-        """Wishes of an earlier thread are forgotten. Returns the table as C has it; the descriptors
-        stay the caller's: he closes them after `stop`. Raises HalError."""
-        raw = ffi.new(f"{self._kind}_table *", table)
-        place = config_of(config, self._exchange)
-        ffi.memmove(
-            self._control, bytes(ffi.sizeof(self._control[0])), ffi.sizeof(self._control[0])
-        )
-        code = self._call("start", ffi.new(f"{self._kind}_config *", place), raw)
-        check_code(code, "the line cannot be started")
-        return raw
-
-    def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
-        code = self._call("stop")
-        if code != -errno.ESRCH:
-            check_code(code, "the line cannot be stopped")
-
-    def _wish_of(self, drive: int) -> Any:
-        """Where C reads what is wished of a drive."""
-        return self._control.drive[drive]
-
-    def wish(self, drive: int, mode: Mode) -> int:
-        """Ask for a mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._wish_of(drive)
-        raw.count += 1
-        raw.mode = mode
-        self._put_control()
-        return int(raw.count)
-
-    def wished(self, drive: int) -> int:
-        """The count of the newest wish."""
-        return int(self._wish_of(drive).count)
-
-    def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._wish_of(drive).arming_until_ns = until_ns
-        self._put_control()
-
-    def shut_down(self) -> None:
-        """Quick stop, power off, silence: then its report says `shut_down`."""
-        self._control.shut_down = 1
-        self._put_control()
-
-    def _put_control(self) -> None:
-        self._call("put_control", self._control)
-
-    def _put(self, what: str, raw: Any) -> bool:
-        """False: the queue is full. Raises HalError where the thread has ended."""
-        code = self._call(f"put_{what}", raw)
-        if code == -errno.EAGAIN:
-            return False
-        check_code(code, f"the line takes no {what}")
-        return True
-
-    def _read_report(self) -> Any:
-        self._call("read_report", self._report)
-        return self._report
-
-
-class TimedThread(RtThread):
-    """One that measures round trips."""
-
-    def __init__(self, kind: str, line: int, exchange: Exchange) -> None:
-        super().__init__(kind, line, exchange)
-        self._histogram = ffi.new("histogram *")
-
-    def round_trips(self) -> RoundTrips:
-        """Since the start: from a request to its reply, from set-points to the feedback that had
-        heard them."""
-        self._call("histogram_read", self._histogram)
-        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
-        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
-
-
 def check_table(name: str, table: LineTable) -> None:
     """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    check_plain_table("line", name, _plain(table))
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+
+    def first_bad() -> str:
+        found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
 
 
-class LineThread(TimedThread):
-    """Requests and replies."""
+class LineThread(ThreadDoor):
+    """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
-        super().__init__("line", line, exchange)
+        super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
+        self._exchange = exchange
         self._drives = 0
         self._ask = ffi.new("line_ask *")
         self._answer = ffi.new("line_answer *")
+        self._report = ffi.new("line_report *")
+        self._histogram = ffi.new("histogram *")
 
     def start(self, spec: ThreadSpec, table: LineTable) -> None:
         """Raises HalError."""
-        self._start(_plain(table), dataclasses.asdict(spec))
+        raw = ffi.new("line_table *", _plain(table))
+        config = ffi.new("line_config *", config_of(dataclasses.asdict(spec), self._exchange))
+        ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
+        check_code(lib.line_start(self._line, config, raw), "the line cannot be started")
         self._drives = len(table.drive)
 
     def put_ask(self, ask: Ask) -> bool:
@@ -253,11 +188,15 @@ class LineThread(TimedThread):
         raw.id, raw.drive, raw.urgent = ask.id, ask.drive, ask.urgent
         raw.expires_ns, raw.turnaround_ns = ask.expires_ns, ask.turnaround_ns
         raw.frame = _frame(ask.frame)
-        return self._put("ask", raw)
+        code = lib.line_put_ask(self._line, raw)
+        if code == -errno.EAGAIN:
+            return False
+        check_code(code, "the line takes no request")
+        return True
 
     def take_answer(self) -> Answer | None:
         raw = self._answer
-        if self._call("take_answer", raw) != 1:
+        if lib.line_take_answer(self._line, raw) != 1:
             return None
         return Answer(
             id=raw.id,
@@ -271,7 +210,8 @@ class LineThread(TimedThread):
 
     def report(self) -> LineReport:
         """As the line has it now."""
-        raw = self._read_report()
+        raw = self._report
+        lib.line_read_report(self._line, raw)
         return LineReport(
             **life_of(raw),
             shut_down=raw.shut_down != 0,
@@ -281,6 +221,12 @@ class LineThread(TimedThread):
             fault_words=tuple(raw.fault_word),
             drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
         )
+
+    def round_trips(self) -> RoundTrips:
+        """Since the start of the line."""
+        lib.line_histogram_read(self._line, self._histogram)
+        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
+        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
 
 
 def _drive_report(raw: Any) -> DriveReport:

@@ -68,12 +68,13 @@ static inline bool take_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 
 static inline board_field field_of(uint32_t joint, uint32_t kind, board_place place, double si_per_raw)
 {
-    return (board_field){.place = place, .joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw};
+    return (board_field){.place = place,
+                         .meaning = {.joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw}};
 }
 
 static inline board_field level_of(uint32_t kind, board_place place, uint32_t mask, uint32_t equals)
 {
-    return (board_field){.place = place, .kind = kind, .equals_mask = mask, .equals = equals};
+    return (board_field){.place = place, .meaning = {.kind = kind, .equals_mask = mask, .equals = equals}};
 }
 
 /* config/drives/mcu-velocity.toml */
@@ -86,13 +87,13 @@ static inline board_table frames_table(void)
     table.payload[4] = 10;   /* feedback period, ms */
     for (uint32_t j = 0; j < MOTORS; j++) {
         table.setpoint[table.setpoint_count++] = (board_setpoint){
-            .place = at(TARGET + 6 * j, 4, 1), .joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6,
-            .raw_max = 1e6};
+            .place = at(TARGET + 6 * j, 4, 1),
+            .scale = {.joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
         table.field[table.field_count++] = field_of(j, FIELD_COUNT, at(COUNT + 10 * j, 4, 1), 1.0);
         table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(SPEED + 10 * j, 4, 1), j == 1 ? -0.001 : 0.001);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(VOLTAGE, 2, 0), 0.01);
         table.field[table.field_count] = field_of(j, FIELD_FAULT, at(FAULTS, 2, 0), 1.0);
-        table.field[table.field_count++].harmless_bits = 4;
+        table.field[table.field_count++].meaning.harmless_bits = 4;
     }
     table.field[table.field_count++] = level_of(FIELD_KEPT, at(STATUS, 1, 0), STATUS_RESTARTED, 0);
     table.field[table.field_count++] = level_of(FIELD_KEPT, at(WATCHDOG, 2, 0), UINT32_MAX, WATCHDOG_MS);

@@ -22,6 +22,7 @@ typedef struct {
     double said_rad_s;                      /* what the drives say */
     uint32_t enabled;                       /* the core's; 2: no set-points come any more */
     bool powered, silent, full;
+    uint32_t not_taken;                     /* an identifier that the bus does not take; 0: none */
     can_packet sent[SENT_MAX];
     int64_t sent_ns[SENT_MAX];
     uint32_t sent_count;
@@ -32,7 +33,7 @@ static can_wire w;
 static inline bool take(void *sink, const can_packet *packet)
 {
     (void)sink;
-    if (w.full) {
+    if (w.full || packet->id == w.not_taken) {
         return false;
     }
     CHECK(w.sent_count < SENT_MAX);
@@ -53,16 +54,18 @@ static inline can_drive can_drive_of(uint32_t n)
                        .match_count = 3, .input_count = 2, .quick_stop_count = 1, .disarm_count = 1,
                        .watchdog_ns = 500 * MS};
     drive.output[0] = (can_output){.packet = packet_of(SPEED + n, 4), .setpoint_count = 1};
-    drive.output[0].setpoint[0] = (can_setpoint){.place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED}, .joint = n,
-                                                 .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0};
+    drive.output[0].setpoint[0] = (can_setpoint){
+        .place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
+        .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
     drive.input[0] = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = 1};
-    drive.input[0].field[0] = (can_field){.place = {.length = 8}, .kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8,
-                                          .si_per_raw = 1.0};
+    drive.input[0].field[0] = (can_field){
+        .place = {.length = 8}, .meaning = {.kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8, .si_per_raw = 1.0}};
     drive.input[1] = (can_input){.silence_ns = 200 * MS, .spacing_ns = 5 * MS, .fast = 1, .field_count = 2};
-    drive.input[1].field[0] = (can_field){.place = {.length = 32, .form = CAN_FLOAT}, .joint = n, .kind = FIELD_COUNT,
-                                          .counter_bits = 32, .si_per_raw = 1000.0};
-    drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT}, .joint = n,
-                                          .kind = FIELD_VELOCITY, .si_per_raw = 1.0};
+    drive.input[1].field[0] = (can_field){
+        .place = {.length = 32, .form = CAN_FLOAT},
+        .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
+    drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
+                                          .meaning = {.joint = n, .kind = FIELD_VELOCITY, .si_per_raw = 1.0}};
     drive.match[0] = (can_match){.id = STATE + n, .bytes = 1, .input = 1};
     drive.match[1] = (can_match){.id = MOTION + n, .bytes = 8, .input = 2};
     drive.match[2] = (can_match){.id = ANSWER + n, .bytes = 8, .begins_bytes = 1, .begins = {0x43}, .begins_mask = {0xFF}};
@@ -157,6 +160,23 @@ static inline void arm(uint32_t drive)
     CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
 }
 
+static inline can_drive *table_of(uint32_t drive)
+{
+    return &w.table.drive[drive];
+}
+
+static inline const can_drive_state *state_of(uint32_t drive)
+{
+    return &w.machine.drive[drive];
+}
+
+static inline void become_quiet(void)
+{
+    w.silent = true;
+    go_on(320 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET);
+}
+
 static inline void forget_sent(void)
 {
     w.sent_count = 0;
@@ -197,6 +217,13 @@ static inline int64_t told_ns(uint32_t drive, uint8_t word)
         }
     }
     return 0;
+}
+
+static inline void arm_and_go(void)
+{
+    arm(0);
+    go_on(30 * MS);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
 }
 
 #endif

@@ -32,7 +32,14 @@ WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 RUN_WITHIN_S = 60.0
 _LINE = ["test_line_stops", "test_line_rates", "test_line_packets", "fuzz_line 2000"]
 _BOARD = ["test_board", "test_board_words", "fuzz_board 3000"]
-_CAN = ["test_can", "test_can_stops", "fuzz_can 2000"]
+_CAN = [
+    "test_can",
+    "test_can_stops",
+    "test_can_drive",
+    "test_can_quiet",
+    "test_can_values",
+    "fuzz_can 2000",
+]
 TESTS = {
     "rtu.c": ["test_rtu"],
     "arbiter.c": ["test_command"],

@@ -99,8 +99,8 @@ static board_table text_table(bool answers)
                          .said_bytes = answers ? 6 : 0, .period_ns = 20 * MS, .silence_ns = 150 * MS,
                          .setpoint_timeout_ns = 100 * MS, .written = {.part_count = 3, .literal = ",\n"}};
     for (uint32_t j = 0; j < 2; j++) {
-        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1), .joint = j, .raw_per_si = 1000.0, .raw_min = -1e6,
-                                             .raw_max = 1e6};
+        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
+                                             .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
         table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_INTEGER};
         table.written.part[j].number_per_raw[j] = 0.255;
     }

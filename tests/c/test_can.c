@@ -45,8 +45,8 @@ static void a_float_of_minus_zero_is_sent_as_zero(void)
     begin_with(1);
     can_setpoint *setpoint = &w.table.drive[0].output[0].setpoint[0];
     w.table.drive[0].output[0].packet.bytes = 8;
-    *setpoint = (can_setpoint){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT}, .raw_per_si = -1.0,
-                               .raw_min = -10.0, .raw_max = 10.0};
+    *setpoint = (can_setpoint){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
+                               .scale = {.raw_per_si = -1.0, .raw_min = -10.0, .raw_max = 10.0}};
     restart();
     arm(0);
     w.velocity_rad_s = 0.0;
@@ -429,10 +429,10 @@ static void a_table_that_points_outside_its_frames_is_refused(void)
     drive->match[1].bytes = 7;   /* shorter than what is read in it */
     CHECK(is_bad());
     begin_with(2);
-    drive->input[0].field[0].joint = JOINTS_MAX;
+    drive->input[0].field[0].meaning.joint = JOINTS_MAX;
     CHECK(is_bad());
     begin_with(2);
-    drive->output[0].setpoint[0].raw_per_si = (double)NAN;
+    drive->output[0].setpoint[0].scale.raw_per_si = (double)NAN;
     CHECK(is_bad());
     begin_with(2);
     drive->disarm[0].output = 2;

@@ -7,6 +7,7 @@
 
 #include "check.h"
 #include "exchange.h"
+#include "ring.h"
 #include "schedule.h"
 
 static void a_mailbox_gives_the_newest_value(void)
@@ -21,6 +22,24 @@ static void a_mailbox_gives_the_newest_value(void)
             CHECK(mailbox_take(&box, slot, &value, sizeof value) == 1 && value == sent);
             CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == sent);
         }
+    }
+}
+
+static void a_ring_gives_all_in_order_and_takes_no_more_than_it_holds(void)
+{
+    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1};   /* its positions wrap */
+    uint64_t places[4], out = 0;
+    CHECK(!ring_take(&r, places, 4, &out, sizeof out));
+    for (uint64_t round = 0; round < 3; round++) {
+        for (uint64_t n = 0; n < 4; n++) {
+            uint64_t value = 10 * round + n;
+            CHECK(ring_put(&r, places, 4, &value, sizeof value));
+        }
+        CHECK(!ring_put(&r, places, 4, &out, sizeof out));
+        for (uint64_t n = 0; n < 4; n++) {
+            CHECK(ring_take(&r, places, 4, &out, sizeof out) && out == 10 * round + n);
+        }
+        CHECK(!ring_take(&r, places, 4, &out, sizeof out));
     }
 }
 
@@ -224,6 +243,7 @@ int main(void)
 {
     static _Alignas(64) uint8_t page[PAGE_BYTES + 64];
     a_mailbox_gives_the_newest_value();
+    a_ring_gives_all_in_order_and_takes_no_more_than_it_holds();
     each_value_has_a_box_of_its_own();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);

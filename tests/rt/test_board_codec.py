@@ -233,11 +233,12 @@ def test_a_table_that_reaches_out_of_its_payload_is_refused():
         setattr(table, path, value)
         assert lib.board_table_check(table, name) != ffi.NULL, path
         setattr(table, path, before)
+    scale = table.setpoint[0].scale
     for one, key, value in (
         (table.setpoint[0].place, "byte", 190), (table.setpoint[0].place, "bytes", 7),
-        (table.setpoint[0].place, "byte", 2**32 - 1), (table.setpoint[0], "joint", 8),
-        (table.setpoint[0], "raw_per_si", math.nan), (table.setpoint[0], "raw_max", math.inf),
-        (table.setpoint[0], "raw_min", 1.0), (table.disarm[0], "raw", 2**40),
+        (table.setpoint[0].place, "byte", 2**32 - 1), (scale, "joint", 8),
+        (scale, "raw_per_si", math.nan), (scale, "raw_max", math.inf),
+        (scale, "raw_min", 1.0), (table.disarm[0], "raw", 2**40),
         (table.written.part[0], "literal_bytes", 257), (table.written.part[0], "width", 100),
         (table.written.part[0], "form", 0), (table.written.part[0], "sign", ord("%")),
         (table.written.part[0].number_per_raw, 0, math.inf),

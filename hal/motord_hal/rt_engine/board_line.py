@@ -20,6 +20,7 @@ from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.board_drive import BoardRtDrive
 from motord_hal.rt_engine.board_jobs import BoardJobs
 from motord_hal.rt_engine.board_table import board_table, layout_of
+from motord_hal.rt_thread import cpu_mask
 from motord_hal.serial.port import OpenPort, open_port
 
 
@@ -88,7 +89,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             event_fd=self._news.event_fd,
             priority=self.spec.priority,
             epoch=self._epoch,
-            cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
+            cpu_mask=cpu_mask(self.spec),
         )
         self._report = self._thread.report()
         return self._port.facts

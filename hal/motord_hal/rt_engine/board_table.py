@@ -21,7 +21,8 @@ from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_b
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_engine import board_text
-from motord_hal.rt_engine.table import harmless, raw_limits, setpoint_kind, si_per_raw, sources
+from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
+from motord_hal.rt_engine.table import raw_limits, si_per_raw
 from motord_hal.rt_table import FieldKind
 
 Plain = dict[str, Any]
@@ -174,27 +175,24 @@ def _setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register
 def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
     channel = plan.channel(joint)
     _, register = _setpoint_of(plan, joint)
-    gear = channel.to_motor(joint.gear_ratio)
-    low, high = raw_limits(register)
     return {
         "place": layout.told[register.name],
-        "joint": joint.index,
-        "kind": int(setpoint_kind(channel)),
-        "raw_per_si": (-1.0 if joint.inverted else 1.0) * gear / si_per_raw(register),
-        "raw_min": low,
-        "raw_max": high,
+        "scale": setpoint_scale(joint, channel, si_per_raw(register), raw_limits(register)),
     }
 
 
 def _joint_fields(plan: DrivePlan, layout: Layout) -> Iterator[Plain]:
     for joint in plan.joints:
-        for kind, name in sources(plan.profile, joint):
+        channel = plan.channel(joint)
+        for kind, name in sources_of(plan.profile, channel):
             if name in layout.said:
                 yield {
                     "place": layout.said[name],
-                    "joint": joint.index,
-                    "kind": int(kind),
-                    **_meaning(plan, joint, kind, plan.profile.registers[name]),
+                    "meaning": {
+                        "joint": joint.index,
+                        "kind": int(kind),
+                        **_meaning(plan, joint, kind, plan.profile.registers[name]),
+                    },
                 }
 
 
@@ -202,14 +200,7 @@ def _meaning(plan: DrivePlan, joint: JointSpec, kind: FieldKind, register: Regis
     if kind is FieldKind.COUNT:
         return {"counter_bits": plan.profile.counter_bits}
     if kind is FieldKind.FAULT:
-        bits, codes = harmless(plan.profile)
-        listed = codes or ()
-        return {
-            "harmless_bits": bits,
-            "is_code": int(codes is not None),
-            "harmless_codes": len(listed),
-            "harmless": list(listed),
-        }
+        return harmless_words(plan.profile)
     own = (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
     return {"si_per_raw": si_per_raw(register) * (own if kind is FieldKind.VELOCITY else 1.0)}
 
@@ -225,7 +216,9 @@ def _board_fields(spec: LineSpec, profile: DriveProfile, layout: Layout) -> Iter
         if name in layout.said:
             yield {
                 "place": layout.said[name],
-                "kind": int(kind),
-                "equals_mask": mask & _U32,
-                "equals": equals & _U32,
+                "meaning": {
+                    "kind": int(kind),
+                    "equals_mask": mask & _U32,
+                    "equals": equals & _U32,
+                },
             }

@@ -23,6 +23,7 @@ from motord_hal.rt_engine.can_drive import CanRtDrive
 from motord_hal.rt_engine.can_jobs import CanJobs
 from motord_hal.rt_engine.can_port import open_socket
 from motord_hal.rt_engine.can_table import can_table
+from motord_hal.rt_thread import cpu_mask
 
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""
@@ -96,7 +97,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             event_fd=self._news.event_fd,
             priority=self.spec.priority,
             before=self._before,
-            cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
+            cpu_mask=cpu_mask(self.spec),
         )
         self._report = self._thread.report()
         return ()

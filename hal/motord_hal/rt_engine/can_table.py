@@ -16,10 +16,10 @@ from typing import Any
 from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import SI_UNITS, DriveProfile, Step
+from motord_hal.drives.profile import SI_UNITS, Step
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_can import EXTENDED, REMOTE
-from motord_hal.rt_engine.table import setpoint_kind, sources
+from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
 from motord_hal.rt_table import FieldKind
 
 SAMPLE_PART = 0.5
@@ -146,16 +146,8 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
         signal = plan.signal(channel.setpoint)
         if plan.frame_of(signal.name) is not frame:
             continue
-        sign = -1.0 if joint.inverted else 1.0
-        low, high = _raw_limits(signal)
-        yield {
-            "place": _place(signal),
-            "joint": joint.index,
-            "kind": int(setpoint_kind(channel)),
-            "raw_per_si": sign * channel.to_motor(joint.gear_ratio) / _si_per_raw(signal),
-            "raw_min": low,
-            "raw_max": high,
-        }
+        scale = setpoint_scale(joint, channel, _si_per_raw(signal), _raw_limits(signal))
+        yield {"place": _place(signal), "scale": scale}
 
 
 def _raw_limits(signal: Signal) -> tuple[float, float]:
@@ -225,40 +217,28 @@ def _signals(plan: CanPlan, frame: Frame) -> dict[str, Signal]:
 def _joint_fields(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
     found = _signals(plan, frame)
     for joint in plan.joints:
-        for kind, name in sources(plan.profile, joint):
+        channel = plan.channel(joint)
+        for kind, name in sources_of(plan.profile, channel):
             if name in found and plan.read_frame_of(name) is frame:
                 yield _joint_field(plan, joint, kind, found[name])
 
 
 def _joint_field(plan: CanPlan, joint: JointSpec, kind: FieldKind, signal: Signal) -> Plain:
     profile = plan.profile
-    field: Plain = {
-        "place": _place(signal),
-        "joint": joint.index,
-        "kind": int(kind),
-    }
+    meaning: Plain = {"joint": joint.index, "kind": int(kind)}
     factor, at_zero = _si_per_raw(signal), signal.offset * SI_UNITS[signal.unit][1]
     if kind is FieldKind.COUNT:
         counted = signal.unit == "count"
         per_si = profile.counts_per_turn / (2.0 * math.pi)
         factor, at_zero = (1.0, 0.0) if counted else (factor * per_si, at_zero * per_si)
-        field["counter_bits"] = profile.counter_bits
+        meaning["counter_bits"] = profile.counter_bits
     elif kind is FieldKind.VELOCITY:
         own = (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
         factor, at_zero = factor * own, at_zero * own
     elif kind is FieldKind.FAULT:
-        field |= _harmless(profile)
-    return field | {"si_per_raw": factor, "si_at_zero": at_zero}
-
-
-def _harmless(profile: DriveProfile) -> Plain:
-    """Warnings: as bits, or as codes on drives that number their faults."""
-    warnings = [fault for fault in profile.faults if fault.severity == "warning"]
-    if any(fault.code is not None for fault in profile.faults):
-        codes = [fault.code for fault in warnings if fault.code is not None]
-        return {"is_code": 1, "harmless_codes": len(codes), "harmless": codes}
-    bits = sum(1 << fault.bit for fault in warnings if fault.bit is not None)
-    return {"harmless_bits": bits}
+        meaning |= harmless_words(profile)
+    meaning["si_per_raw"] = factor
+    return {"place": _place(signal), "meaning": meaning, "si_at_zero": at_zero}
 
 
 def _enabled_field(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
@@ -266,8 +246,10 @@ def _enabled_field(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
     if said is not None and plan.read_frame_of(said.register) is frame:
         yield {
             "place": _place(plan.signal(said.register)),
-            "kind": int(FieldKind.ENABLED),
-            "si_per_raw": 1.0,
-            "equals_mask": said.mask & _U32,
-            "equals": said.equals & _U32,
+            "meaning": {
+                "kind": int(FieldKind.ENABLED),
+                "si_per_raw": 1.0,
+                "equals_mask": said.mask & _U32,
+                "equals": said.equals & _U32,
+            },
         }

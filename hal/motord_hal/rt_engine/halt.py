@@ -19,7 +19,7 @@ from motord_hal.rt_engine.news import News
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
 from motord_hal.rt_line import LineThread, ThreadSpec
-from motord_hal.serial.port import OpenPort, open_port
+from motord_hal.serial.port import open_port
 
 SLOT_WITHIN_S = 0.5
 """So long a request may wait for its turn on the wire."""
@@ -69,25 +69,13 @@ async def _running(
         undo.callback(port.close)
         news.open()
         undo.callback(news.close)
-        thread.start(_thread_spec(spec, port, news), line_table(spec, frames))
+        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=news.event_fd)
+        thread.start(place, line_table(spec, frames))
         undo.callback(thread.stop)
         async with asyncio.TaskGroup() as tasks:
             attending = tasks.create_task(_attend(spec, thread, news, asks))
             yield
             attending.cancel()
-
-
-def _thread_spec(spec: LineSpec, port: OpenPort, news: News) -> ThreadSpec:
-    return ThreadSpec(
-        fd=port.fd,
-        event_fd=news.event_fd,
-        priority=spec.priority,
-        cpu_mask=sum(1 << cpu for cpu in spec.cpu),
-        de_fd=port.de_fd,
-        de_active_high=spec.direction.active_high,
-        de_before_ns=round(spec.direction.before_s * 1e9),
-        de_after_ns=round(spec.direction.after_s * 1e9),
-    )
 
 
 async def _attend(spec: LineSpec, thread: LineThread, news: News, asks: Asks) -> None:

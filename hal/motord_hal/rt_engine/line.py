@@ -68,16 +68,11 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
 
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
-        direction = self.spec.direction
-        thread = ThreadSpec(
+        thread = ThreadSpec.of(
+            self.spec,
             fd=self._port.fd,
-            event_fd=self._news.event_fd,
-            priority=self.spec.priority,
-            cpu_mask=sum(1 << cpu for cpu in self.spec.cpu),
             de_fd=self._port.de_fd,
-            de_active_high=direction.active_high,
-            de_before_ns=round(direction.before_s * 1e9),
-            de_after_ns=round(direction.after_s * 1e9),
+            event_fd=self._news.event_fd,
             may_turn=self._may_turn,
         )
         self._thread.start(thread, self._table)

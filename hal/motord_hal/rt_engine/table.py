@@ -7,16 +7,17 @@ each cycle; here they become one factor a number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from motord_hal.drives.profile import SI_UNITS, Channel, DriveProfile, Register, Step
+from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
 from motord_hal.engine.job import configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import SETPOINT_TIMEOUT_S, Echo, JointSpec, LineSpec
 from motord_hal.rt_engine.frames import DriveFrames, PlannedFrame
+from motord_hal.rt_engine.meaning import harmless, setpoint_kind, sources_of
 from motord_hal.rt_table import (
     FieldKind,
     Form,
@@ -27,7 +28,6 @@ from motord_hal.rt_table import (
     LineSetpoint,
     LineTable,
     LineWay,
-    SetpointKind,
 )
 
 _NS_PER_S = 1e9
@@ -143,12 +143,6 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
         )
 
 
-def setpoint_kind(channel: Channel) -> SetpointKind:
-    if channel.torque_setpoint is not None:
-        return SetpointKind.TORQUE
-    return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
-
-
 def si_per_raw(register: Register) -> float:
     return register.scale * SI_UNITS[register.unit][1]
 
@@ -194,23 +188,10 @@ def _ways(frames: DriveFrames) -> Iterable[LineWay]:
 def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineField]:
     profile = frames.profile
     for joint in frames.joints:
-        for kind, name in sources(profile, joint):
+        channel = profile.channels[joint.channel]
+        for kind, name in sources_of(profile, channel):
             if name in places:
                 yield _joint_field(frames, joint, kind, profile.registers[name], places[name])
-
-
-def sources(profile: DriveProfile, joint: JointSpec) -> Iterator[tuple[FieldKind, str]]:
-    """What the core wants to know of a joint, and the register that says it."""
-    channel = profile.channels[joint.channel]
-    names = {
-        FieldKind.COUNT: channel.position,
-        FieldKind.VELOCITY: channel.velocity,
-        FieldKind.CURRENT: channel.current,
-        FieldKind.VOLTAGE: profile.bus_voltage,
-        FieldKind.TEMPERATURE: channel.temperature,
-        FieldKind.FAULT: channel.fault,
-    }
-    return ((kind, name) for kind, name in names.items() if name is not None)
 
 
 def _joint_field(
@@ -247,14 +228,6 @@ def _counter(register: Register, bits: int) -> tuple[Form, int]:
     low = mask & -mask
     counted = mask & (low * ((1 << bits) - 1))
     return form, 0 if counted == whole else counted
-
-
-def harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
-    """Warnings: as bits, or as codes on drives that number their faults."""
-    warnings = [fault for fault in profile.faults if fault.severity == "warning"]
-    if any(fault.code is not None for fault in profile.faults):
-        return 0, tuple(fault.code for fault in warnings if fault.code is not None)
-    return sum(1 << fault.bit for fault in warnings if fault.bit is not None), None
 
 
 def _drive_fields(

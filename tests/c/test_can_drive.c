@@ -1,0 +1,391 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * One drive of a bus, moment by moment: what it is told and asked, what is forgotten when, and what asyncio hears of it. */
+#include "can_wire.h"
+
+enum { SECOND = 0x700 };
+
+static bool took_news(void)
+{
+    bool news = w.machine.news;
+    w.machine.news = false;
+    return news;
+}
+
+static void hold(uint32_t byte, uint8_t value)
+{
+    can_order order = {.write = {.packet = packet_of(SPEED, 4), .output = 1}, .expires_ns = w.now_ns + 1000 * MS};
+    order.write.packet.data[byte] = value;
+    order.write.mask[byte] = 0xFF;
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+}
+
+/* ------------------------------------------------------------------------------------------- what it is told */
+static void one_that_is_told_all_the_time_is_never_left_alone(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(3000 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0 && w.machine.tx_full == 0);
+    CHECK(w.machine.sent == w.sent_count && w.sent_count >= 290);
+}
+
+static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
+{
+    begin_with(1);
+    arm_and_go();
+    uint64_t sent = w.machine.sent;
+    w.full = true;
+    go_on(480 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
+    go_on(50 * MS);
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_LEFT_ALONE);
+}
+
+static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
+{
+    begin_with(1);
+    arm(0);
+    hold(0, ENABLE);
+    hold(1, 0x5A);
+    CHECK(newest_of(0)->data[0] == ENABLE && newest_of(0)->data[1] == 0x5A);
+    go_on(30 * MS);
+    CHECK(newest_of(0)->data[0] == ENABLE && newest_of(0)->data[1] == 0x5A && speed_in(newest_of(0)) == 100);
+}
+
+static void what_was_held_is_forgotten_with_the_drive(void)
+{
+    begin_with(1);
+    table_of(0)->disarm[0].mask[1] = 0;   /* byte 1 is not the stop's to write */
+    table_of(0)->quick_stop[0].mask[1] = 0;
+    restart();
+    arm(0);
+    hold(1, 0x5A);
+    w.powered = false;
+    go_on(20 * MS);
+    CHECK(state_of(0)->mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
+    CHECK(state_of(0)->demoted == DEMOTED_DISABLED_ITSELF);
+    wish(0, DRIVE_READY);
+    CHECK(state_of(0)->demoted == 0);
+    arm(0);
+    hold(1, 0x5A);
+    forget_sent();
+    become_quiet();
+    CHECK(told_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
+}
+
+/* A drive of two wheels in two frames. */
+static void begin_with_two_frames(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->output_count = 2;
+    drive->output[1] = drive->output[0];
+    drive->output[1].packet.id = SECOND;
+    drive->output[1].packet.data[1] = 0x77;
+    drive->output[1].setpoint[0].scale.joint = 1;
+    restart();
+}
+
+static void a_drive_moves_while_one_of_its_frames_says_so(void)
+{
+    begin_with_two_frames();
+    arm(0);
+    w.enabled = 2;
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{1.0, 0.0}}};
+    go_on(15 * MS);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{0}, {1.0, 0.0}}};
+    go_on(15 * MS);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0);
+}
+
+static void zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels(void)
+{
+    begin_with_two_frames();
+    arm_and_go();
+    w.velocity_rad_s = 0.0;
+    w.not_taken = SECOND;
+    go_on(20 * MS);
+    CHECK(state_of(0)->told_motion);
+    w.not_taken = 0;
+    forget_sent();
+    step();
+    CHECK(!state_of(0)->told_motion && count_sent(SECOND) >= 1);
+}
+
+static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
+{
+    begin_with_two_frames();
+    w.not_taken = SECOND;
+    arm(0);
+    go_on(30 * MS);
+    CHECK(state_of(0)->told_motion);
+    w.velocity_rad_s = 0.0;
+    w.not_taken = 0;
+    forget_sent();
+    step();
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->told_motion);
+}
+
+/* ------------------------------------------------------------------------------------------------- its power */
+static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_once(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    forget_sent();
+    (void)took_news();
+    say_state(0, 8);
+    say_state(0, 8);
+    say_state(0, 1);                /* the count begins anew */
+    say_state(0, 8);
+    say_state(0, 8);
+    CHECK(state_of(0)->demoted == 0 && !took_news());
+    say_state(0, 8);
+    CHECK(state_of(0)->demoted == DEMOTED_STILL_ENABLED && took_news());
+    say_state(0, 8);
+    CHECK(!took_news() && count_sent(SPEED) == 0);   /* frames that come send nothing */
+    uint32_t stops = state_of(0)->stops;
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE && state_of(0)->mode == DRIVE_READY);
+    CHECK(state_of(0)->stops == stops + 1);
+}
+
+/* One that may be told nothing at rest, not even zero, and cannot say whether it has power. */
+static void begin_with_one_that_cannot_say(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->idle_setpoints = drive->says_enabled = 0;
+    drive->input[0].field_count = 0;
+    drive->disarm[0] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+}
+
+static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed(void)
+{
+    begin_with_one_that_cannot_say();
+    forget_sent();
+    go_on(320 * MS);
+    CHECK(count_sent(CONTROL) >= 3 && count_sent(CONTROL) <= 4 && count_sent(SPEED) == 0);
+    w.machine.control.drive[0].arming_until_ns = w.now_ns + 200 * MS;
+    forget_sent();
+    go_on(160 * MS);
+    CHECK(w.sent_count == 0);
+    w.machine.control.drive[0].arming_until_ns = 0;
+    wish(0, DRIVE_ARMED);
+    forget_sent();
+    go_on(200 * MS);
+    CHECK(count_sent(CONTROL) == 0 && count_sent(SPEED) >= 19);
+    w.said_rad_s = 1.0;
+    go_on(20 * MS);
+    w.enabled = 2;
+    go_on(105 * MS);
+    forget_sent();
+    go_on(300 * MS);                /* it comes to rest: its power stays until then */
+    CHECK(state_of(0)->stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
+    w.said_rad_s = 0.0;
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX;
+    go_on(100 * MS);
+    CHECK(!state_of(0)->stopping && count_sent(CONTROL) == 1);   /* told once */
+}
+
+static void time_without_set_points_before_arming_is_not_being_left_alone(void)
+{
+    begin_with_one_that_cannot_say();
+    go_on(2000 * MS);
+    wish(0, DRIVE_ARMED);
+    go_on(50 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0);
+}
+
+static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->disarm_count = 2;
+    drive->disarm[1] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    arm_and_go();
+    forget_sent();
+    w.not_taken = CONTROL;
+    w.enabled = 0;
+    step();
+    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE && state_of(0)->stop == CAN_STOP_POWER_OFF);
+    w.not_taken = 0;
+    forget_sent();
+    go_on(MS);
+    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->stop == CAN_STOP_NOTHING);
+}
+
+static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing(void)
+{
+    begin_with_one_that_cannot_say();
+    wish(0, DRIVE_ARMED);
+    go_on(30 * MS);
+    CHECK(state_of(0)->told_motion);
+    w.enabled = 0;
+    step();
+    CHECK(!state_of(0)->told_motion && w.sent[w.sent_count - 1].id == CONTROL);
+    uint32_t speeds = count_sent(SPEED);
+    go_on(100 * MS);
+    CHECK(count_sent(SPEED) == speeds);
+}
+
+static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing(void)
+{
+    begin_with_one_that_cannot_say();
+    forget_sent();
+    wish(0, DRIVE_OFF);
+    CHECK(w.sent_count == 0);
+    wish(0, DRIVE_READY);
+    w.velocity_rad_s = 0.0;         /* armed, and told to stand still */
+    wish(0, DRIVE_ARMED);
+    go_on(30 * MS);
+    forget_sent();
+    wish(0, DRIVE_OFF);
+    CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
+    wish(0, DRIVE_READY);
+    wish(0, DRIVE_ARMED);
+    w.said_rad_s = 1.0;
+    go_on(20 * MS);
+    w.enabled = 2;                  /* a quick stop that waits for rest */
+    go_on(120 * MS);
+    CHECK(state_of(0)->stopping && !state_of(0)->told_motion);
+    forget_sent();
+    wish(0, DRIVE_OFF);
+    CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
+}
+
+/* --------------------------------------------------------------------------------------- what is known of it */
+static void what_it_said_before_a_change_is_not_what_it_says_now(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    go_on(20 * MS);
+    CHECK(state_of(0)->enabled == 0);
+    wish(0, DRIVE_ARMED);
+    CHECK(state_of(0)->enabled == 2);
+    w.powered = true;
+    go_on(20 * MS);
+    CHECK(state_of(0)->enabled == 1);
+    wish(0, DRIVE_STAND_DOWN);
+    CHECK(state_of(0)->enabled == 2);
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX;
+    go_on(20 * MS);
+    CHECK(state_of(0)->enabled == 1);
+    wish(0, DRIVE_ARMED);
+    go_on(20 * MS);
+    w.enabled = 0;
+    w.full = true;
+    step();
+    CHECK(state_of(0)->enabled == 2 && state_of(0)->mode == DRIVE_READY);
+    say_state(0, 8);
+    CHECK(state_of(0)->enabled == 1);
+    w.full = false;
+    step();
+    CHECK(state_of(0)->enabled == 2 && newest_of(0)->data[0] == DISABLE);
+}
+
+static void after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told(void)
+{
+    begin_with(1);
+    arm_and_go();
+    wish(0, DRIVE_OFF);
+    w.machine.feedback_mask = 0;
+    wish(0, DRIVE_READY);
+    w.now_ns += 6 * MS;
+    say_motion(0, 1.0F, 0.0F);
+    CHECK(w.machine.feedback_mask == 0);
+    say_state(0, 1);
+    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.epoch == 2);
+}
+
+static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
+{
+    begin_with(1);
+    arm_and_go();
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX;
+    wish(0, DRIVE_STAND_DOWN);
+    w.enabled = 0;
+    wish(0, DRIVE_ARMED);
+    go_on(100 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && speed_in(newest_of(0)) == 0);
+    w.enabled = 1;
+    go_on(20 * MS);
+    CHECK(speed_in(newest_of(0)) == 100);
+    w.enabled = 0;
+    step();
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+    w.enabled = 1;
+    wish(0, DRIVE_ARMED);
+    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0);
+}
+
+/* ------------------------------------------------------------------------------------- what asyncio is told of */
+static void asyncio_hears_of_each_change(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    (void)took_news();
+    wish(0, DRIVE_READY);
+    CHECK(took_news());
+    go_on(20 * MS);
+    CHECK(!took_news());
+    wish(0, DRIVE_ARMED);
+    w.powered = true;
+    CHECK(took_news());
+    go_on(30 * MS);
+    CHECK(!took_news());
+    w.enabled = 0;
+    step();
+    CHECK(took_news());
+    w.enabled = 1;
+    go_on(50 * MS);
+    (void)took_news();
+    w.silent = true;
+    w.powered = false;
+    while (state_of(0)->mode != DRIVE_QUIET) {
+        go_on(MS);
+    }
+    CHECK(took_news());
+    go_on(30 * MS);
+    CHECK(!took_news());
+    w.full = true;
+    w.silent = false;
+    go_on(20 * MS);
+    CHECK(state_of(0)->back && took_news());    /* it has to be told off first */
+    go_on(20 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET && !took_news());
+    w.full = false;
+    go_on(2 * MS);
+    CHECK(state_of(0)->mode == DRIVE_BACK && !state_of(0)->back && took_news());
+}
+
+int main(void)
+{
+    one_that_is_told_all_the_time_is_never_left_alone();
+    what_the_bus_does_not_take_is_no_word_to_the_drive();
+    a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others();
+    what_was_held_is_forgotten_with_the_drive();
+    a_drive_moves_while_one_of_its_frames_says_so();
+    zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels();
+    motion_that_half_of_the_frames_said_has_to_be_taken_back();
+    one_that_has_power_without_being_armed_is_told_off_and_it_is_said_once();
+    one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed();
+    time_without_set_points_before_arming_is_not_being_left_alone();
+    a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken();
+    after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing();
+    switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing();
+    what_it_said_before_a_change_is_not_what_it_says_now();
+    after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told();
+    armed_again_it_may_wait_for_the_core_to_enable_it();
+    asyncio_hears_of_each_change();
+    return checks_report("can drive");
+}

@@ -1,0 +1,199 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * One drive of a bus: what it is asked, when it counts as gone, and what is said to one that may be there all the same. */
+#include "can_wire.h"
+
+enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
+
+static void begin_with_questions(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->ask_count = 2;
+    drive->probe_count = 1;
+    drive->slow_count = 2;
+    drive->ask[0] = packet_of(ASK, 0);
+    drive->ask[1] = packet_of(ASK + 1, 0);
+    drive->slow[0] = packet_of(SLOW, 0);
+    drive->slow[1] = packet_of(SLOW + 1, 0);
+    drive->probe[0] = packet_of(PROBE, 0);
+    restart();
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+}
+
+static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
+{
+    begin_with_questions();
+    go_on(320 * MS - (w.now_ns - w.sent_ns[0]));
+    CHECK(count_sent(ASK) == 32 && count_sent(ASK + 1) == 32 && count_sent(SPEED) == 32 && count_sent(PROBE) == 0);
+    CHECK(count_sent(SLOW) == 2 && count_sent(SLOW + 1) == 2);
+    uint32_t first = 0;
+    while (w.sent[first].id != SLOW) {
+        CHECK(w.sent[first++].id != SLOW + 1);
+    }
+}
+
+static void a_quiet_drive_is_asked_less_and_less_often(void)
+{
+    begin_with_questions();
+    for (uint32_t again = 0; again < 2; again++) {
+        w.silent = true;
+        while (state_of(0)->mode != DRIVE_QUIET) {
+            forget_sent();
+            go_on(MS);
+        }
+        go_on(10000 * MS);
+        CHECK(count_sent(PROBE) >= 8 && w.sent_count == count_sent(PROBE));
+        const int64_t pauses_ms[] = {100, 200, 400, 800, 1600, 2000, 2000};
+        for (uint32_t i = 0; i < 7; i++) {
+            int64_t pause_ns = w.sent_ns[i + 1] - w.sent_ns[i];
+            CHECK(pause_ns >= pauses_ms[i] * MS && pause_ns <= (pauses_ms[i] + 10) * MS);
+        }
+        w.silent = false;
+        go_on(50 * MS);
+        wish(0, DRIVE_READY);
+        CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->quiet == again + 1);
+    }
+}
+
+static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_and_off_after_a_second(void)
+{
+    begin_with(1);
+    arm_and_go();
+    w.silent = true;
+    while (state_of(0)->mode == DRIVE_ARMED) {
+        go_on(MS);
+    }
+    forget_sent();
+    int64_t quiet_ns = w.now_ns;
+    go_on(950 * MS);
+    CHECK(told_ns(0, QUICK_STOP) > 0 && told_ns(0, DISABLE) == 0 && !state_of(0)->told_motion);
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        CHECK(speed_in(&w.sent[i]) == 0);
+    }
+    go_on(1000 * MS);
+    CHECK(told_ns(0, DISABLE) > quiet_ns + 1000 * MS);
+}
+
+static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->quick_stop_count = 2;
+    drive->quick_stop[1] = drive->quick_stop[0];
+    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};   /* this one is not taken */
+    restart();
+    arm_and_go();
+    w.not_taken = CONTROL;
+    become_quiet();
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(count_sent(SPEED) >= 8);   /* two a cycle: its stop and its zero */
+    w.not_taken = 0;
+    go_on(12 * MS);
+    CHECK(count_sent(CONTROL) == 1);
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(w.sent_count == 0);
+}
+
+static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
+{
+    begin_with(1);
+    table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    arm_and_go();
+    w.not_taken = SPEED;
+    become_quiet();
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->told_motion);
+    w.not_taken = 0;
+    go_on(12 * MS);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->told_motion);
+}
+
+static void one_that_was_switched_off_while_it_came_back_stays_off(void)
+{
+    begin_with(1);
+    arm_and_go();
+    become_quiet();
+    w.silent = w.powered = false;
+    w.full = true;
+    go_on(30 * MS);
+    CHECK(state_of(0)->back);
+    wish(0, DRIVE_OFF);
+    w.full = false;
+    go_on(30 * MS);
+    CHECK(state_of(0)->mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
+}
+
+static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(void)
+{
+    begin_with(1);
+    w.silent = true;
+    wish(0, DRIVE_READY);
+    go_on(190 * MS);
+    CHECK(state_of(0)->mode == DRIVE_READY);
+    go_on(30 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 2);
+}
+
+/* Heard all the time, but set up anew only where it answers what it was asked. */
+static void one_with_a_hello_is_back_when_it_has_answered(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->input_count = 3;
+    drive->hello = 3;
+    drive->match[2].input = 3;
+    restart();
+    go_on(50 * MS);
+    CHECK(state_of(0)->mode == DRIVE_OFF && state_of(0)->missing == 3);
+    const uint8_t answer[8] = {0x43};
+    (void)say(ANSWER, answer, 8);
+    step();
+    CHECK(state_of(0)->missing == 0);
+    arm_and_go();
+    CHECK(state_of(0)->missing == 0);
+    become_quiet();
+    w.silent = w.powered = false;
+    go_on(500 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 3);   /* its old answer counts no more */
+    (void)say(ANSWER, answer, 8);
+    go_on(20 * MS);
+    CHECK(state_of(0)->mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);
+    go_on(5050 * MS);
+    CHECK(state_of(0)->missing == 3);
+}
+
+static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
+{
+    begin_with(1);
+    arm_and_go();
+    w.said_rad_s = 1.0;
+    w.full = w.silent = true;
+    forget_sent();
+    w.machine.control.shut_down = 1;
+    go_on(250 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET && w.machine.shut == 1);
+    w.full = false;
+    go_on(2 * MS);
+    CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);
+    go_on(300 * MS);
+    CHECK(w.machine.shut == 3 && told_ns(0, DISABLE) > 0);
+}
+
+int main(void)
+{
+    one_is_asked_in_each_cycle_and_what_may_wait_takes_turns();
+    a_quiet_drive_is_asked_less_and_less_often();
+    one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_and_off_after_a_second();
+    a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
+    a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
+    one_that_was_switched_off_while_it_came_back_stays_off();
+    one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word();
+    one_with_a_hello_is_back_when_it_has_answered();
+    a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet();
+    return checks_report("can quiet");
+}

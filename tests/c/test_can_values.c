@@ -1,0 +1,244 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * What a drive of two wheels on a CAN bus is told in one frame, and what is made of what it says. */
+#include "can_wire.h"
+
+enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
+
+static can_field field_of(uint32_t joint, uint32_t kind, uint32_t start_bit, uint32_t length)
+{
+    return (can_field){.place = {.start_bit = start_bit, .length = length, .form = CAN_SIGNED},
+                       .meaning = {.joint = joint, .kind = kind, .counter_bits = 16, .si_per_raw = 1.0}};
+}
+
+static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32_t count)
+{
+    can_drive *drive = table_of(0);
+    can_input *input = &drive->input[drive->input_count++];
+    *input = (can_input){.fast = fast, .field_count = count};
+    memcpy(input->field, field, count * sizeof *field);
+    drive->match[drive->match_count++] = (can_match){.id = id, .bytes = 8, .input = drive->input_count};
+}
+
+/* Wheel 0 says its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both, health and power now and then. */
+static void begin_with_two_wheels(void)
+{
+    begin_with(1);
+    can_output *output = &table_of(0)->output[0];
+    output->packet.bytes = 6;
+    output->setpoint_count = 2;
+    output->setpoint[1] = output->setpoint[0];
+    output->setpoint[1].place.start_bit = 32;
+    output->setpoint[1].scale.joint = 1;
+    can_field second[2] = {field_of(1, FIELD_COUNT, 0, 16), field_of(1, FIELD_VELOCITY, 16, 16)};
+    second[0].si_at_zero = 5.0;
+    second[1].si_at_zero = -1.0;
+    add_input(SECOND, 1, second, 2);
+    const can_field powers[3] = {field_of(1, FIELD_CURRENT, 0, 8), field_of(1, FIELD_VOLTAGE, 8, 8),
+                                 field_of(1, FIELD_TEMPERATURE, 16, 8)};
+    add_input(POWERS, 0, powers, 3);
+    can_field fault = field_of(1, FIELD_FAULT, 0, 32);
+    fault.meaning.harmless_bits = HARMLESS;
+    add_input(HEALTH, 0, &fault, 1);
+    restart();
+}
+
+static void say_second(int16_t count, int16_t speed)
+{
+    const int16_t both[4] = {count, speed};
+    (void)say(SECOND, both, sizeof both);
+}
+
+static void say_health(uint32_t word)
+{
+    const uint32_t words[2] = {word};
+    (void)say(HEALTH, words, sizeof words);
+}
+
+static void want(double first_rad_s, double second_rad_s)
+{
+    w.enabled = 2;
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
+                                   .joint = {{first_rad_s, 0.0}, {second_rad_s, 0.0}}};
+}
+
+static int16_t second_speed(void)
+{
+    return (int16_t)can_get(newest_of(0)->data, &(can_place){.start_bit = 32, .length = 16, .form = CAN_SIGNED});
+}
+
+static const joint_feedback *feedback_of(uint32_t joint)
+{
+    return &w.machine.joint[joint].feedback;
+}
+
+/* --------------------------------------------------------------------------------------------------- told */
+static void both_wheels_are_told_in_one_frame(void)
+{
+    begin_with_two_wheels();
+    arm(0);
+    want(1.0, 0.0);
+    go_on(15 * MS);
+    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0 && state_of(0)->told_motion);
+    want(0.0, -2.0);
+    forget_sent();
+    go_on(90 * MS);
+    CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->told_motion);
+    CHECK(w.sent_count >= 8 && w.sent_count <= 10);   /* one wheel turns: nothing is to be stopped between two cycles */
+    want(0.0, 0.0);
+    step();
+    CHECK(second_speed() == 0 && !state_of(0)->told_motion);
+}
+
+static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
+{
+    begin_with_two_wheels();
+    arm(0);
+    say_second(0, 11);
+    go_on(30 * MS);
+    w.enabled = 2;
+    go_on(150 * MS);
+    CHECK(told_ns(0, QUICK_STOP) > 0 && state_of(0)->stopping && told_ns(0, DISABLE) == 0);
+    say_second(0, 1);               /* 0 rad/s */
+    step();
+    CHECK(!state_of(0)->stopping);
+    step();
+    CHECK(newest_of(0)->data[0] == DISABLE);
+}
+
+/* ---------------------------------------------------------------------------------------------------- said */
+static void numbers_without_their_top_bit_are_positive(void)
+{
+    const uint8_t data[2] = {0x00, 0x40};
+    CHECK(can_get(data, &(can_place){.length = 16, .form = CAN_SIGNED}) == 0x4000);
+    CHECK(can_get(data, &(can_place){.length = 15, .form = CAN_SIGNED}) == -0x4000);
+}
+
+static void what_raw_zero_says_is_added(void)
+{
+    begin_with_two_wheels();
+    say_second(10, 3);
+    CHECK(feedback_of(1)->count == 15 && feedback_of(1)->velocity_rad_s == 2.0);
+    say_second(-7, 0);
+    CHECK(feedback_of(1)->count == 0xFFFE && feedback_of(1)->velocity_rad_s == -1.0);
+    const int8_t powers[8] = {-3, 24, 40};
+    (void)say(POWERS, powers, sizeof powers);
+    CHECK(feedback_of(1)->current_a == -3.0 && feedback_of(1)->voltage_v == 24.0 && feedback_of(1)->temperature_c == 40.0);
+}
+
+static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word(void)
+{
+    begin_with_two_wheels();
+    table_of(0)->input[1].field_count = 1;                          /* wheel 0: a count alone, and its speed in HEALTH */
+    table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT;    /* wheel 1: no count */
+    table_of(0)->input[4].field[0] = field_of(0, FIELD_VELOCITY, 0, 32);
+    restart();
+    wish(0, DRIVE_READY);
+    int64_t count_ns = w.now_ns;
+    say_motion(0, 1.0F, 0.0F);
+    w.now_ns += MS;
+    int64_t speed_ns = w.now_ns;
+    say_second(0, 0);
+    w.now_ns += MS;
+    say_health(0);
+    const uint8_t powers[8] = {0};
+    (void)say(POWERS, powers, sizeof powers);
+    say_state(0, 8);                /* the last of the fast ones: now both wheels are known */
+    CHECK(w.machine.feedback_mask == 3 && state_of(0)->cycles == 1);
+    CHECK(feedback_of(0)->stamp_ns == count_ns && feedback_of(1)->stamp_ns == speed_ns);
+    CHECK(feedback_of(0)->enabled == 1 && feedback_of(1)->enabled == 1);
+    table_of(0)->input[2].field[1].meaning.kind = FIELD_VOLTAGE;    /* wheel 1: no speed either */
+    restart();
+    wish(0, DRIVE_READY);
+    say_motion(0, 1.0F, 0.0F);
+    say_second(0, 0);
+    w.now_ns += MS;
+    (void)say(POWERS, powers, sizeof powers);
+    int64_t powers_ns = w.now_ns;
+    w.now_ns += MS;
+    say_state(0, 8);
+    CHECK(feedback_of(1)->stamp_ns == powers_ns);   /* whether it has power says nothing of the wheel */
+}
+
+static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before(void)
+{
+    begin_with_two_wheels();
+    say_state(0, 8);
+    say_motion(0, 1.0F, 0.0F);
+    say_second(0, 1);
+    wish(0, DRIVE_READY);
+    CHECK(state_of(0)->enabled == 2);
+    w.machine.feedback_mask = 0;
+    w.now_ns += MS;                 /* sooner than the spacing of wheel 0's frames */
+    say_motion(0, 2.0F, 0.0F);
+    say_second(0, 1);
+    CHECK(w.machine.feedback_mask == 0);
+    say_state(0, 1);
+    CHECK(w.machine.feedback_mask == 3 && feedback_of(0)->count == 2000);
+}
+
+static void a_fault_word_is_news_once_and_stops_unless_it_is_a_warning(void)
+{
+    begin_with_two_wheels();
+    w.machine.news = false;
+    say_health(0);
+    CHECK(!w.machine.news && state_of(0)->faults == 0);
+    say_health(HARMLESS);
+    CHECK(w.machine.news && feedback_of(1)->drive_faults == 0 && w.machine.joint[1].fault_word == HARMLESS);
+    CHECK(state_of(0)->faults == 0);
+    w.machine.news = false;
+    say_health(HARMLESS | 1);
+    CHECK(w.machine.news && feedback_of(1)->drive_faults == 1 && feedback_of(0)->drive_faults == 0);
+    CHECK(state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1) && state_of(0)->last_fault_joint == 1);
+    w.machine.news = false;
+    say_health(HARMLESS | 1);
+    CHECK(!w.machine.news && state_of(0)->faults == 1);
+    w.machine.news = true;          /* of something else */
+    say_health(HARMLESS | 1);
+    CHECK(w.machine.news);
+    say_health(0);
+    CHECK(feedback_of(1)->drive_faults == 0 && state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1));
+    can_report report = {0};
+    can_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].faults == 1 && report.drive[0].last_fault_joint == 1 && report.fault_word[1] == 0);
+}
+
+static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
+{
+    begin_with_two_wheels();
+    field_meaning *meaning = &table_of(0)->input[4].field[0].meaning;
+    meaning->is_code = 1;
+    meaning->harmless_codes = 2;
+    meaning->harmless[0] = 7;
+    meaning->harmless[1] = 9;
+    meaning->harmless[2] = 11;      /* not one of the two */
+    restart();
+    const uint32_t words[] = {7, 9, 11, 5, 0}, stop[] = {0, 0, 11, 5, 0};
+    for (uint32_t i = 0; i < 5; i++) {
+        say_health(words[i]);
+        CHECK(feedback_of(1)->drive_faults == stop[i]);
+    }
+}
+
+static void a_joint_that_the_core_says_nothing_of_stands_still(void)
+{
+    begin_with_two_wheels();
+    arm(0);
+    want(1.0, 1.0);
+    w.machine.newest.joint_count = 1;
+    go_on(15 * MS);
+    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0);
+}
+
+int main(void)
+{
+    both_wheels_are_told_in_one_frame();
+    a_drive_is_at_rest_when_both_of_its_wheels_are();
+    numbers_without_their_top_bit_are_positive();
+    what_raw_zero_says_is_added();
+    feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word();
+    what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before();
+    a_fault_word_is_news_once_and_stops_unless_it_is_a_warning();
+    a_fault_that_is_a_number_stops_unless_it_is_listed();
+    a_joint_that_the_core_says_nothing_of_stands_still();
+    return checks_report("can values");
+}
