@@ -14,7 +14,7 @@ enum {
     CAN_SETPOINTS_MAX = 4,
     CAN_ASKS_MAX = 8,
     CAN_INPUTS_MAX = 16,
-    CAN_MATCHES_MAX = 64,
+    CAN_MATCHES_MAX = 96,
     CAN_FIELDS_MAX = 8,
     CAN_STOP_MAX = 6,
     CAN_BYTES_MAX = 64,

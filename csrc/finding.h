@@ -22,11 +22,10 @@ static inline void need(finding *f, bool good, const char *field)
     }
 }
 
-static inline void check_scale(finding *f, const setpoint_scale *scale, setpoint_kind last_kind, double least,
-                               double most)
+static inline void check_scale(finding *f, const setpoint_scale *scale, uint32_t last_kind, double least, double most)
 {
     need(f, scale->joint < JOINTS_MAX, "setpoint.joint");
-    need(f, scale->kind <= (uint32_t)last_kind, "setpoint.kind");
+    need(f, scale->kind <= last_kind, "setpoint.kind");
     need(f, isfinite(scale->raw_per_si) && scale->raw_per_si != 0.0, "setpoint.raw_per_si");
     need(f, scale->raw_min <= 0.0 && scale->raw_min >= least, "setpoint.raw_min");
     need(f, scale->raw_max >= 0.0 && scale->raw_max <= most, "setpoint.raw_max");

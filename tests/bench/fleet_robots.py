@@ -46,7 +46,7 @@ async def main(first: int, count: int, settings: list[str]) -> None:
     async with asyncio.TaskGroup() as tasks:
         work = [tasks.create_task(drive(stations))]
         for one in stations:
-            work += [tasks.create_task(adapter.run()) for adapter in one._adapters()]
+            work += [tasks.create_task(adapter.run()) for adapter in one._adapters().values()]
         print("ready", flush=True)
         await end.wait()
         for task in work:

@@ -92,11 +92,12 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
     begin_with_two_frames();
     arm(0);
     w.enabled = 2;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{1.0, 0.0}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
     CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{0}, {1.0, 0.0}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
+                                   .joint = {[1] = {.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0);
 }

@@ -58,7 +58,7 @@ static void want(double first_rad_s, double second_rad_s)
 {
     w.enabled = 2;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
-                                   .joint = {{first_rad_s, 0.0}, {second_rad_s, 0.0}}};
+                                   .joint = {{.velocity_rad_s = first_rad_s}, {.velocity_rad_s = second_rad_s}}};
 }
 
 static int16_t second_speed(void)
@@ -103,6 +103,21 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     CHECK(!state_of(0)->stopping);
     step();
     CHECK(newest_of(0)->data[0] == DISABLE);
+}
+
+static void each_kind_of_set_point_is_told_by_its_own_number(void)
+{
+    const uint32_t kinds[] = {SETPOINT_VELOCITY, SETPOINT_DUTY, SETPOINT_TORQUE};
+    for (uint32_t i = 0; i < 3; i++) {
+        begin_with_two_wheels();
+        table_of(0)->output[0].setpoint[0].scale.kind = kinds[i];
+        restart();
+        arm(0);
+        want(0.0, 0.0);
+        w.machine.newest.joint[0] = (joint_setpoint){.velocity_rad_s = 1.0, .duty = 2.0, .torque_n_m = 3.0};
+        go_on(15 * MS);
+        CHECK(speed_in(newest_of(0)) == 100 * (int16_t)(i + 1));
+    }
 }
 
 /* ---------------------------------------------------------------------------------------------------- said */
@@ -233,6 +248,7 @@ int main(void)
 {
     both_wheels_are_told_in_one_frame();
     a_drive_is_at_rest_when_both_of_its_wheels_are();
+    each_kind_of_set_point_is_told_by_its_own_number();
     numbers_without_their_top_bit_are_positive();
     what_raw_zero_says_is_added();
     feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word();

@@ -95,6 +95,25 @@ static void a_lease_that_is_not_granted_any_more_is_over(void)
     CHECK(say(&a, command_of(0, 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
 }
 
+static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
+{
+    static arbiter a;
+    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    grants.lease[0].interval_least_ns = 10 * MS;
+    arbiter_init(&a, NULL);
+    arbiter_grant(&a, &grants);
+    uint64_t sequence = 1, taken = 0;
+    while (say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 0) {
+        CHECK(++taken < 100);
+    }
+    CHECK(taken == 5 && a.report.refused[REFUSED_RATE] == 1);   /* four may come early */
+    CHECK(say(&a, command_of('a', sequence++, START_NS, 0.0), START_NS, true) == 0 && speed_m_s(&a, START_NS, true) == 0.0);
+    CHECK(say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 1 + REFUSED_RATE);
+    int64_t later_ns = START_NS + 11 * MS;
+    CHECK(say(&a, command_of('a', sequence++, later_ns, 0.1), later_ns, true) == 0);
+    CHECK(say(&a, command_of('a', sequence++, later_ns, 0.1), later_ns, true) == 1 + REFUSED_RATE);
+}
+
 static void each_refusal_is_counted_by_its_kind(void)
 {
     static arbiter a;
@@ -238,6 +257,7 @@ int main(void)
     the_highest_commands_and_among_equals_the_first();
     who_asks_through_a_stop_is_held_until_he_asks_for_zero();
     a_lease_that_is_not_granted_any_more_is_over();
+    motion_that_is_commanded_too_often_is_refused_and_a_stop_never();
     each_refusal_is_counted_by_its_kind();
     a_wake_up_takes_a_bounded_number_of_datagrams();
     wheels_are_a_twist_or_they_are_refused();

@@ -84,6 +84,69 @@ static void events_of_the_kernel_are_counted(void)
     CHECK(encoder_read(&state, &config, START_NS) == -EBADF);
 }
 
+/* Edges by hand: the levels of A and B after each, one of them changed. */
+static void go_to(encoder_state *state, const encoder_config *config, uint32_t levels, int64_t stamp_ns)
+{
+    uint32_t changed = state->levels ^ levels;
+    CHECK(changed == 1 || changed == 2);
+    encoder_edge(state, config, changed == 2 ? LINE_A : LINE_B, (levels & changed) != 0, 0, stamp_ns);
+}
+
+static void backward_counts_down_from_wherever_it_turns_round(void)
+{
+    static const uint32_t FORWARD[4] = {0, 2, 3, 1};   /* 2 A + B, A before B */
+    encoder_config config = edges_on(-1);
+    for (uint32_t first = 0; first < 4; first++) {
+        config.levels = FORWARD[first];
+        encoder_state state;
+        encoder_init(&state, &config);
+        for (uint32_t i = 1; i <= 6; i++) {
+            go_to(&state, &config, FORWARD[(first + i) % 4], START_NS);
+            CHECK(state.count == (int64_t)i);
+        }
+        for (uint32_t i = 1; i <= 12; i++) {
+            go_to(&state, &config, FORWARD[(first + 6 + 16 - i) % 4], START_NS);
+            CHECK(state.count == 6 - (int64_t)i);
+        }
+        CHECK(state.illegal == 0 && state.lost == 0 && state.epoch == 0);
+    }
+}
+
+static void a_counter_goes_the_short_way_round(void)
+{
+    const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 9, .rad_per_count = 1.0};
+    const struct { uint64_t raw; int64_t count; } steps[] = {{0, 0}, {4, 4}, {9, -1}, {0, 0}, {9, -1}, {3, 3}, {3, 3}};
+    encoder_state state;
+    encoder_init(&state, &config);
+    for (size_t i = 0; i < sizeof steps / sizeof steps[0]; i++) {
+        encoder_counter(&state, &config, steps[i].raw, START_NS + (int64_t)i * MS);
+        CHECK(state.count == steps[i].count);
+    }
+    CHECK(state.edge_ns == START_NS + 5 * MS);       /* the same again is no edge */
+    encoder_counter(&state, &config, 10, START_NS);
+    CHECK(state.illegal == 1 && state.count == 3);
+}
+
+static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
+{
+    const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
+    encoder_state state;
+    encoder_init(&state, &config);
+    encoder_counter(&state, &config, 0, START_NS);
+    encoder_counter(&state, &config, 10, START_NS);
+    CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0);   /* from when on? */
+    encoder_counter(&state, &config, 0, START_NS + 10 * MS);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS) + 1000.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS + MS / 2) + 1000.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 12 * MS) + 500.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 250 * MS) + 1000.0 / 240.0) < 1e-6);
+    CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 261 * MS) == 0.0);
+    encoder_counter(&state, &config, 1, START_NS + 300 * MS);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS) - 1000.0 / 290.0) < 1e-6);
+    encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999);    /* noise: so near that it is no speed */
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS + 999) - 1000.0 / 290.0) < 1e-6);
+}
+
 static int file_that_says(const char *text)
 {
     int fd = memfd_create("count", 0);
@@ -221,6 +284,9 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
 int main(void)
 {
     events_of_the_kernel_are_counted();
+    backward_counts_down_from_wherever_it_turns_round();
+    a_counter_goes_the_short_way_round();
+    a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();
     the_thread_of_bridges_feeds_back_what_its_encoders_count();
     what_a_board_says_is_fed_back_with_its_own_time();

@@ -75,6 +75,76 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(gyro_status(&s.state, &(gyro_config){0}, s.now_ns) == GYRO_NONE);
 }
 
+/* Moving at 0.5 rad/s more than its zero, its turn asked for; then what breaks the way. */
+static sensor on_the_move(void)
+{
+    sensor s = new_sensor();
+    double turn_rad;
+    say(&s, 0.1, 400, true);
+    say(&s, 0.6, 10, false);
+    CHECK(!turned(&s, &turn_rad) && turned(&s, &turn_rad));
+    return s;
+}
+
+static void is_broken_once(sensor *s)
+{
+    double turn_rad;
+    CHECK(!turned(s, &turn_rad));
+    say(s, 0.6, 10, false);
+    CHECK(turned(s, &turn_rad) && fabs(turn_rad - 0.5 * 0.05) < 1e-9);
+}
+
+static void a_part_of_the_way_that_is_not_known_is_no_turn(void)
+{
+    sensor s = on_the_move();
+    s.epoch++;                                       /* another sensor, or the same after its start */
+    say(&s, 0.6, 2, false);
+    is_broken_once(&s);
+    s = on_the_move();
+    imu_sample sample = {.stamp_ns = s.now_ns + 1, .angular_rad_s = {0.0, 0.0, 0.6}, .saturated = 1};
+    gyro_take(&s.state, &CONFIG, &sample, s.now_ns + 1, false);
+    say(&s, 0.6, 1, false);
+    is_broken_once(&s);
+    s = on_the_move();
+    s.now_ns += 20 * SAMPLE_NS;                      /* it was silent for longer than its timeout */
+    say(&s, 0.6, 1, false);
+    is_broken_once(&s);
+    CHECK(s.state.refused == 0);
+    sample = (imu_sample){.stamp_ns = s.now_ns + 20000000, .angular_rad_s = {0.0, 0.0, 0.6}};
+    gyro_take(&s.state, &CONFIG, &sample, s.now_ns, false);
+    CHECK(s.state.refused == 1);                     /* of the future */
+}
+
+static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_come_to_rest(void)
+{
+    sensor s = new_sensor();
+    say(&s, 0.4, 90, true);                          /* it swings on */
+    for (int i = 0; i < 220; i++)
+        say(&s, i % 2 == 0 ? 0.101 : 0.099, 1, true);
+    CHECK(s.state.bias_stamp_ns != 0 && fabs(s.state.bias_rad_s - 0.1) < 1e-4);
+    double variance_rad2_s2 = 1e-6, mean_variance_rad2_s2 = variance_rad2_s2 / 200.0 + 1e-9;
+    CHECK(fabs(s.state.rate_variance_rad2_s2 / variance_rad2_s2 - 1.0) < 0.02);
+    CHECK(fabs(s.state.bias_variance_rad2_s2 / mean_variance_rad2_s2 - 1.0) < 0.02);
+    for (int i = 0; i < 200; i++)                    /* a second more: as good as the first, and a little wander */
+        say(&s, i % 2 == 0 ? 0.101 : 0.099, 1, true);
+    double before = mean_variance_rad2_s2 + 1e-9, after = before * mean_variance_rad2_s2 / (before + mean_variance_rad2_s2);
+    CHECK(fabs(s.state.bias_variance_rad2_s2 / after - 1.0) < 0.02);
+    CHECK(s.state.still == 1);
+}
+
+static void wheels_that_turn_begin_the_rest_anew(void)
+{
+    sensor s = new_sensor();
+    say(&s, 0.0, 250, true);                         /* 1.25 s of the 1.5 that it takes */
+    say(&s, 0.0, 1, false);
+    say(&s, 0.0, 250, true);
+    CHECK(s.state.bias_stamp_ns == 0);
+    say(&s, 0.0, 60, true);
+    CHECK(s.state.bias_stamp_ns != 0 && s.state.still == 1);
+    say(&s, 0.5, 1, true);                           /* the wheels rest, and somebody turns it */
+    CHECK(s.state.still == 0);
+}
+
 static void no_zero_of_a_base_that_moves(void)
 {
     sensor s = new_sensor();
@@ -118,6 +188,9 @@ static void turning_against_the_wheels_is_remembered(void)
     CHECK(!gyro_reversed(&s.state, 3.0, -0.01));     /* noise */
     CHECK(gyro_reversed(&s.state, -1.1, 1.1) && gyro_reversed(&s.state, 9.0, 9.0));
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_REVERSED);
+    s = new_sensor();
+    for (int i = 0; i < 10; i++)                     /* as often with them: a wheel slipped */
+        CHECK(!gyro_reversed(&s.state, 0.6, -0.6) && !gyro_reversed(&s.state, 0.6, 0.6));
 }
 
 static void the_newest_sample_crosses_the_exchange(void)
@@ -134,6 +207,9 @@ static void the_newest_sample_crosses_the_exchange(void)
 int main(void)
 {
     the_turn_is_the_rate_times_the_time();
+    a_part_of_the_way_that_is_not_known_is_no_turn();
+    the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_come_to_rest();
+    wheels_that_turn_begin_the_rest_anew();
     no_zero_of_a_base_that_moves();
     hostile_samples_leave_finite_numbers();
     turning_against_the_wheels_is_remembered();

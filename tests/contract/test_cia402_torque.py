@@ -99,9 +99,10 @@ async def test_disarming_is_no_torque_and_no_power(rig, node):
     await until(lambda: node.torque == 0)
 
 
-async def test_stop_all_takes_torque_and_power(node, spec):
+@pytest.mark.parametrize("state", ["OPERATIONAL", "PRE-OPERATIONAL"])
+async def test_stop_all_takes_torque_and_power(node, spec, state):
     async with running(spec) as rig:
         await rig.arm()
-    node.status, node.torque = OPERATION, 500  # as after a crash
+    node.status, node.torque, node.node.nmt.state = OPERATION, 500, state  # as after a crash
     assert await halt_line(spec) == []
     assert node.status != OPERATION

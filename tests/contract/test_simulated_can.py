@@ -11,7 +11,7 @@ from motord_hal.ports import DriveState, EventKind
 SPEED_RAD_S = 3.0
 LOSSY = ["odrive-0.6", "vesc", "rmd", "dbc-example", "moteus"]
 """Those that bear lost frames while they are set up; an SDO transfer is not tried again at once."""
-DRIVES = [*LOSSY, "cia402-csv"]
+DRIVES = [*LOSSY, "cia402-csv", "cia402-torque"]
 
 
 @pytest.fixture(params=with_rt(DRIVES))

@@ -108,6 +108,7 @@ function obey(word) {
 
 device.on("message", ({ id, data }) => console.log(JSON.stringify({ id, data: Buffer.from(data).toString("hex") })));
 device.pdo.on("pdo", () => obey(get(0x6040)));
+eds.getEntry(0x6040).on("update", () => obey(get(0x6040)));
 eds.getEntry(0x6060).on("update", () => put(0x6061, get(0x6060)));
 device.nmt.on("changeState", say);
 createInterface({ input: process.stdin }).on("line", (line) => {

@@ -184,6 +184,11 @@ async def test_what_cannot_be_published_is_said(stage, port, topic, encoding):
         assert said == "publish: taken are /cmd_vel, /joint_commands, in json"
 
 
+def of(value):
+    """That the one parameter which was asked for has it."""
+    return lambda said: [one["value"] for one in said["parameters"]] == [value]
+
+
 async def test_limits_are_read_changed_and_told_to_who_subscribed(stage, port):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client, wired(port) as watcher:
         await let_in(client)
@@ -195,11 +200,9 @@ async def test_limits_are_read_changed_and_told_to_who_subscribed(stage, port):
         change = [{"name": LIMIT, "value": value}]
         assert await client.parameters("setParameters", parameters=change) == {LIMIT: value}
         assert stage.robot.call("params.get", names=[LIMIT]) == {LIMIT: value}
-        told = await watcher.said("parameterValues")
-        assert [one["value"] for one in told["parameters"]] == [value]
+        await watcher.said("parameterValues", of(value))
         stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # by another way
-        told = await watcher.said("parameterValues")
-        assert [one["value"] for one in told["parameters"]] == [all_[LIMIT]]
+        await watcher.said("parameterValues", of(all_[LIMIT]))
 
 
 async def test_no_limit_is_said_as_in_the_robot_file(stage, port):

@@ -143,6 +143,10 @@ class Adapter:
         getattr(self, self.options["what"])()
         await asyncio.Event().wait()
 
+    def spin(self):
+        while True:
+            pass
+
     def chatter(self):
         for _ in range(50):
             os.write(1, b"\\n" * 60000)
@@ -207,7 +211,7 @@ def armed(stage):
     return stage.state() == "armed"
 
 
-TROUBLES = {"chatter": "trouble begins", "flood": "no figures"}
+TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "no figures"}
 """By their words in the log."""
 
 

@@ -14,7 +14,11 @@ PATIENT_S = "5.0"
 
 @pytest.mark.parametrize(
     ("name", "profile", "line"),
-    [("odrive-two", "odrive-0.6", "can0"), ("cia402-two", "cia402", "can0")],
+    [
+        ("odrive-two", "odrive-0.6", "can0"),
+        ("cia402-two", "cia402", "can0"),
+        ("cia402-torque", "cia402-torque", "can0"),
+    ],
 )
 def test_a_robot_on_two_drives_drives_its_course_and_stops_clean(tmp_path, name, profile, line):
     drive = (config_dir() / "drives" / f"{profile}.toml").read_text(encoding="utf-8")
@@ -24,8 +28,11 @@ def test_a_robot_on_two_drives_drives_its_course_and_stops_clean(tmp_path, name,
     )
     text = (config_dir() / "robots" / f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"(\w+_timeout_s) = .*", rf"\1 = {PATIENT_S}", text)
+    text = re.sub(r"drive_watchdog_s = .*", f"drive_watchdog_s = {PATIENT_S}", text)
     robot = tmp_path / "robot.toml"
-    robot.write_text(text.replace(f'"{profile}"', '"./patient.toml"'), encoding="utf-8")
+    robot.write_text(
+        text.replace(f'drive = "{profile}"', 'drive = "./patient.toml"'), encoding="utf-8"
+    )
 
     report = run_demo(robot, name, 8.0, lambda text: None).to_json()
     assert report["engine"] == {line: "asyncio"}

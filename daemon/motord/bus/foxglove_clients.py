@@ -13,6 +13,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,16 @@ _TRIGGER = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """A message of a client's. `came_s`: CLOCK_MONOTONIC."""
+
+    client: int
+    topic: str
+    raw: bytes
+    came_s: float
+
+
 class Looks(ServerListener):
     """What the robot looks like, for each who begins to read it."""
 
@@ -87,14 +98,16 @@ class Commands(Looks):
         self._desk = Desk(name, section, station)
         self._tunable = Tunable(station.robot, station.call)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
+        self._told = dict(self._parameters)
+        """To those who have subscribed."""
         self._crossing = Crossing()
         self._admitted: tuple[int, ...] = ()
         """Connections; a number is never used again. Threads read it: it is only replaced."""
         self._topics: dict[tuple[int, int], str] = {}
         """By connection and its channel."""
         self._advertising = threading.Lock()
-        self._friends: Inbox[tuple[int, str, bytes]] = Inbox(WAITING_MAX, self._take)
-        self._strangers: Inbox[tuple[int, str, bytes]] = Inbox(WAITING_MAX, self._take)
+        self._friends: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
+        self._strangers: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
         """Two, so that nobody pushes out the commands of who is let in."""
         self._complained_s: dict[str, float] = {}
         self.server: WebSocketServer | None = None
@@ -158,18 +171,17 @@ class Commands(Looks):
                 return
             self._topics[key] = topic  # used last, forgotten last
         inbox = self._friends if client.id in self._admitted else self._strangers
-        inbox.put((client.id, topic, data))
+        inbox.put(_Said(client.id, topic, data, time.monotonic()))
 
-    def _take(self, said: tuple[int, str, bytes]) -> None:
-        client, topic, raw = said
+    def _take(self, said: _Said) -> None:
         try:
-            request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
-            self._admit(client, request)
-            self._desk.take(topic, request)
+            request = request_of(json_form.decode, said.raw, REQUEST_BYTES_MAX)
+            self._admit(said.client, request)
+            self._desk.take(said.topic, request, time.monotonic() - said.came_s)
         except NotTaken as error:
-            self._complain(topic, error)
+            self._complain(said.topic, error)
         else:
-            self._content(topic)
+            self._content(said.topic)
 
     # ----------------------------------------------------------------------------------- services
     def services(self) -> list[Service]:
@@ -231,8 +243,10 @@ class Commands(Looks):
     async def _change(self, client: int, parameters: list[Parameter]) -> None:
         """Raises NotTaken."""
         self._admit(client, {})
-        await self._tunable.change({one.name: _wanted(one) for one in parameters})
+        wanted = {one.name: _wanted(one) for one in parameters}
+        await self._tunable.change(wanted)
         await self._look()
+        self._told |= {name: self._parameters[name] for name in wanted if name in self._parameters}
 
     def _listed(self, names: list[str]) -> list[Parameter]:
         known = self._parameters
@@ -241,12 +255,12 @@ class Commands(Looks):
     async def _watch(self) -> None:
         """Whoever changed them, who has subscribed to them is told."""
         while True:
-            before = self._parameters
             if self._station.view is not None:
                 await self._look()
-            now = self._parameters
+            now, before = self._parameters, self._told
             changed = [name for name in now if before.get(name) != now[name]]
             if changed and self.server is not None:
+                self._told = dict(now)
                 self.server.publish_parameter_values(self._listed(changed))
             await asyncio.sleep(LOOK_EVERY_S)
 

@@ -25,7 +25,7 @@ def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldK
 
 
 def setpoint_kind(channel: Channel) -> SetpointKind:
-    """What is said to its joint: how fast, or how hard."""
+    """What is said to its joint."""
     if channel.torque_setpoint is not None:
         return SetpointKind.TORQUE
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
@@ -35,11 +35,11 @@ def setpoint_scale(
     joint: JointSpec, channel: Channel, si_per_raw: float, limits: tuple[float, float]
 ) -> dict[str, Any]:
     """setpoint_scale of csrc/api_line.h."""
-    gear = channel.to_motor(joint.gear_ratio)
+    sign = -1.0 if joint.inverted else 1.0
     return {
         "joint": joint.index,
         "kind": int(setpoint_kind(channel)),
-        "raw_per_si": (-1.0 if joint.inverted else 1.0) * gear / si_per_raw,
+        "raw_per_si": sign * channel.to_motor(joint.gear_ratio) / si_per_raw,
         "raw_min": limits[0],
         "raw_max": limits[1],
     }
