@@ -16,8 +16,8 @@ from motord.machine import State
 from motord.operation import Operation
 from motord.rpc import INVALID_PARAMS, Refused, RpcError
 from motord_hal.drives.profile import SI_UNITS, Register
+from motord_hal.engine.parameter import kept_back
 from motord_hal.errors import HalError
-from motord_hal.modbus.parameter import kept_back
 from motord_hal.ports import JointSpec, Line
 
 PREFIX = "drive."

@@ -12,7 +12,6 @@ import fcntl
 import os
 import sys
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 FOLDER = Path("/dev/shm")  # noqa: S108  # POSIX shared memory, as shm_open has it
@@ -58,12 +57,7 @@ class PageFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import mmap
 import os
-from types import TracebackType
 from typing import Any, Self
 
 from _motord_rt import ffi, lib
@@ -124,12 +123,7 @@ class ReplayPage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         ffi.release(self._page)
         self._memory.close()
         self._file.close()

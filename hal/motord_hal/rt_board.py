@@ -34,6 +34,7 @@ class BoardSays:
     mode: Mode
     demoted: Demoted
     wish_seen: int
+    stopping: bool
     cycles: int
     """Feedback that the core was given."""
     stops: int
@@ -144,6 +145,7 @@ def _says(raw: Any) -> BoardSays:
         mode=Mode(raw.mode),
         demoted=Demoted(raw.demoted),
         wish_seen=raw.wish_seen,
+        stopping=raw.stopping != 0,
         cycles=raw.published,
         stops=raw.stops,
         stop_waits=raw.stop_waits != 0,

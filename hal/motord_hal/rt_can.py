@@ -35,6 +35,7 @@ class CanDriveReport:
     mode: Mode
     demoted: Demoted
     wish_seen: int
+    stopping: bool
     missing: int
     stops: int
     cycles: int
@@ -160,6 +161,7 @@ def _drive_report(raw: Any) -> CanDriveReport:
         mode=Mode(raw.mode),
         demoted=Demoted(raw.demoted),
         wish_seen=raw.wish_seen,
+        stopping=raw.stopping != 0,
         missing=raw.missing,
         stops=raw.stops,
         cycles=raw.cycles,

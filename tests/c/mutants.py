@@ -38,6 +38,7 @@ _CAN = [
     "test_can_drive",
     "test_can_quiet",
     "test_can_values",
+    "test_can_looks",
     "fuzz_can 2000",
 ]
 TESTS = {

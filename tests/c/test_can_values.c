@@ -244,6 +244,19 @@ static void a_joint_that_the_core_says_nothing_of_stands_still(void)
     CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0);
 }
 
+static void each_kind_of_set_point_is_told_to_whom_it_is_for(void)
+{
+    begin_with_two_wheels();
+    table_of(0)->output[0].setpoint[0].scale.kind = SETPOINT_TORQUE;
+    table_of(0)->output[0].setpoint[1].scale.kind = SETPOINT_DUTY;
+    restart();
+    arm(0);
+    want(0.0, 0.0);
+    w.machine.newest.joint[0] = w.machine.newest.joint[1] = (joint_setpoint){1.0, 0.5, -3.0};
+    go_on(15 * MS);
+    CHECK(speed_in(newest_of(0)) == -300 && second_speed() == 50);
+}
+
 int main(void)
 {
     both_wheels_are_told_in_one_frame();
@@ -256,5 +269,6 @@ int main(void)
     a_fault_word_is_news_once_and_stops_unless_it_is_a_warning();
     a_fault_that_is_a_number_stops_unless_it_is_listed();
     a_joint_that_the_core_says_nothing_of_stands_still();
+    each_kind_of_set_point_is_told_to_whom_it_is_for();
     return checks_report("can values");
 }

@@ -5,12 +5,16 @@ import asyncio
 
 import pytest
 from loop_side import GENEROUS_S, LoopSide, until
+from scripted_gateway import peer_on
 from sim_bench import simulated, spec_of
+from test_modbus_line import hub_servo
+from test_modbus_line import spec_of as line_spec_of
 
 from motord_hal.drives.load import find_profile
 from motord_hal.lines import open_line
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.modbus.guard import GuardedClient
+from motord_hal.modbus.tcp_guard import GatewayClient
 from motord_hal.rt import Exchange
 
 READ = Request(1, Function.READ_HOLDING, 0x0100, 1)
@@ -46,3 +50,28 @@ async def test_a_cancelled_line_ends(profile, tmp_path, later_s):
         task.cancel()
         await asyncio.wait([task], timeout=GENEROUS_S)
         assert task.cancelled()
+
+
+@pytest.mark.parametrize("medium", ["asyncio", "modbus-tcp"])
+async def test_a_cancellation_that_meets_the_opening_is_not_lost_and_closes_it(medium, tmp_path):
+    peer = peer_on(medium, tmp_path)
+
+    def new_client():
+        if medium == "modbus-tcp":
+            return GatewayClient(line_spec_of(peer, hub_servo()))
+        return GuardedClient(str(peer.path), 115200, "none", 1, None)
+
+    for turns in range(8):  # of the event loop, into the opening
+        client = new_client()
+        opening = asyncio.ensure_future(client.open())
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        obeyed = opening.cancel()
+        await asyncio.wait([opening], timeout=GENEROUS_S)
+        assert opening.cancelled() is obeyed
+        assert client.connected is not obeyed
+        client.close()
+    again = new_client()
+    await again.open()  # nothing of the others holds the port
+    again.close()
+    peer.pull()

@@ -12,11 +12,13 @@ from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.lines import halt_line, open_line
-from motord_hal.mcu import board
+from motord_hal.mcu import board, link
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState, Mounting
 from motord_hal.rt import Exchange
+from motord_hal.rt_engine import board_line
+from motord_hal.serial.port import OpenPort, open_port
 
 COUNTS_PER_RAD = 1320 / math.tau
 
@@ -256,6 +258,25 @@ async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(board_
         assert rig.line.stats().reopened == 1
         assert not any(told.enabled for told in peer.told)
         peer.pull()
+
+
+async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, monkeypatch):
+    openings = []
+
+    def pulled_at_first(spec):
+        openings.append(spec)
+        if len(openings) > 1:
+            return open_port(spec)
+        master, slave = os.openpty()
+        os.close(master)
+        return OpenPort(slave, path=spec.port)
+
+    for module in (link, board_line):
+        monkeypatch.setattr(module, "open_port", pulled_at_first)
+    async with running(spec_of(peer)) as rig:
+        await rig.ready()
+        assert rig.kinds()[:2] == [EventKind.LINE_LOST, EventKind.LINE_OPEN]
+        assert "went away" in rig.events[0].text
 
 
 async def left_turning(peer, spec):

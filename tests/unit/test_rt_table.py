@@ -19,6 +19,7 @@ from motord_hal.modbus.codec import (
 )
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import Echo, JointSpec, LineSpec
+from motord_hal.rt import JointSetpoint
 from motord_hal.rt_engine.modbus_frames import ModbusFrames
 from motord_hal.rt_engine.table import drive_table, line_table
 from motord_hal.rt_table import FieldKind, Form
@@ -104,7 +105,8 @@ def get(field, reply):
 def test_what_goes_out_is_what_the_plan_writes(name, wanted):
     plan, drive = table_of(replace(find_profile(name), read_write_function=None))
     out = [put(exchange, wanted) for exchange in drive.cyclic if exchange.setpoint]
-    assert out == [build_request(request) for request in plan.writes(plan.setpoints(wanted))]
+    raw = plan.setpoints({joint: JointSetpoint(*si) for joint, si in wanted.items()})
+    assert out == [build_request(request) for request in plan.writes(raw)]
 
 
 @pytest.mark.parametrize("name", MODBUS)

@@ -8,7 +8,6 @@ import mmap
 import os
 import struct
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import zstandard
@@ -78,12 +77,7 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._memory.close()
 
     @property

@@ -143,7 +143,7 @@ def simulate(
     runs until SIGINT or SIGTERM. Faults are described in docs/simulator.md.
 
     \b
-    Example: motord simulate robot.toml --link-dir /tmp/robot
+    Example: motord simulate robot.toml --link-dir ports
              motord simulate robot.toml --fault drop:p=0.05 --fault unplug:at_s=10 --seed 7
              motord simulate robot.toml --tcp 1502
     """

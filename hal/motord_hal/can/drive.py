@@ -7,18 +7,24 @@ That a frame was sent says nothing: presence is judged by what the drive has sen
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
+from motord_hal.asyncio_engine.drive import (
+    REST_VELOCITY_RAD_S,
+    STOPPING_WITHIN_S,
+    AsyncioDrive,
+)
 from motord_hal.can.job_step import StepRunner, merged_writes
-from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, Wanted, with_cycle
+from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
 from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import Say
+from motord_hal.engine.job import Job, configure_steps
+from motord_hal.engine.line import PRESENT
+from motord_hal.engine.plan import Wanted
 from motord_hal.errors import DriveFault, HalError, NoReply, Refused
-from motord_hal.modbus.faults import FaultWatch, Say
-from motord_hal.modbus.job import Job, configure_steps
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.ports import DriveState
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
 
@@ -31,17 +37,13 @@ SAMPLE_PART = 0.5
 period tells nothing that the next one will not."""
 FIRST_WORD_S = 0.2
 """On top of its longest silence: so long a drive may take for its first frame after opening."""
-STOPPING_WITHIN_S = 1.0
-"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
-REST_VELOCITY_RAD_S = 0.1
 
 Send = Callable[[Sent], bool]
 """False: the bus takes nothing now."""
 
 
-class CanDrive:
-    """State of one node. All its methods run in the event loop; only those that the line's task
-    calls send."""
+class CanDrive(AsyncioDrive[CanPlan]):
+    """One node."""
 
     def __init__(
         self,
@@ -53,28 +55,21 @@ class CanDrive:
         watchdog_s: float,
         say: Say,
     ) -> None:
-        self.plan = plan
-        self.state = DriveState.UNKNOWN
-        self.jobs: deque[Job] = deque()
-        self.names = tuple(joint.name for joint in plan.joints)
-        self.tries = max(joint.tries for joint in plan.joints)
-        self.was_enabled = False
-        """Set-points were enabled since it was armed: the next disable takes its power."""
-        self.told_motion = False
-        """The newest set-points that went out are not zero."""
-        self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
+        cycle_s = 1.0 / cycle_hz
+        super().__init__(
+            plan,
+            exchange,
+            say,
+            setup=configure_steps(with_cycle(plan.profile, cycle_s), watchdog_s),
+            watchdog_s=watchdog_s,
+        )
         self._send = send
-        self._exchange = exchange
-        self._cycle_s = 1.0 / cycle_hz
-        self._watchdog_s = watchdog_s
-        self._setup = configure_steps(with_cycle(plan.profile, self._cycle_s), watchdog_s)
-        self._say = say
+        self._cycle_s = cycle_s
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._set_up_backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._set_up_at_s = 0.0
         self._held: dict[str, int] = {}
         self._runner = StepRunner(plan, self._write, self._ask)
-        self._values: dict[str, int] = {}
         self._heard_s: dict[str, float] = {}
         self._heard_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
@@ -85,13 +80,9 @@ class CanDrive:
         """Nothing is known of it since then: the line was opened."""
         self._quiet_since_s = 0.0
         self._probe_at_s = 0.0
-        self._epoch = 0
         self._cycles = 0
-        self._said_quiet = False
         self._may_turn = False
         """It has been armed since it was last seen set up: at rest and without power."""
-        self._still_enabled = 0
-        self._power_off_by_s: float | None = None
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.plan.node})"
@@ -107,7 +98,7 @@ class CanDrive:
             return
         self._values.update(values)
         self._heard_ns[frame.name] = stamp_ns
-        if self.state in (DriveState.READY, DriveState.ARMED) and frame in self.plan.fast:
+        if self.state in PRESENT and frame in self.plan.fast:
             self._publish()
             self._check_power(frame)
 
@@ -119,23 +110,10 @@ class CanDrive:
             reading = self.plan.reading(joint, self._values)
             if reading is None:
                 continue  # no numbers: the sample grows old, and the core sees it
-            faults = self.faults[joint.name]
-            faults.update(reading.fault_word)
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity
             frame = self.plan.read_frame_of(measured) if measured else self.plan.fast[0]
-            self._exchange.put_feedback(
-                joint.index,
-                stamp_ns=self._heard_ns[frame.name],
-                count=reading.count,
-                velocity_rad_s=reading.velocity_rad_s,
-                current_a=reading.current_a,
-                voltage_v=reading.voltage_v,
-                temperature_c=reading.temperature_c,
-                epoch=self._epoch,
-                enabled=self.plan.enabled(self._values),
-                drive_faults=faults.stopping,
-            )
+            self._put_feedback(joint, reading, self._heard_ns[frame.name])
 
     def _check_power(self, frame: Frame) -> None:
         """What the frame says of the power, against what it should be."""
@@ -144,18 +122,9 @@ class CanDrive:
         if said is None or self.plan.read_frame_of(said.register) is not frame or enabled is None:
             return
         if self.state is DriveState.ARMED and not enabled:
-            text = f"{self} is not enabled any more: set up again, disarmed"
-            self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self.configure(text)
-        elif self.state is not DriveState.READY or not enabled:
-            self._still_enabled = 0
-        elif not self.jobs and self._power_off_by_s is None:
-            # nobody armed it, so it shall not be enabled: a power-off was lost or refused
-            self._still_enabled += 1
-            if self._still_enabled == self.tries:
-                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
-                self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+            self._lost_its_power()
+        else:
+            self._check_no_power(enabled)
 
     # ------------------------------------------------------------------------- whether it is there
     def _silence_s(self, frame: Frame) -> float:
@@ -224,16 +193,12 @@ class CanDrive:
         self._quiet(error)
 
     def _quiet(self, error: HalError) -> None:
-        self._forget(error)
         if self.plan.hello is not None:
             self._heard_s.pop(self.plan.hello.name, None)
-        self.state = DriveState.QUIET
-        if not self._said_quiet:
-            self._said_quiet = True
+        if self._becomes_quiet(error):
             self._quiet_since_s = now_s()
             self._backoff.reset()
             self._probe_at_s = 0.0
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {error}")
 
     def _probe(self) -> None:
         """Ask for what does not come by itself. It may hear us though we do not hear it, and then
@@ -253,14 +218,15 @@ class CanDrive:
     def cycle(self, wanted: Wanted) -> None:
         """Set-points out, questions out, one step of the first job. Raises PortError."""
         self.look()
-        if self.state in (DriveState.READY, DriveState.ARMED):
+        if self.is_cycled:
             self.tell(wanted)
             for frame in self.plan.asked_fast:
                 self._ask(frame)
             if self._cycles % SLOW_EVERY_CYCLES == 0:
                 self._now_and_then(self._cycles // SLOW_EVERY_CYCLES)
             self._cycles += 1
-        self._end_stopping()
+        if self.is_stopping:
+            self._end_stopping(at_rest=self._is_at_rest())
         if self.jobs:
             self._slot()
 
@@ -303,20 +269,6 @@ class CanDrive:
         return question is not None and self._send(question)
 
     # ---------------------------------------------------------------------------- the acyclic part
-    def submit(self, job: Job) -> Job:
-        """Queue a job; an urgent one goes ahead of the others."""
-        if job.urgent:
-            self.jobs.appendleft(job)
-        else:
-            self.jobs.append(job)
-        return job
-
-    def configure(self, why: str) -> None:
-        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
-        self._forget(NoReply(why))
-        self.state = DriveState.UNKNOWN
-        self.submit(Job("configure", self._setup))
-
     def arming(self) -> Job:
         """Zero in its set-points, then the profile's own steps."""
         zeros = self.plan.setpoints({}).items()
@@ -324,25 +276,21 @@ class CanDrive:
         return Job("arm", (*rest, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
-        while self.jobs:
-            self.jobs.popleft().fail(error)
-        self._values.clear()
+        super()._forget(error)
         self._heard_ns.clear()
         self._held.clear()
         self._still_enabled = 0
-        self._power_off_by_s = None
 
     def lose(self, error: HalError) -> None:
-        """The bus is gone: nothing is known of the drive."""
-        self._forget(error)
+        """As AsyncioDrive.lose."""
+        super().lose(error)
         self._heard_s.clear()
         self._unanswered.clear()
-        self.state = DriveState.UNKNOWN
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The bus is there: the drive may speak. One that may turn is told to stop, as one that
-        has just fallen silent."""
+        """The drive may speak. One that may turn is told to stop, as one that has just fallen
+        silent."""
         self._waits_since_s = self._quiet_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
@@ -365,22 +313,12 @@ class CanDrive:
             if job.name == "configure":
                 self._quiet(error)
 
-    def _drop(self, job: Job) -> None:
-        if job in self.jobs:
-            self.jobs.remove(job)
-
-    def _finished(self, job: Job) -> None:
-        if job.name == "configure":
-            self._configured()
-        elif job.name == "arm":
-            self.state, self.was_enabled = DriveState.ARMED, False
-            self._may_turn = True
-            self._told_s = now_s()
-        job.finish()
+    def _armed(self) -> None:
+        super()._armed()
+        self._may_turn = True
+        self._told_s = now_s()
 
     def _configured(self) -> None:
-        self.state = DriveState.READY
-        self._epoch += 1
         self._cycles = 0
         self._unanswered.clear()
         self._set_up_backoff.reset()
@@ -388,68 +326,30 @@ class CanDrive:
         self._may_turn = self.told_motion = False
         if self.plan.hello is not None:  # its frames begin now
             self._heard_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
-        if self._said_quiet:
-            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
-        else:
-            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_quiet = False
+        super()._configured()
 
     # ----------------------------------------------------------------------------------- stopping
-    def quick_stop(self) -> None:
-        """Stop now, ahead of everything else; the power goes off when the wheel is at rest."""
-        self._disarmed()
-        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
-        if not self._write_all(self.plan.profile.quick_stop):
-            self.submit(Job("quick_stop", self.plan.profile.quick_stop, urgent=True))
-
-    def power_off(self) -> None:
-        """Power off now, ahead of everything else."""
-        if not self.tell_power_off():
-            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
-
-    def tell_power_off(self) -> bool:
-        """As power_off, but only once. False: the bus has not taken all of it."""
-        self._disarmed()
-        self._power_off_by_s = None
+    def _powerless(self) -> None:
+        """As AsyncioDrive._powerless. What has no power is told no zero either."""
+        super()._powerless()
         self.told_motion = False
-        return self._write_all(self.plan.profile.disarm)
 
     @property
     def has_stopped_itself(self) -> bool:
-        """It was told nothing for so long that it has stopped, if it has a watchdog: a pause of the
-        whole process. One that cannot say so would start again with the next set-point."""
+        """As AsyncioDrive.has_stopped_itself."""
         return now_s() - self._told_s > self._watchdog_s
 
-    @property
-    def is_stopping(self) -> bool:
-        """A quick stop was told, and the wheel has not been seen at rest since."""
-        return self._power_off_by_s is not None
-
-    def _end_stopping(self) -> None:
-        if self._power_off_by_s is None:
-            return
+    def _is_at_rest(self) -> bool:
         readings = [self.plan.reading(joint, self._values) for joint in self.plan.joints]
-        at_rest = all(
+        return all(
             one is not None and abs(one.velocity_rad_s) < REST_VELOCITY_RAD_S for one in readings
         )
-        if at_rest or now_s() > self._power_off_by_s:
-            self._power_off_by_s = None
-            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
-    def stand_down(self) -> Job:
-        """Zero from now on, power off with the next slot."""
-        self._disarmed()
-        return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
-
-    def _disarmed(self) -> None:
-        """From now on every set-point of this drive is zero."""
-        if self.state is DriveState.ARMED:
-            self.state = DriveState.READY
-        for job in [job for job in self.jobs if job.name == "arm"]:
-            self._drop(job)
-            job.fail(HalError(f"{self}: stopped while it was being armed"))
-
-    def _write_all(self, steps: tuple[Step, ...]) -> bool:
+    def _write_all(self, steps: Sequence[Step]) -> bool:
         """All writes at once, each of them also where the bus has not taken the one before it."""
         sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
         return all(sent)
+
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """As AsyncioDrive._write_now: all of them where the bus does not take one."""
+        return () if self._write_all(steps) else steps

@@ -16,9 +16,9 @@ from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
 from motord_hal.drives.can_objects import ABORT_CODE
 from motord_hal.drives.can_profile import Frame
+from motord_hal.engine.units import joints_by_unit
 from motord_hal.errors import HalError, NoReply, Refused
 from motord_hal.halt import halt_unit
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import LineSpec
 
 SEND_WITHIN_S = 0.1

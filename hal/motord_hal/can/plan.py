@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 from motord_hal.can.codec import build, frame_time_s, parse
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import Channel, DriveProfile, Step
+from motord_hal.drives.profile import DriveProfile, Register, Step
+from motord_hal.engine.parameter import readable
+from motord_hal.engine.plan import Plan, Reading
 from motord_hal.errors import ProfileError
 from motord_hal.ports import JointSpec
-from motord_hal.rt import JointSetpoint
 
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
@@ -21,19 +22,6 @@ SLOW_EVERY_CYCLES = 8
 CYCLE_TOLERANCE = 0.001
 """A drive that is told its cycle interpolates over it: one that is off by more drifts by a whole
 cycle in less than a thousand."""
-
-Wanted = Mapping[int, JointSetpoint]
-"""By joint index; empty: everything zero."""
-
-
-REST = JointSetpoint(0.0, 0.0)
-
-
-def _of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
-    """What the channel takes of it, at the wheel."""
-    if channel.torque_setpoint is not None:
-        return setpoint.torque_n_m
-    return setpoint.velocity_rad_s if channel.velocity_setpoint is not None else setpoint.duty
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +34,6 @@ class Sent:
     data: bytes
     remote_bytes: int | None = None
     """Of a remote frame: the length that it asks for; None: a data frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN."""
-
-    count: int
-    velocity_rad_s: float
-    current_a: float
-    voltage_v: float
-    temperature_c: float
-    fault_word: int
 
 
 def with_node(profile: DriveProfile, node: int) -> DriveProfile:
@@ -97,18 +73,18 @@ def with_cycle(profile: DriveProfile, cycle_s: float) -> DriveProfile:
     return replace(profile, configure=tuple(own(step) for step in profile.configure))
 
 
-class CanPlan:
+class CanPlan(Plan):
     """One node with one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec]) -> None:
-        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
-        self.profile = with_node(self.joints[0].profile, self.joints[0].unit)
+        super().__init__(joints)
+        self.profile = with_node(self.profile, self.unit)
         if self.profile.can is None:
             raise ProfileError(
                 f"{self.joints[0].name}: {self.profile.name} is no drive on a CAN bus"
             )
         self.table: CanTable = self.profile.can
-        self.node = self.joints[0].unit
+        self.node = self.unit
         self._signals = {
             name: signals_of(self.profile.registers, name) for name in self.table.frames
         }
@@ -159,9 +135,6 @@ class CanPlan:
             self._by_identifier.setdefault(key, []).append(frame)
 
     # ------------------------------------------------------------------------------------ building
-    def channel(self, joint: JointSpec) -> Channel:
-        return self.profile.channels[joint.channel]
-
     def _setpoint_names(self) -> list[str]:
         return [self.channel(joint).setpoint for joint in self.joints]
 
@@ -200,6 +173,14 @@ class CanPlan:
         found = self.signal(signal)
         return self.table.frames[found.reply_frame or found.frame]
 
+    def readable(self, signal: str) -> Register:
+        """Raises LookupError for a signal that is not there or cannot be had."""
+        found = readable(self.profile, signal)
+        frame = self.read_frame_of(signal)
+        if not frame.period_s and not frame.ask:
+            raise LookupError(f"{signal}: the drive neither sends it nor can be asked for it")
+        return found
+
     @property
     def identifiers(self) -> tuple[tuple[int, bool], ...]:
         """What this node may send: identifier, and whether it is extended."""
@@ -221,18 +202,6 @@ class CanPlan:
             extended, size_bytes = frame.is_extended(self.node), frame.size_bytes
             return Sent(identifier, extended, fd=False, data=b"", remote_bytes=size_bytes)
         return self.write(self.table.frames[frame.ask], {}) if frame.ask else None
-
-    def setpoints(self, wanted: Wanted) -> dict[str, int]:
-        """Signal → raw for the set-points. What is missing, NaN or infinite is zero."""
-        raw = {}
-        for joint in self.joints:
-            channel = self.channel(joint)
-            sign = -1.0 if joint.inverted else 1.0
-            value = _of_kind(channel, wanted.get(joint.index, REST))
-            value *= channel.to_motor(joint.gear_ratio) * sign
-            signal = self.profile.registers[channel.setpoint]
-            raw[signal.name] = signal.from_si(value if math.isfinite(value) else 0.0)
-        return raw
 
     # ----------------------------------------------------------------------------------- receiving
     def parse(
@@ -258,6 +227,7 @@ class CanPlan:
             current_a=self._si(channel.current, values),
             voltage_v=self._si(self.profile.bus_voltage, values),
             temperature_c=self._si(channel.temperature, values),
+            enabled=self.enabled(values),
             fault_word=values.get(channel.fault or "", 0),
         )
 
@@ -276,13 +246,6 @@ class CanPlan:
             return math.nan
         value = self.profile.registers[name].to_si(values[name])
         return value if math.isfinite(value) else math.nan
-
-    def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot say, or has not said yet."""
-        said = self.profile.enabled
-        if said is None or said.register not in values:
-            return None
-        return values[said.register] & said.mask == said.equals
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:

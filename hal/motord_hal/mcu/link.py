@@ -34,7 +34,7 @@ class Stream:
         """Raises PortError."""
         self.close()
         self._port, self._lost = open_port(self._spec), ""
-        termios.tcflush(self._port.fd, termios.TCIOFLUSH)
+        self._port.flush()
         asyncio.get_running_loop().add_reader(self._port.fd, self._read)
 
     def close(self) -> None:

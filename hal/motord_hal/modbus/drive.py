@@ -7,13 +7,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from motord_hal.asyncio_engine.drive import REST_VELOCITY_RAD_S, AsyncioDrive
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import Say
+from motord_hal.engine.job import Job, configure_steps, kept_steps, watchdog_time_s
+from motord_hal.engine.plan import Wanted
 from motord_hal.errors import BadReply, DriveFault, HalError, NoReply, Refused
 from motord_hal.modbus.codec import Request
-from motord_hal.modbus.faults import FaultWatch, Say
 from motord_hal.modbus.guard import Answer
-from motord_hal.modbus.job import Job, configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
 from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
@@ -22,57 +24,39 @@ from motord_hal.rt import Exchange
 
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0
-STOPPING_WITHIN_S = 1.0
-"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
-REST_VELOCITY_RAD_S = 0.1
-
-Wanted = Mapping[int, tuple[float, float]]
-"""Joint index → (wheel rad/s, duty); empty: everything zero."""
 
 
-class Drive:
-    """State of one unit. All its methods run in the line's one task."""
+class Drive(AsyncioDrive[DrivePlan]):
+    """One unit. All that waits runs in the line's one task."""
 
     def __init__(
         self, plan: DrivePlan, link: Link, exchange: Exchange, watchdog_s: float, say: Say
     ) -> None:
-        self.plan = plan
-        self.state = DriveState.UNKNOWN
-        self.jobs: deque[Job] = deque()
-        self.names = tuple(joint.name for joint in plan.joints)
-        self.tries = max(joint.tries for joint in plan.joints)
-        self.was_enabled = False
-        """Set-points were enabled since it was armed: the next disable takes its power."""
+        super().__init__(
+            plan,
+            exchange,
+            say,
+            setup=configure_steps(plan.profile, watchdog_s),
+            watchdog_s=watchdog_time_s(plan.profile, watchdog_s),
+        )
         self.probe_at_s = 0.0
-        self.told_motion = False
-        """It was sent set-points that are not zero, and has not acknowledged zero since."""
-        self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self._link = link
-        self._exchange = exchange
-        self._watchdog_s = watchdog_time_s(plan.profile, watchdog_s)
-        self._setup = configure_steps(plan.profile, watchdog_s)
         self._kept = kept_steps(self._setup)
-        self._say = say
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
-        self._values: dict[str, int] = {}
         self._stamps_ns: dict[str, int] = {}
         self._stamp_ns = 0
         self._ways: dict[str, int] = {}
         self._last_ways: dict[str, int] = {}
         self._failures = 0
-        self._epoch = 0
         self._cycles = 0
-        self._said_quiet = False
         self._may_turn = False
         """It has been armed since it was last seen set up: at rest and without power."""
         self._probes: deque[Request] = deque()
         self._probes_at_once = 0
-        self._still_enabled = 0
         self._asked_s = 0.0
         """When it got the newest request that it has answered."""
         self._left_alone = False
         """Its watchdog has bitten since it was armed."""
-        self._power_off_by_s: float | None = None
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
@@ -178,74 +162,28 @@ class Drive:
             reading = self.plan.reading(joint, self._values, self._last_ways)
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity or ""
-            faults = self.faults[joint.name]
-            faults.update(reading.fault_word)
-            self._exchange.put_feedback(
-                joint.index,
-                stamp_ns=self._stamps_ns.get(measured, self._stamp_ns),
-                count=reading.count,
-                velocity_rad_s=reading.velocity_rad_s,
-                current_a=reading.current_a,
-                voltage_v=reading.voltage_v,
-                temperature_c=reading.temperature_c,
-                epoch=self._epoch,
-                enabled=reading.enabled,
-                drive_faults=faults.stopping,
-            )
+            self._put_feedback(joint, reading, self._stamps_ns.get(measured, self._stamp_ns))
             enabled = reading.enabled
             moving |= not abs(reading.velocity_rad_s) < REST_VELOCITY_RAD_S
         if self.state is DriveState.ARMED and enabled is False:
-            text = f"{self} is not enabled any more: set up again, disarmed"
-            self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self.configure(text)
-        if self._power_off_by_s is not None and (not moving or now_s() > self._power_off_by_s):
-            self._power_off_by_s = None
-            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
-        self._check_power(enabled)
-
-    def _check_power(self, enabled: bool | None) -> None:
-        """Nobody armed it, so it shall not be enabled: a power-off was refused, or never came."""
-        if self.state is not DriveState.READY or enabled is False:
-            self._still_enabled = 0
-        elif enabled and not self.jobs and self._power_off_by_s is None:
-            self._still_enabled += 1
-            if self._still_enabled == self.tries:
-                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
-                self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+            self._lost_its_power()
+        self._end_stopping(at_rest=not moving)
+        self._check_no_power(enabled)
 
     # ---------------------------------------------------------------------------- the acyclic part
-    def submit(self, job: Job) -> Job:
-        """Queue a job; an urgent one goes ahead of the others."""
-        if job.urgent:
-            self.jobs.appendleft(job)
-        else:
-            self.jobs.append(job)
-        return job
-
-    def configure(self, why: str) -> None:
-        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
-        self._forget(NoReply(why))
-        self.state = DriveState.UNKNOWN
-        self.submit(Job("configure", self._setup))
+    def opened(self) -> None:
+        """As AsyncioDrive.opened."""
+        self.configure("the line has just been opened")
 
     def arming(self) -> Job:
         """Zero in its set-point registers, its set-up still there, then the profile's own steps."""
         return Job("arm", (*self.plan.zero_steps(), *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
-        while self.jobs:
-            self.jobs.popleft().fail(error)
-        self._values.clear()
+        super()._forget(error)
         self._stamps_ns.clear()
         self._ways.clear()
         self._failures = 0
-        self._power_off_by_s = None
-
-    def lose(self, error: HalError) -> None:
-        """The port is gone: nothing is known of the drive."""
-        self._forget(error)
-        self.state = DriveState.UNKNOWN
 
     async def slot(self) -> None:
         """One exchange of the first job. Failures are counted, not raised; PortError passes."""
@@ -269,10 +207,6 @@ class Drive:
                 self._job_failed(job, error)
         except (Refused, DriveFault) as error:
             self._job_failed(job, error)
-
-    def _drop(self, job: Job) -> None:
-        if job in self.jobs:
-            self.jobs.remove(job)
 
     def _job_failed(self, job: Job, error: HalError) -> None:
         self._drop(job)
@@ -306,26 +240,16 @@ class Drive:
         if self.plan.profile.enabled is not None:
             self._values.pop(self.plan.profile.enabled.register, None)
 
-    def _finished(self, job: Job) -> None:
-        if job.name == "configure":
-            self._configured()
-        elif job.name == "arm":
-            self.state, self.was_enabled = DriveState.ARMED, False
-            self._may_turn, self._left_alone = True, False
-        job.finish()
+    def _armed(self) -> None:
+        super()._armed()
+        self._may_turn, self._left_alone = True, False
 
     def _configured(self) -> None:
-        self.state = DriveState.READY
-        self._epoch += 1
         self._cycles = 0
         self._failures = 0
         self._backoff.reset()
         self._may_turn = self.told_motion = False
-        if self._said_quiet:
-            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
-        else:
-            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_quiet = False
+        super()._configured()
 
     # -------------------------------------------------------------------------------- not answering
     def _failed(self, error: HalError) -> None:
@@ -333,13 +257,11 @@ class Drive:
         if self._failures >= self.tries:
             self._go_quiet(error)
 
+    def _hint(self) -> str:
+        return self._link.client.quiet_hint()
+
     def _go_quiet(self, error: HalError) -> None:
-        self._forget(error)
-        self.state = DriveState.QUIET
-        if not self._said_quiet:
-            self._said_quiet = True
-            why = "; ".join(filter(None, (str(error), self._link.client.quiet_hint())))
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+        if self._becomes_quiet(error):
             self._probes = deque(self._probe_requests())
             self._probes_at_once = len(self._probes) - 1
         self.probe_at_s = now_s() + self._probe_pause_s()
@@ -374,46 +296,18 @@ class Drive:
         self.configure(f"{self} is being configured")
 
     # ----------------------------------------------------------------------------------- stopping
-    async def quick_stop(self) -> None:
-        """Stop now, ahead of everything else; the power goes off when the wheel is at rest."""
-        self._disarmed()
-        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
-        await self._write_now("quick_stop", self.plan.profile.quick_stop)
-
-    async def power_off(self) -> None:
-        """Power off now, ahead of everything else; the next cycle writes zeros."""
-        self._disarmed()
-        self._power_off_by_s = None
-        await self._write_now("disarm", self.plan.profile.disarm)
-
     @property
     def has_stopped_itself(self) -> bool:
-        """It was left alone for so long that its watchdog has bitten: a pause of the whole process.
-        A drive that cannot say so would start again with the next set-point."""
+        """As AsyncioDrive.has_stopped_itself."""
         return self._left_alone or now_s() - self._asked_s > self._watchdog_s
 
-    @property
-    def is_stopping(self) -> bool:
-        """A quick stop was told, and the wheel has not been seen at rest since."""
-        return self._power_off_by_s is not None
-
-    def stand_down(self) -> Job:
-        """Zero from now on, power off with the next slot."""
-        self._disarmed()
-        return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
-
     def _disarmed(self) -> None:
-        """From now on every set-point of this drive is zero."""
-        if self.state is DriveState.ARMED:
-            self.state = DriveState.READY
-        for job in [job for job in self.jobs if job.name == "arm"]:
-            self._drop(job)
-            job.fail(HalError(f"{self}: stopped while it was being armed"))
+        super()._disarmed()
         self._ways.clear()
         self._forget_enabled()
 
-    async def _write_now(self, name: str, steps: Sequence[Step]) -> None:
-        """All writes at once, without waiting for slots; what is not answered becomes a job."""
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """As AsyncioDrive._write_now: from the one on that was not answered."""
         for number, step in enumerate(steps):
             if step.value is None:
                 continue
@@ -421,6 +315,5 @@ class Drive:
                 await self._write({step.register: step.value})
             except (NoReply, BadReply, Refused) as error:
                 self._failed(error)
-                if self.state is not DriveState.QUIET:
-                    self.submit(Job(name, steps[number:], urgent=True))
-                return
+                return steps[number:]
+        return ()

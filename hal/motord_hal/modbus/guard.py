@@ -23,6 +23,7 @@ import logging
 import math
 import os
 import termios
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
@@ -63,6 +64,19 @@ _PARITY = {"none": "N", "even": "E", "odd": "O"}
 
 # One failing try is no line in the log: the line says once when a drive goes quiet.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+@contextlib.contextmanager
+def keeping_cancellation() -> Iterator[None]:
+    """No cancellation gets lost in the block: pymodbus turns one into an exception of its own, and
+    asyncio.wait_for, which it uses, drops one that meets the result (before Python 3.12)."""
+    task = asyncio.current_task()
+    cancels = task.cancelling() if task else 0
+    try:
+        yield
+    finally:
+        if task and task.cancelling() > cancels:
+            raise asyncio.CancelledError
 
 
 class Strict(FramerBase):
@@ -199,12 +213,16 @@ class GuardedClient:
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = self._framer
-        try:
-            connected = await client.connect()
-        except (ValueError, termios.error) as error:
-            raise PortError(f"{self.port} does not take {baudrate} baud: {error}") from error
-        if not connected:
-            raise PortError(f"{self.port} cannot be opened: {self._why()}")
+        with contextlib.ExitStack() as undo:
+            undo.callback(client.close)
+            try:
+                with keeping_cancellation():
+                    connected = await client.connect()
+            except (ValueError, termios.error) as error:
+                raise PortError(f"{self.port} does not take {baudrate} baud: {error}") from error
+            if not connected:
+                raise PortError(f"{self.port} cannot be opened: {self._why()}")
+            undo.pop_all()
         self._client = client
         self._witness.forget()
         self._noise_bytes = 0
@@ -256,19 +274,15 @@ class GuardedClient:
             return self._answer(request)
 
     async def _transmit(self, request: Request, within_s: float) -> None:
-        """Let pymodbus talk. What came of it is in the framer, so its own verdict is not needed;
-        only a cancellation must not get lost in it."""
-        task = asyncio.current_task()
-        cancels = task.cancelling() if task else 0
+        """Let pymodbus talk. What came of it is in the framer, so its own verdict is not needed."""
         limit_s = self.wire_time_s(len(build_request(request))) + within_s
         self._sent_s = now_s()
-        with contextlib.suppress(TimeoutError, ModbusException, SerialException):
+        with (
+            keeping_cancellation(),
+            contextlib.suppress(TimeoutError, ModbusException, SerialException),
+        ):
             async with asyncio.timeout(limit_s):
                 await self._send(request)
-        # pymodbus turns a cancellation into an exception of its own, and asyncio.wait_for (before
-        # Python 3.12) drops one that meets the reply.
-        if task and task.cancelling() > cancels:
-            raise asyncio.CancelledError
 
     async def _send(self, request: Request) -> None:
         client = self._client

@@ -8,7 +8,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from motord_hal.drives.profile import Channel, DriveProfile, Register, Step
+from motord_hal.drives.profile import DriveProfile, Register, Step
+from motord_hal.engine.job import kept_registers
+from motord_hal.engine.plan import REST, Plan, Reading, Wanted, of_kind
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -17,7 +19,6 @@ from motord_hal.modbus.codec import (
     build_request,
     reply_bytes,
 )
-from motord_hal.modbus.job import kept_registers
 from motord_hal.ports import JointSpec
 
 EXTRA_EVERY_CYCLES = 4
@@ -59,19 +60,6 @@ class CyclicExchange:
     """What its reply says; None: nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
-
-    count: int
-    velocity_rad_s: float
-    current_a: float
-    voltage_v: float
-    temperature_c: float
-    enabled: bool | None
-    fault_word: int
-
-
 def wanted_registers(
     profile: DriveProfile, joints: Iterable[JointSpec]
 ) -> tuple[list[Register], list[Register]]:
@@ -90,13 +78,11 @@ def wanted_registers(
     )
 
 
-class DrivePlan:
+class DrivePlan(Plan):
     """One unit with one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
-        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
-        self.profile: DriveProfile = self.joints[0].profile
-        self.unit = self.joints[0].unit
+        super().__init__(joints)
         self._gap_s = gap_s
         self._wire_time_s = wire_time_s
         fast, slow = wanted_registers(self.profile, self.joints)
@@ -107,9 +93,6 @@ class DrivePlan:
         ways = (self.channel(joint).direction for joint in self.joints)
         self.rests = {way.register: way.rest for way in ways if way is not None}
         """Direction register → the value that means neither way."""
-
-    def channel(self, joint: JointSpec) -> Channel:
-        return self.profile.channels[joint.channel]
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
         """Few requests: a hole of known registers is read along where that is faster."""
@@ -188,35 +171,13 @@ class DrivePlan:
             and len(write.values) <= min(READ_WRITE_WRITE_REGISTERS_MAX, most)
         )
 
-    def setpoints(self, wanted: Mapping[int, tuple[float, float]]) -> dict[str, int]:
-        """Register → raw for the set-points; joint index → (wheel rad/s, duty). What is missing,
-        NaN or infinite is zero. Directions are left to `directions`."""
-        raw = {}
-        for joint in self.joints:
-            channel = self.channel(joint)
-            sign = -1.0 if joint.inverted else 1.0
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            name, value = channel.velocity_setpoint, velocity_rad_s * joint.gear_ratio * sign
-            if name is None:
-                name, value = channel.duty_setpoint, duty * sign
-            assert name is not None  # check.py: exactly one of the two is there
-            if not math.isfinite(value):
-                value = 0.0
-            if channel.direction is not None:
-                value = abs(value)
-            raw[name] = self.profile.registers[name].from_si(value)
-            raw.update(channel.setpoint_with)
-        return raw
-
     def zero_steps(self) -> tuple[Step, ...]:
         """Writes that leave zero in the set-point registers, one by one, and let the drive know."""
         zeros = [Step(register=self.channel(joint).setpoint, value=0) for joint in self.joints]
         obey = (pair for joint in self.joints for pair in self.channel(joint).setpoint_with)
         return (*zeros, *(Step(register=name, value=raw, verify=False) for name, raw in obey))
 
-    def directions(
-        self, wanted: Mapping[int, tuple[float, float]], raw: Mapping[str, int]
-    ) -> dict[str, int]:
+    def directions(self, wanted: Wanted, raw: Mapping[str, int]) -> dict[str, int]:
         """Direction register → raw for the same set-points; rest where the magnitude is zero."""
         ways = {}
         for joint in self.joints:
@@ -224,9 +185,7 @@ class DrivePlan:
             if channel.direction is None:
                 continue
             name = channel.setpoint
-            velocity_rad_s, duty = wanted.get(joint.index, (0.0, 0.0))
-            value = velocity_rad_s if channel.velocity_setpoint else duty
-            forward = (value > 0) != joint.inverted
+            forward = (of_kind(channel, wanted.get(joint.index, REST)) > 0) != joint.inverted
             way = channel.direction.forward if forward else channel.direction.reverse
             ways[channel.direction.register] = way if raw[name] else channel.direction.rest
         return ways
@@ -258,13 +217,6 @@ class DrivePlan:
         if name is None or name not in values:
             return math.nan
         return self.profile.registers[name].to_si(values[name])
-
-    def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot say, or has not been asked yet."""
-        said = self.profile.enabled
-        if said is None or said.register not in values:
-            return None
-        return values[said.register] & said.mask == said.equals
 
     def cycle_time_s(self) -> float:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive

@@ -11,6 +11,7 @@ connection, so that no old set-point ever reaches a drive.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import fcntl
 import math
 import socket
@@ -25,7 +26,13 @@ from pymodbus.pdu import ModbusPDU
 from motord_hal.clock import now_s, sleep_until_s
 from motord_hal.errors import NoReply, PortError, Refused
 from motord_hal.modbus.codec import BROADCAST_UNIT, Request, seal
-from motord_hal.modbus.guard import Answer, GuardedClient, Strict, StrictFramer
+from motord_hal.modbus.guard import (
+    Answer,
+    GuardedClient,
+    Strict,
+    StrictFramer,
+    keeping_cancellation,
+)
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import LineSpec
 
@@ -114,17 +121,17 @@ class GatewayClient(GuardedClient):
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = framer
-        connected = False
-        try:
-            async with asyncio.timeout(CONNECT_WITHIN_S):
-                connected = await client.connect()
-        except TimeoutError:
-            raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None
-        finally:
+        with contextlib.ExitStack() as undo:
+            undo.callback(client.close)
+            try:
+                with keeping_cancellation():
+                    async with asyncio.timeout(CONNECT_WITHIN_S):
+                        connected = await client.connect()
+            except TimeoutError:
+                raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None
             if not connected:
-                client.close()
-        if not connected:
-            raise PortError(f"{self.port} cannot be reached: no such host, or nobody listens")
+                raise PortError(f"{self.port} cannot be reached: no such host, or nobody listens")
+            undo.pop_all()
         self._client, self._framer = client, framer
         self._silent_since_s = math.inf
         self._last_byte_s = now_s()

@@ -8,28 +8,25 @@ import asyncio
 import os
 from collections.abc import Iterator
 
-from motord_hal.clock import now_ns, now_s
+from motord_hal.clock import now_s
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.encoder.board import CountingBoard
+from motord_hal.engine.line import LineTask
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.ports import (
     SETPOINT_TIMEOUT_S,
     BoardEncoder,
     DriveState,
     EventKind,
-    LineEvent,
     LineSpec,
     LineState,
     LineStats,
     Listener,
 )
 from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
-from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
 from motord_hal.rt_pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Wish
 
-REOPEN_FIRST_S = 0.1
-REOPEN_LIMIT_S = 2.0
 STOPPING_S = 0.3
 """A quick stop brakes for so long, then the power goes off."""
 OBEYED_WITHIN_S = 1.0
@@ -40,26 +37,23 @@ AT_ENCODER = -2
 FAULT_WORDS = ("the bridge says fault",)
 
 
-class PwmLine:
+class PwmLine(LineTask):
     """ports.Line for `kind = "pwm"`, engine "rt". Nobody can see whether a bridge is there: its
     drives are as present as their pins are."""
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
-        self.spec = spec
+        super().__init__(spec, listener)
         for number, joint in enumerate(spec.joints):
             try:
                 places_of(number, joint)
             except ValueError as error:
                 raise HalError(f"{spec.name}: joint {joint.name}: {error}") from error
         self._exchange = exchange
-        self._listener = listener
         self._names = tuple(joint.name for joint in spec.joints)
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
         self._seen = BridgeReport()
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
-        self._said_lost = False
-        self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
         self._stats = LineStats()
         self._epoch = 0
         self._started_s = 0.0
@@ -98,11 +92,9 @@ class PwmLine:
             self._stats.errors = {kind: count for kind, count in errors.items() if count}
             span_s = now_s() - self._started_s
             self._stats.cycle_hz = report.cycles / span_s if span_s > 0 else 0.0
+        self._stats.reopened = self._reopened
         self._stats.wire_limit_hz = self.spec.cycle_hz
         return self._stats
-
-    def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
-        self._listener(LineEvent(kind, self.spec.name, joints, text))
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
@@ -110,7 +102,7 @@ class PwmLine:
         async with asyncio.TaskGroup() as tasks:
             for board in self._boards:
                 tasks.create_task(board.run())
-            await self._run_pins()
+            await super().run()
 
     def _counting_boards(self) -> Iterator[CountingBoard]:
         """One for each port that encoders of this line hang on."""
@@ -128,35 +120,10 @@ class PwmLine:
 
             yield CountingBoard(encoders[port], wheels, self._thread.tell, say)
 
-    async def _run_pins(self) -> None:
-        try:
-            while True:
-                await self._open()
-                self._lose(await self._attend())
-        finally:
-            try:
-                await self._shut_down()
-            finally:
-                self._close()
-
-    async def _open(self) -> None:
-        while True:
-            if self._said_lost:
-                await asyncio.sleep(self._backoff.next_s())
-            try:
-                pins = await open_pins(self.spec)
-                self._start(pins)
-                break
-            except HalError as error:
-                self._lose(error)
-        self._stats.reopened += self._said_lost
-        self._said_lost = False
-        self._backoff.reset()
-        pins_there = f"{len(pins.pins)} pins"
-        self._say(EventKind.LINE_OPEN, self._names, f"{self.spec.name} has its {pins_there}")
-        self._say(EventKind.DRIVE_READY, self._names, f"{', '.join(self._names)}: no power")
-        if pins.doubt:
-            self._say(EventKind.DRIVE_WARNING, self._names, f"{self.spec.name}: {pins.doubt}")
+    async def _open_medium(self) -> str:
+        pins = await open_pins(self.spec)
+        self._start(pins)
+        return f"{self.spec.name} has its {len(pins.pins)} pins"
 
     def _start(self, pins: OpenPins) -> None:
         self._epoch += 1
@@ -194,14 +161,16 @@ class PwmLine:
             pins=pins.pins,
         )
 
-    async def _attend(self) -> PortError:
+    async def _work(self) -> None:
         """Say what changes, until the pins are gone."""
-        while True:
-            report = self._thread.report()
-            if not report.running:
-                return PortError(self._what_failed(report))
+        self._backoff.reset()
+        self._say_all(EventKind.DRIVE_READY, f"{', '.join(self._names)}: no power")
+        if self._pins is not None and self._pins.doubt:
+            self._say_all(EventKind.DRIVE_WARNING, f"{self.spec.name}: {self._pins.doubt}")
+        while (report := self._thread.report()).running:
             self._note(report)
             await asyncio.sleep(WATCH_EVERY_S)
+        raise PortError(self._what_failed(report))
 
     def _what_failed(self, report: BridgeReport) -> str:
         names = self._pins.names if self._pins else []
@@ -216,7 +185,7 @@ class PwmLine:
         if report.demoted and report.demoted != before.demoted and not report.armed:
             why = ", ".join(str(flag.name).lower().replace("_", " ") for flag in report.demoted)
             text = f"{', '.join(self._names)}: stopped: set-points {why}"
-            self._say(EventKind.DRIVE_WARNING, self._names, text)
+            self._say_all(EventKind.DRIVE_WARNING, text)
         masks = self._pins.fault_masks if self._pins else []
         for joint, mask in zip(self._names, masks, strict=False):
             words = FAULT_WORDS if report.active_inputs & mask else ()
@@ -225,13 +194,7 @@ class PwmLine:
                 kind = EventKind.DRIVE_FAULT if words else EventKind.DRIVE_FAULT_GONE
                 self._say(kind, (joint,), f"{joint}: {words[0] if words else 'no fault any more'}")
 
-    def _lose(self, error: HalError) -> None:
-        self._close()
-        if not self._said_lost:
-            self._said_lost = True
-            self._say(EventKind.LINE_LOST, self._names, f"{self.spec.name}: {error}")
-
-    def _close(self) -> None:
+    def _close_medium(self) -> None:
         if self._pins is not None:
             self._thread.stop()
             self._pins.close()
@@ -239,8 +202,6 @@ class PwmLine:
 
     async def _shut_down(self) -> None:
         """Brake, then no power; the thread's last words are those in any case."""
-        if self._pins is None:
-            return
         self._thread.wish(Wish.STOP)
         until_s = now_s() + STOPPING_S + OBEYED_WITHIN_S / 10
         await asyncio.sleep(2 / self.spec.cycle_hz)
@@ -256,9 +217,7 @@ class PwmLine:
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
-        newest = self._exchange.take_setpoints(self.spec.index)
-        if newest.stamp_ns <= 0 or now_ns() - newest.stamp_ns > SETPOINT_TIMEOUT_S * 1e9:
-            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
+        self._check_fresh(self._exchange.take_setpoints(self.spec.index).stamp_ns)
         armed = False
         try:
             armed = (await self._obeyed(Wish.ARMED)).armed
@@ -307,5 +266,5 @@ class PwmLine:
         raise LookupError(f'{self.spec.name} has no joint "{joint}"')
 
     def _check_open(self) -> None:
-        if self._pins is None:
+        if not self._is_open:
             raise PortError(f"{self.spec.name} has not got its pins")

@@ -8,8 +8,8 @@ from typing import Any
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import Say
 from motord_hal.mcu import board
-from motord_hal.modbus.faults import Say
 from motord_hal.ports import LineSpec
 from motord_hal.rt_board import BoardThread
 from motord_hal.rt_engine.board_jobs import BoardJobs

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import os
-import termios
 from collections import Counter
 
 from motord_hal.ascii.dialect import text_bytes
-from motord_hal.errors import HalError, NoReply, PortError, ProfileError
+from motord_hal.engine.parameter import readable
+from motord_hal.engine.units import joints_by_unit
+from motord_hal.errors import NoReply, PortError, ProfileError
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import period_s, wire_limit_hz
-from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.modbus.units import joints_by_unit
 from motord_hal.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
 from motord_hal.rt import Exchange
 from motord_hal.rt_board import BoardReport, BoardThread, check_table
@@ -50,7 +49,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._port: OpenPort | None = None
         self._wire_limit_hz = wire_limit_hz(spec, size_bytes)
         self._errors: Counter[str] = Counter()
-        self._exchanges = self._cycles = self._reopened = 0
+        self._exchanges = self._cycles = 0
         self._round_trips = RoundTrips()
         self._epoch = 0
         """What comes after a reopening is new, though its counters may look alike."""
@@ -63,7 +62,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             exchanges=self._exchanges,
             cycles=self._cycles,
             reopened=self._reopened,
-            errors=dict(self._errors),
+            errors=dict(self._counted()),
             wire_limit_hz=self._wire_limit_hz,
             round_trip=self._round_trips,
         )
@@ -72,14 +71,18 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             stats.exchanges += report.received
             stats.cycles += report.cycles
             stats.cycle_hz = 1e9 / report.cycle_ns if report.cycle_ns else 0.0
-            stats.errors = dict(self._errors + _errors(report))
+            stats.errors = dict(self._counted() + _errors(report))
             stats.round_trip = self._thread.round_trips()
         return stats
 
-    # ------------------------------------------------------------------------------- its own medium
+    def _counted(self) -> Counter[str]:
+        """By earlier threads, and by the line itself."""
+        return self._errors + Counter({"port": self._losses})
+
+    # --------------------------------------------------------------------------------- its own port
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
-        termios.tcflush(self._port.fd, termios.TCIOFLUSH)
+        self._port.flush()
         self._thread.start(
             self._table | {"imu": self._table["imu"] | {"epoch": self._reopened}},
             fd=self._port.fd,
@@ -91,8 +94,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._report = self._thread.report()
         return self._port.facts
 
-    def _close_medium(self, error: HalError) -> None:
-        del error  # jobs see it by their tasks' end
+    def _close_port(self) -> None:
         if self._report is not None:
             last = self._thread.report()
             self._exchanges += last.received
@@ -103,12 +105,6 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         if self._port is not None:
             self._port.close()
             self._port = None
-
-    def _count_lost(self) -> None:
-        self._errors["port"] += 1
-
-    def _count_reopened(self) -> None:
-        self._reopened += 1
 
     def _ended(self, report: BoardReport) -> PortError | None:
         if not report.running:
@@ -133,14 +129,6 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         if raw is None:
             raise NoReply(f"{drive} has not said its {register}")
         return found.to_si(raw)
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        drive = self._drive_of(joint)
-        steps = write_steps(drive.jobs.profile, register, value)
-        self._check_open()
-        await drive.jobs.run("write", steps)
-        return drive.jobs.profile.registers[register].to_si(steps[0].value or 0)
 
 
 def _wire_bytes(spec: LineSpec, plan: DrivePlan) -> int:

@@ -14,10 +14,10 @@ from typing import Any
 
 from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
 from motord_hal.drives.profile import DriveProfile, Register, Step
+from motord_hal.engine.job import configure_steps, watchdog_time_s
 from motord_hal.errors import ProfileError
 from motord_hal.mcu.board import QUIET_ALLOWANCE_S
 from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_bytes
-from motord_hal.modbus.job import configure_steps, watchdog_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
 from motord_hal.rt_engine import board_text

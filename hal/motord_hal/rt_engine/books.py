@@ -13,15 +13,11 @@ class Books:
     """What earlier threads counted, and what the present one does."""
 
     def __init__(self, wire_limit_hz: float) -> None:
-        self.reopened = 0
         self._wire_limit_hz = wire_limit_hz
         self._exchanges = 0
         self._cycles = 0
         self._errors: dict[str, int] = {}
         self._round_trip = RoundTrips()
-
-    def count_port_error(self) -> None:
-        self._errors["port"] = self._errors.get("port", 0) + 1
 
     def close(self, thread: LineThread) -> None:
         """The thread has ended: keep what it counted."""
@@ -32,11 +28,10 @@ class Books:
         self._round_trip = thread.round_trips()
 
     def stats(self, report: LineReport | None, thread: LineThread) -> LineStats:
-        """`report`: None where no thread runs."""
+        """Without what the line counts itself. `report`: None where no thread runs."""
         stats = LineStats(
             exchanges=self._exchanges,
             cycles=self._cycles,
-            reopened=self.reopened,
             errors=dict(self._errors),
             wire_limit_hz=self._wire_limit_hz,
             round_trip=self._round_trip,

@@ -9,7 +9,8 @@ from typing import Any
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
-from motord_hal.modbus.faults import Say
+from motord_hal.engine.faults import Say
+from motord_hal.engine.job import Job
 from motord_hal.ports import LineSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt_can import CanThread
@@ -90,3 +91,9 @@ class CanRtDrive(RtDrive):
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
         await super().enable()
+
+    async def write_register(self, register: str, steps: Sequence[Step]) -> float:
+        """As RtDrive.write_register: what the drive has read back."""
+        job = Job("write", steps)
+        await self.jobs.finish(job)
+        return self.profile.registers[register].to_si(job.raw)

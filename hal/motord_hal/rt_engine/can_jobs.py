@@ -12,8 +12,8 @@ from motord_hal.can.plan import CanPlan, with_cycle
 from motord_hal.clock import NS_PER_S, now_ns, now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
+from motord_hal.engine.job import Job
 from motord_hal.errors import HalError, NoReply
-from motord_hal.modbus.job import Job
 from motord_hal.rt_can import CanDriveReport, CanThread
 from motord_hal.rt_engine.can_table import packet, write
 from motord_hal.rt_engine.jobs import Check, always

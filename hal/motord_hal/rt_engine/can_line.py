@@ -12,10 +12,9 @@ from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import CanPlan
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
-from motord_hal.errors import HalError, PortError, ProfileError
-from motord_hal.modbus.job import Job
-from motord_hal.modbus.parameter import readable, write_steps
-from motord_hal.modbus.units import joints_by_unit
+from motord_hal.engine.job import Job
+from motord_hal.engine.units import joints_by_unit
+from motord_hal.errors import PortError, ProfileError
 from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
@@ -60,7 +59,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._bus_off = BusOffWatch(spec.port)
         self._errors: Counter[str] = Counter()
         self._warnings = BusWarnings()
-        self._frames = self._cycles = self._reopened = 0
+        self._frames = self._cycles = 0
         self._before = {"epoch": 0, "may_turn": 0}
         """What comes after a reopening is new, though its counters may look alike; and who was
         armed may turn still."""
@@ -103,8 +102,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._report = self._thread.report()
         return ()
 
-    def _close_medium(self, error: HalError) -> None:
-        del error  # jobs see it by their tasks' end
+    def _close_port(self) -> None:
         if self._report is not None:
             last = self._thread.report()
             self._frames += last.received
@@ -117,12 +115,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         if self._bus is not None:
             self._bus.close()
             self._bus = None
-
-    def _count_lost(self) -> None:
-        """What loses a bus is counted by its kind."""
-
-    def _count_reopened(self) -> None:
-        self._reopened += 1
 
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
@@ -174,23 +166,11 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
         the next one that comes."""
         jobs = self._drive_of(joint).jobs
-        found = readable(jobs.profile, register)
-        frame = jobs.plan.read_frame_of(register)
-        if not frame.period_s and not frame.ask:
-            raise LookupError(f"{register}: the drive neither sends it nor can be asked for it")
+        found = jobs.plan.readable(register)
         self._check_open()
         job = Job("read", (Step(register=register, mask=0, equals=0),))
         await jobs.finish(job)
         return found.to_si(job.raw)
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        jobs = self._drive_of(joint).jobs
-        steps = write_steps(jobs.profile, register, value)
-        self._check_open()
-        job = Job("write", steps)
-        await jobs.finish(job)
-        return jobs.profile.registers[register].to_si(job.raw)
 
 
 def _errors(report: CanReport) -> Counter[str]:

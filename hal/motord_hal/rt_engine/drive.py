@@ -15,9 +15,9 @@ from typing import Any, Protocol
 
 from motord_hal.clock import NS_PER_S, now_ns
 from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.errors import HalError, PortError
-from motord_hal.modbus.faults import FaultWatch, Say
-from motord_hal.modbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.ports import DriveState, EventKind, JointSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt_engine.asks import exception_text
@@ -57,6 +57,8 @@ class DriveSays(Protocol):
     def demoted(self) -> Demoted: ...
     @property
     def wish_seen(self) -> int: ...
+    @property
+    def stopping(self) -> bool: ...
     @property
     def cycles(self) -> int: ...
     @property
@@ -134,6 +136,10 @@ class RtDrive(abc.ABC):
 
     # --------------------------------------------------------------------------------- what it is
     @property
+    def profile(self) -> DriveProfile:
+        return self._jobs.profile
+
+    @property
     def mode(self) -> Mode:
         return Mode.OFF if self._report is None else self._report.mode
 
@@ -142,6 +148,11 @@ class RtDrive(abc.ABC):
         state = _STATES[self.mode]
         failed = state is DriveState.UNKNOWN and self._failed_setup
         return DriveState.QUIET if failed else state
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._report is not None and self._report.stopping
 
     def lose(self, error: HalError) -> None:
         """The line is gone: nothing is known of the drive."""
@@ -262,6 +273,11 @@ class RtDrive(abc.ABC):
         await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+
+    async def write_register(self, register: str, steps: Sequence[Step]) -> float:
+        """Steps that write it and read it back; what is in force then. Raises HalError."""
+        await self._jobs.run("write", steps)
+        return self.profile.registers[register].to_si(steps[0].value or 0)
 
     async def clear_faults(self) -> None:
         """Power off, then the profile's steps. Raises DriveFault if a fault stays."""

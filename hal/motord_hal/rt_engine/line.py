@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import os
 
+from motord_hal.engine.parameter import readable
 from motord_hal.errors import HalError, PortError, ProfileError
-from motord_hal.modbus.parameter import readable, write_steps
 from motord_hal.ports import LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
 from motord_hal.rt_engine.asks import Asks
@@ -60,7 +60,11 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment."""
         report = None if self._report is None else self._thread.report()
-        return self._books.stats(report, self._thread)
+        stats = self._books.stats(report, self._thread)
+        stats.reopened = self._reopened
+        if self._losses:
+            stats.errors["port"] = self._losses
+        return stats
 
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
@@ -82,7 +86,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             return ""
         return self._witness.hint(self._port.fd, self._report.noise_bytes)
 
-    def _close_medium(self, error: HalError) -> None:
+    def _close_port(self) -> None:
         if self._report is not None:
             drives = self._thread.report().drives
             self._may_turn = sum(one.may_turn << n for n, one in enumerate(drives))
@@ -90,13 +94,10 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         if self._port is not None:
             self._port.close()
             self._port = None
+
+    def _close(self, error: HalError) -> None:
+        super()._close(error)
         self._asks.lose(error)
-
-    def _count_lost(self) -> None:
-        self._books.count_port_error()
-
-    def _count_reopened(self) -> None:
-        self._books.reopened += 1
 
     def _ended(self, report: LineReport) -> PortError | None:
         if not report.running:
@@ -120,11 +121,3 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         found = readable(drive.jobs.profile, register)
         self._check_open()
         return found.to_si(await drive.jobs.read(register))
-
-    async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
-        drive = self._drive_of(joint)
-        steps = write_steps(drive.jobs.profile, register, value)
-        self._check_open()
-        await drive.jobs.run("write", steps)
-        return drive.jobs.profile.registers[register].to_si(steps[0].value or 0)

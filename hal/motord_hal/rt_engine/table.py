@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
+from motord_hal.engine.job import configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.codec import character_bits
-from motord_hal.modbus.job import configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.ports import SETPOINT_TIMEOUT_S, Echo, JointSpec, LineSpec

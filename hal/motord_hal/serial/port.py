@@ -34,6 +34,13 @@ class OpenPort:
     facts: tuple[str, ...] = ()
     """What the user should know of this port, in sentences."""
 
+    def flush(self) -> None:
+        """Throw away what came, or was to go, before now. Raises PortError."""
+        try:
+            termios.tcflush(self.fd, termios.TCIOFLUSH)
+        except termios.error as error:
+            raise PortError(f"{self.path} went away: {error}") from error
+
     def close(self) -> None:
         os.close(self.fd)
         if self.de_fd >= 0:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
-from motord_hal.modbus.job import read_back
+from motord_hal.engine.job import read_back
 
 
 def readable(profile: DriveProfile, name: str) -> Register:

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive of a line in asyncio: its state, its jobs, and what takes it back to rest.
+
+How its words go over the wire is its line kind's.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections import deque
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+from motord_hal.clock import now_s
+from motord_hal.drives.profile import Step
+from motord_hal.engine.faults import FaultWatch, Say
+from motord_hal.engine.job import Job
+from motord_hal.engine.line import PRESENT
+from motord_hal.engine.plan import Plan, Reading
+from motord_hal.errors import HalError, NoReply
+from motord_hal.ports import DriveState, EventKind, JointSpec
+from motord_hal.rt import Exchange
+
+STOPPING_WITHIN_S = 1.0
+"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
+REST_VELOCITY_RAD_S = 0.1
+
+AnyPlan = TypeVar("AnyPlan", bound=Plan, covariant=True)
+
+
+class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
+    """State of one drive. All its methods run in the event loop; only those that the line's task
+    calls send."""
+
+    def __init__(
+        self,
+        plan: AnyPlan,
+        exchange: Exchange,
+        say: Say,
+        *,
+        setup: tuple[Step, ...],
+        watchdog_s: float,
+    ) -> None:
+        self.plan = plan
+        self.state = DriveState.UNKNOWN
+        self.jobs: deque[Job] = deque()
+        self.names = tuple(joint.name for joint in plan.joints)
+        self.tries = max(joint.tries for joint in plan.joints)
+        self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
+        self.was_enabled = False
+        """Set-points were enabled since it was armed: the next disable takes its power."""
+        self.told_motion = False
+        """It was sent set-points that are not zero, and has not been sent zero since, as far as
+        its wire can tell."""
+        self._exchange = exchange
+        self._say = say
+        self._setup = setup
+        self._watchdog_s = watchdog_s
+        self._values: dict[str, int] = {}
+        """Register → the newest raw value."""
+        self._epoch = 0
+        self._said_quiet = False
+        self._still_enabled = 0
+        self._power_off_by_s: float | None = None
+
+    # --------------------------------------------------------------------------------- its own wire
+    @abc.abstractmethod
+    def opened(self) -> None:
+        """The medium is there: nothing is known of the drive yet."""
+
+    @property
+    @abc.abstractmethod
+    def has_stopped_itself(self) -> bool:
+        """It was told nothing for so long that its watchdog has bitten, if it has one: a pause of
+        the whole process. One that cannot say so would start again with the next set-point."""
+
+    @abc.abstractmethod
+    def arming(self) -> Job:
+        """Zero in its set-points, then the profile's own steps."""
+
+    @abc.abstractmethod
+    async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """All writes at once, ahead of all jobs. Returns those that have to be told again. Raises
+        PortError."""
+
+    # ---------------------------------------------------------------------------------- what it is
+    @property
+    def is_cycled(self) -> bool:
+        """Each cycle tells it its set-points."""
+        return self.state in PRESENT
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._power_off_by_s is not None
+
+    def lose(self, error: HalError) -> None:
+        """The medium is gone: nothing is known of the drive."""
+        self._forget(error)
+        self.state = DriveState.UNKNOWN
+
+    def _forget(self, error: HalError) -> None:
+        while self.jobs:
+            self.jobs.popleft().fail(error)
+        self._values = {}
+        self._power_off_by_s = None
+
+    def _hint(self) -> str:
+        """What else could be the reason for its silence, as its medium shows it."""
+        return ""
+
+    def _becomes_quiet(self, error: HalError) -> bool:
+        """Nothing is heard of it. Returns whether that is new, and was said."""
+        self._forget(error)
+        self.state = DriveState.QUIET
+        if self._said_quiet:
+            return False
+        self._said_quiet = True
+        why = "; ".join(filter(None, (str(error), self._hint())))
+        self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+        return True
+
+    # -------------------------------------------------------------------------------- what it says
+    def _put_feedback(self, joint: JointSpec, reading: Reading, stamp_ns: int) -> None:
+        """To the core; what it complains of is said."""
+        faults = self.faults[joint.name]
+        faults.update(reading.fault_word)
+        self._exchange.put_feedback(
+            joint.index,
+            stamp_ns=stamp_ns,
+            count=reading.count,
+            velocity_rad_s=reading.velocity_rad_s,
+            current_a=reading.current_a,
+            voltage_v=reading.voltage_v,
+            temperature_c=reading.temperature_c,
+            epoch=self._epoch,
+            enabled=reading.enabled,
+            drive_faults=faults.stopping,
+        )
+
+    def _lost_its_power(self) -> None:
+        """It was armed, and says that it is not enabled."""
+        text = f"{self} is not enabled any more: set up again, disarmed"
+        self._say(EventKind.DRIVE_WARNING, self.names, text)
+        self.configure(text)
+
+    def _check_no_power(self, enabled: bool | None) -> None:
+        """Nobody armed it, so it shall not be enabled: a power-off was lost or refused."""
+        if self.state is not DriveState.READY or enabled is False:
+            self._still_enabled = 0
+        elif enabled and not self.jobs and not self.is_stopping:
+            self._still_enabled += 1
+            if self._still_enabled == self.tries:
+                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
+                self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self._take_power()
+
+    def _end_stopping(self, *, at_rest: bool) -> None:
+        """The power goes off at the end of a quick stop."""
+        if self._power_off_by_s is not None and (at_rest or now_s() > self._power_off_by_s):
+            self._power_off_by_s = None
+            self._take_power()
+
+    def _take_power(self) -> None:
+        """It shall have none, and nobody waits for that."""
+        self._submit_power_off()
+
+    # ------------------------------------------------------------------------------------ its jobs
+    def submit(self, job: Job) -> Job:
+        """Queue a job; an urgent one goes ahead of the others."""
+        if job.urgent:
+            self.jobs.appendleft(job)
+        else:
+            self.jobs.append(job)
+        return job
+
+    def _submit_power_off(self) -> Job:
+        return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
+
+    def configure(self, why: str) -> None:
+        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
+        self._forget(NoReply(why))
+        self.state = DriveState.UNKNOWN
+        self.submit(Job("configure", self._setup))
+
+    def _drop(self, job: Job) -> None:
+        if job in self.jobs:
+            self.jobs.remove(job)
+
+    def _finished(self, job: Job) -> None:
+        if job.name == "configure":
+            self._configured()
+        elif job.name == "arm":
+            self._armed()
+        job.finish()
+
+    def _configured(self) -> None:
+        self.state = DriveState.READY
+        self._epoch += 1
+        if self._said_quiet:
+            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
+        else:
+            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
+        self._said_quiet = False
+
+    def _armed(self) -> None:
+        self.state, self.was_enabled = DriveState.ARMED, False
+
+    # ------------------------------------------------------------------------------------ stopping
+    async def quick_stop(self) -> None:
+        """Stop now, ahead of everything else; the power goes off when the wheel is at rest. Of the
+        line's task. Raises PortError."""
+        self._disarmed()
+        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
+        await self._tell_now("quick_stop", self.plan.profile.quick_stop)
+
+    async def power_off(self) -> None:
+        """Power off now, ahead of everything else. Of the line's task. Raises PortError."""
+        self._powerless()
+        await self._tell_now("disarm", self.plan.profile.disarm)
+
+    async def tell_power_off(self) -> bool:
+        """As power_off, but only once. False: not all of it got through."""
+        self._powerless()
+        return not await self._write_now(self.plan.profile.disarm)
+
+    async def _tell_now(self, name: str, steps: Sequence[Step]) -> None:
+        """What does not get through becomes a job, but for a drive that is not heard: that one is
+        probed."""
+        left = await self._write_now(steps)
+        if left and self.state is not DriveState.QUIET:
+            self.submit(Job(name, left, urgent=True))
+
+    def _powerless(self) -> None:
+        """It is told to have no power, whether it was stopping or not."""
+        self._disarmed()
+        self._power_off_by_s = None
+
+    def stand_down(self) -> Job:
+        """Zero from now on, power off with the next slot. Of any task."""
+        self._disarmed()
+        return self._submit_power_off()
+
+    def _disarmed(self) -> None:
+        """From now on every set-point of this drive is zero."""
+        if self.state is DriveState.ARMED:
+            self.state = DriveState.READY
+        for job in [job for job in self.jobs if job.name == "arm"]:
+            self._drop(job)
+            job.fail(HalError(f"{self}: stopped while it was being armed"))

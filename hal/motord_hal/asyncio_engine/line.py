@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A line whose cycle runs in asyncio: when it begins, what it obeys, how it ends.
+
+One task sends, for all drives. What a kind of line has of its own is its wire: how it is opened,
+what a cycle says on it, and how long a job takes there.
+"""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+from collections.abc import Sequence
+from typing import TypeVar
+
+from motord_hal.asyncio_engine.drive import AsyncioDrive
+from motord_hal.asyncio_engine.tally import CycleTally
+from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.drives.profile import Step
+from motord_hal.engine.job import Job, clear_steps
+from motord_hal.engine.line import DriveLine, fresh
+from motord_hal.engine.parameter import readable, write_steps
+from motord_hal.engine.plan import REST, Plan, Wanted
+from motord_hal.errors import NoReply, PortError
+from motord_hal.ports import DriveState, LineSpec, Listener
+from motord_hal.rt import Exchange
+
+SHUTDOWN_WITHIN_S = 0.5
+SHUTDOWN_STOPPING_S = 0.35
+"""So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+STOPPING_CYCLE_S = 0.01
+LOOK_EVERY_S = 0.02
+"""Between cycles: how often it is looked whether the wheels have to stop."""
+JOB_ALLOWANCE_S = 1.0
+"""Whoever waits for jobs waits so much longer than they can take on the wire: the event loop may be
+late. Nothing moves meanwhile: a drive that is not armed is told zero, or nothing."""
+
+AnyDrive = TypeVar("AnyDrive", bound=AsyncioDrive[Plan])
+
+
+class AsyncioLine(DriveLine[AnyDrive]):
+    """ports.Line, engine "asyncio"."""
+
+    deaf = "no answer"
+    """Why drives may not get their last power-off, though the medium is there."""
+    least_pause_s = 0.0
+    """Between two cycles, however late the second one is: the event loop has a turn."""
+
+    def __init__(
+        self, spec: LineSpec, exchange: Exchange, listener: Listener, period_s: float
+    ) -> None:
+        super().__init__(spec, listener)
+        self._exchange = exchange
+        self._period_s = period_s
+        self._cycles = CycleTally()
+
+    @property
+    def engine(self) -> str:
+        return "asyncio"
+
+    # --------------------------------------------------------------------------------- its own wire
+    @abc.abstractmethod
+    async def _open_wire(self) -> None:
+        """Open it, with a deadline. Raises PortError."""
+
+    @abc.abstractmethod
+    def _look(self) -> None:
+        """Before each cycle, and now and then between two: take in what has come unasked. Raises
+        PortError."""
+
+    @abc.abstractmethod
+    async def _cycle(self) -> None:
+        """Tell all drives, hear them, and let them go on with their jobs. Raises PortError."""
+
+    @abc.abstractmethod
+    async def _cycle_at_rest(self, drives: Sequence[AnyDrive]) -> None:
+        """Tell these drives zero and hear them, and let time pass. Raises PortError."""
+
+    @abc.abstractmethod
+    def _limit_s(self, jobs: Sequence[Job]) -> float:
+        """How long these jobs, begun now, take on the wire at worst."""
+
+    # ------------------------------------------------------------------------------------ the task
+    async def _open_medium(self) -> str:
+        await self._open_wire()
+        return f"{self.spec.name} is open on {self.spec.port}"
+
+    async def _work(self) -> None:
+        """Cycle for ever, once a period at most; a late cycle is not caught up. Raises
+        PortError."""
+        for drive in self._drives:
+            drive.opened()
+        due_s = now_s()
+        while True:
+            self._look()
+            self._cycles.begin()
+            await self._obey_setpoints()
+            await self._cycle()
+            due_s = max(due_s + self._period_s, now_s())
+            await self._wait_for_cycle(due_s)
+            due_s = min(due_s, now_s())
+
+    async def _wait_for_cycle(self, due_s: float) -> None:
+        """A stop does not wait for the next cycle of a slow line."""
+        await asyncio.sleep(self.least_pause_s)
+        while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
+            await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
+            self._look()
+
+    def _has_to_stop(self, drive: AnyDrive) -> bool:
+        wishes = self._wanted(drive).values()
+        return drive.is_cycled and drive.told_motion and all(wish == REST for wish in wishes)
+
+    # ------------------------------------------------------------------------------------- safety
+    def _wanted(self, drive: AnyDrive) -> Wanted:
+        """The newest set-points, or nothing at all: the drive is then told zero."""
+        newest = self._exchange.take_setpoints(self.spec.index)
+        if drive.state is not DriveState.ARMED or not newest.enabled or not fresh(newest.stamp_ns):
+            return {}
+        return {
+            joint.index: newest.joints[joint.index]
+            for joint in drive.plan.joints
+            if joint.index < len(newest.joints)
+        }
+
+    async def _obey_setpoints(self) -> None:
+        """Old set-points: quick stop. Not enabled any more: power off. Both before all else."""
+        armed = [drive for drive in self._drives if drive.state is DriveState.ARMED]
+        if not armed:
+            return
+        newest = self._exchange.take_setpoints(self.spec.index)
+        good = fresh(newest.stamp_ns)
+        for drive in armed:
+            if not good or drive.has_stopped_itself:
+                await drive.quick_stop()
+            elif newest.enabled:
+                drive.was_enabled = True
+            elif drive.was_enabled:
+                await drive.power_off()
+
+    async def _shut_down(self) -> None:
+        """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
+        # a quiet drive may hear it all the same, but it shall not keep the others waiting
+        left = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
+        why = self.deaf
+        try:
+            async with asyncio.timeout(SHUTDOWN_WITHIN_S):
+                await self._come_to_rest(left)
+                while left:
+                    for drive in list(left):
+                        if await self._switch_off(drive):
+                            left.remove(drive)
+                    await asyncio.sleep(STOPPING_CYCLE_S if left else 0.0)
+        except TimeoutError:
+            pass  # what is left is said
+        except PortError as error:
+            why = str(error)
+        self._say_left_on(left, why)
+
+    async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:
+        """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""
+        rest_by_s = now_s() + SHUTDOWN_STOPPING_S
+        for drive in drives:
+            if drive.state is DriveState.ARMED:
+                await drive.quick_stop()
+        while now_s() < rest_by_s and (turning := [one for one in drives if one.is_stopping]):
+            await self._cycle_at_rest(turning)
+
+    async def _switch_off(self, drive: AnyDrive) -> bool:
+        """Once. False: the drive has not got it, or has not said so. Raises PortError."""
+        return await drive.tell_power_off()
+
+    # ------------------------------------------------------------------------------ what is asked
+    def _setpoints_ns(self) -> int:
+        return self._exchange.take_setpoints(self.spec.index).stamp_ns
+
+    async def _arm(self, drives: Sequence[AnyDrive]) -> None:
+        await self._finish([drive.submit(drive.arming()) for drive in drives])
+
+    async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
+        await self._finish([drive.stand_down() for drive in drives])
+
+    async def _clear(self, drives: Sequence[AnyDrive]) -> None:
+        jobs = []
+        for drive in drives:
+            drive.stand_down()
+            jobs.append(drive.submit(Job("clear", clear_steps(drive.plan.profile))))
+        await self._finish(jobs)
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register."""
+        drive = self._drive_of(joint)
+        found = readable(drive.plan.profile, register)
+        self._check_open()
+        job = drive.submit(Job("read", (Step(register=register, mask=0, equals=0),)))
+        await self._finish([job])
+        return found.to_si(job.raw)
+
+    async def write_register(self, joint: str, register: str, value: float) -> float:
+        """As ports.Line.write_register."""
+        drive = self._drive_of(joint)
+        steps = write_steps(drive.plan.profile, register, value)
+        self._check_open()
+        job = drive.submit(Job("write", steps))
+        await self._finish([job])
+        return drive.plan.profile.registers[register].to_si(job.raw)
+
+    async def _finish(self, jobs: Sequence[Job]) -> None:
+        """Wait for all; raise the first HalError, or NoReply when it takes too long. Who gives up
+        waiting withdraws them, but for urgent ones: power goes off whoever waits for it."""
+        limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
+        waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
+        try:
+            async with asyncio.timeout(limit_s):
+                results = await asyncio.gather(*waits, return_exceptions=True)
+        except TimeoutError:
+            what = f"{self.spec.name}: {jobs[0].name}"
+            raise NoReply(f"{what} was not done in {limit_s:.1f} s") from None
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result

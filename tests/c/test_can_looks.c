@@ -1,0 +1,130 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio is told, and an end with several drives. */
+#include "can_wire.h"
+
+static void begin_with_a_slow_cycle(void)
+{
+    begin_with(3);
+    w.table.period_ns = 1000 * MS;
+    for (uint32_t i = 0; i < 3; i++) {
+        table_of(i)->watchdog_ns = 0;
+    }
+    restart();
+}
+
+static int64_t next_look_ns(void)
+{
+    step();
+    return w.wake_ns - w.now_ns;
+}
+
+static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(void)
+{
+    begin_with_a_slow_cycle();
+    go_on(20 * MS);
+    CHECK(next_look_ns() == 20 * MS);
+    arm(2);                         /* the last of them */
+    w.machine.cycle.due_ns = w.now_ns + 500 * MS;
+    CHECK(!state_of(2)->told_motion && next_look_ns() == 5 * MS);
+    w.machine.cycle.due_ns = w.now_ns;
+    step();
+    CHECK(state_of(2)->told_motion && next_look_ns() == 5 * MS);
+    w.full = true;
+    w.enabled = 0;
+    CHECK(next_look_ns() == MS && state_of(2)->mode == DRIVE_READY);
+    w.full = false;
+    CHECK(next_look_ns() == 20 * MS && !state_of(2)->told_motion);
+}
+
+static void jobs_wait_in_their_order_and_are_looked_at_often(void)
+{
+    begin_with_a_slow_cycle();
+    const uint32_t ids[3] = {CONTROL, CONTROL + 1, CONTROL + 2};
+    for (uint32_t i = 0; i < 3; i++) {
+        can_order order = {.write = {.packet = packet_of(ids[i], 1)}, .drive = i, .expires_ns = w.now_ns + 1000 * MS};
+        CHECK(can_machine_order(&w.machine, &order));
+    }
+    w.not_taken = CONTROL + 1;
+    w.machine.news = false;
+    CHECK(next_look_ns() == MS && w.sent_count == 1 && w.sent[0].id == CONTROL && w.machine.news);
+    w.machine.news = false;
+    step();
+    CHECK(!w.machine.news && w.machine.order_count == 2);
+    w.not_taken = 0;
+    CHECK(next_look_ns() == 20 * MS && w.sent_count == 3 && w.sent[1].id == CONTROL + 1 && w.sent[2].id == CONTROL + 2);
+    CHECK(w.machine.news && state_of(1)->orders_sent == 1 && w.machine.order_count == 0);
+}
+
+static void the_end_waits_until_the_last_of_them_is_at_rest(void)
+{
+    begin_with(3);
+    arm(2);
+    for (uint32_t i = 0; i < 3; i++) {
+        say_motion(i, 1.0F, 0.0F);
+    }
+    w.silent = true;                /* what is said from now on is said by hand */
+    go_on(30 * MS);
+    say_motion(2, 1.0F, 5.0F);
+    forget_sent();
+    w.machine.control.shut_down = 1;
+    step();
+    CHECK(told_ns(2, QUICK_STOP) > 0);
+    go_on(100 * MS);
+    CHECK(w.machine.shut == 1 && told_ns(2, DISABLE) == 0);
+    say_motion(2, 1.0F, 0.0F);
+    w.machine.news = false;
+    go_on(12 * MS);
+    CHECK(w.machine.shut == 3 && w.machine.news);
+    for (uint32_t i = 0; i < 3; i++) {
+        CHECK(told_ns(i, DISABLE) > 0);
+    }
+}
+
+static void asyncio_is_told_of_errors_and_of_drives_that_it_listens_to(void)
+{
+    begin_with(2);
+    const uint8_t error[8] = {0};
+    w.machine.news = false;
+    CHECK(say(CAN_ID_ERROR | 0x40, error, 8) == CAN_DRIVES_MAX && w.machine.news);
+    w.machine.news = false;
+    say_state(1, 1);
+    CHECK(!w.machine.news);
+    w.machine.control.listen = 2;
+    say_state(0, 1);
+    CHECK(!w.machine.news);
+    say_state(1, 1);
+    CHECK(w.machine.news);
+}
+
+static void the_report_says_what_the_bus_has_done(void)
+{
+    begin_with(2);
+    arm(1);
+    go_on(200 * MS);
+    w.full = true;
+    go_on(20 * MS);
+    const uint8_t nothing[2] = {0};
+    (void)say(MOTION, nothing, 2);
+    can_report report = {0};
+    can_machine_report(&w.machine, &report);
+    CHECK(report.cycles == w.machine.cycle.count && report.cycles >= 20 && report.cycle_ns == 10 * MS);
+    CHECK(report.received == report.drive[0].received + report.drive[1].received && report.drive[1].received >= 40);
+    CHECK(report.sent == w.sent_count && report.tx_full >= 2 && report.bad_frames == 1 && report.shut_down == 0);
+    CHECK(report.setpoints_ns == w.machine.newest.stamp_ns && report.drive[1].heard_ns == state_of(1)->newest_ns);
+    CHECK(report.drive[1].heard_ns > 0 && report.drive[1].mode == DRIVE_ARMED && report.drive[0].mode == DRIVE_OFF);
+    w.full = false;
+    w.machine.control.shut_down = 1;
+    go_on(500 * MS);
+    can_machine_report(&w.machine, &report);
+    CHECK(report.shut_down == 1);
+}
+
+int main(void)
+{
+    one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often();
+    jobs_wait_in_their_order_and_are_looked_at_often();
+    the_end_waits_until_the_last_of_them_is_at_rest();
+    asyncio_is_told_of_errors_and_of_drives_that_it_listens_to();
+    the_report_says_what_the_bus_has_done();
+    return checks_report("can looks");
+}

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines that are interrupted while they bring their drives to rest, against scripted drives."""
+
+import asyncio
+import contextlib
+from dataclasses import replace
+
+import pytest
+from loop_side import running, until
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from scripted_slave import Unit
+from test_can_line import TURN
+from test_can_line import spec_of as can_spec_of
+from test_modbus_line import (
+    CONTROL,
+    ENGINES,
+    OFF,
+    QUICK_STOP,
+    RPM,
+    TARGET_1,
+    VELOCITY_1,
+    hub_servo,
+    registers_of,
+    spec_of,
+)
+
+from motord_hal.asyncio_engine import drive
+from motord_hal.clock import now_ns
+from motord_hal.errors import HalError
+from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState
+
+CYCLES_SEEN = 5
+"""More than what may have been under way when the line was told to end."""
+
+
+@pytest.fixture(params=[*ENGINES, *GATEWAYS])
+async def peer(tmp_path, request):
+    peer = peer_on(request.param, tmp_path)
+    peer.units = {1: Unit(registers_of("zlac8015d"))}
+    yield peer
+    peer.pull()
+
+
+@pytest.fixture(params=BUSES)
+async def bus(request):
+    async with living(Peer(request.param)) as peer:
+        yield peer
+
+
+async def test_a_disarming_that_nobody_waits_for_any_more_takes_the_power_all_the_same(peer):
+    mute = [
+        replace(joint, profile=replace(joint.profile, enabled=None)) for joint in hub_servo()
+    ]  # a drive that says that it is enabled would be told again
+    async with running(spec_of(peer, mute)) as rig:
+        await rig.arm()
+        told = len(peer.written(CONTROL))
+        disarming = asyncio.create_task(rig.line.disarm())
+        await until(lambda: rig.states() == {DriveState.READY})
+        disarming.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await disarming
+        await until(lambda: OFF in peer.written(CONTROL)[told:])
+
+
+async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to_rest(peer):
+    peer.units[1].registers[VELOCITY_1] = 600
+    async with running(spec_of(peer, hub_servo())) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+        await until(lambda: 60 in peer.written(TARGET_1))
+        rig.loop.running = False
+        await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
+        until_the_end = len(peer.heard)
+    after = [heard.request for heard in peer.heard[until_the_end:]]
+    off = next(n for n, one in enumerate(after) if one.address == CONTROL and OFF in one.values)
+    assert sum(one.address == TARGET_1 for one in after[:off]) >= CYCLES_SEEN
+
+
+@pytest.mark.parametrize("peer", ["asyncio", *GATEWAYS], indirect=True)
+async def test_a_modbus_drive_that_is_still_stopping_is_not_armed(peer, monkeypatch):
+    monkeypatch.setattr(drive, "STOPPING_WITHIN_S", 100.0)  # in C it is refused by the thread
+    peer.units[1].registers[VELOCITY_1] = 600
+    async with running(spec_of(peer, hub_servo())) as rig:
+        await rig.arm()
+        rig.loop.running = False
+        await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
+        rig.loop.running = True
+        await until(lambda: now_ns() - rig.loop.put_ns < SETPOINT_TIMEOUT_S * 1e9)
+        with pytest.raises(HalError, match="still stopping"):
+            await rig.line.arm()
+        assert rig.states() == {DriveState.READY}
+        peer.units[1].registers[VELOCITY_1] = 0
+        await until(lambda: peer.written(CONTROL)[-1] == OFF)
+        await rig.arm()
+
+
+async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_rest(bus):
+    axis = bus.axes[0]
+    async with running(can_spec_of(bus)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+        await until(lambda: any(axis.velocities()))
+        axis.velocity_turns_s = 1.0
+        rig.loop.running = False
+        await until(lambda: rig.states() == {DriveState.READY})
+        until_the_end = len(axis.heard)
+    await until(lambda: axis.state == IDLE)
+    after = [command for command, _ in axis.heard[until_the_end:]]
+    assert after[: after.index(STATE)].count(INPUT_VELOCITY) >= CYCLES_SEEN
+    assert CLOSED_LOOP not in axis.states()[-1:]
