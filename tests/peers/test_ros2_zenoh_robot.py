@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole robot on simulated drives, driven and heard by ROS 2's ways over a real Zenoh router."""
 
-import asyncio
 import contextlib
 import time
 
 import pytest
 import rosbags.typesys as rosbags
 from tests.peers.test_ros2_zenoh import REQUEST, STORE, ask, attached, peer
-from tests.peers.zenoh_router import endpoint, free_port, router
+from tests.peers.zenoh_router import endpoint, free_port, started
 from tests.sim.daemon_stage import running, wait_until
 
 from motord.bus.ros2.types import type_hash
@@ -68,9 +67,7 @@ class Driver:
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     """A stage, and a driver beside it."""
-    loop, port = asyncio.new_event_loop(), free_port()
-    process = router(port)
-    loop.run_until_complete(process.__aenter__())
+    port = free_port()
     where = [f"{table}.z.{key}" for table in ("publish", "input") for key in ("kind", "router")]
     values = ["ros2-zenoh", endpoint(port)] * 2
     settings = [f"{key}={value}" for key, value in zip(where, values, strict=True)]
@@ -79,14 +76,19 @@ def robot(tmp_path_factory):
     settings += ["publish.z.rate_hz=20", "input.z.trust_router=true"]
     settings += [f"joint.{side}.reply_timeout_s=0.2" for side in ("left", "right")]
     settings += [f"input.z.lease_s={LEASE_S}", f"safety.command_timeout_s={LEASE_S}"]
-    with running(tmp_path_factory.mktemp("zenoh"), *settings) as stage, peer(port) as session:
+    folder = tmp_path_factory.mktemp("zenoh")
+    with (
+        started(port) as router,
+        running(folder, *settings) as stage,
+        contextlib.ExitStack() as later,
+    ):
+        assert router.stdout.readline() == b"ready\n"
+        session = later.enter_context(peer(port))
         stage.wait_for("idle")
         driver = Driver(session)
         wait_until(lambda: figures(stage).get("lease"), "a lease")
         wait_until(lambda: driver.heard, "odometry")
         yield stage, driver
-    loop.run_until_complete(process.__aexit__(None, None, None))
-    loop.close()
 
 
 def figures(stage):

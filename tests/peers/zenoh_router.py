@@ -9,8 +9,8 @@ import contextlib
 import json
 import signal
 import socket
+import subprocess
 import sys
-from asyncio import subprocess
 
 import zenoh
 
@@ -30,17 +30,21 @@ def free_port():
 @contextlib.asynccontextmanager
 async def router(port, *tls):
     """Its process; it is killed at the end, also when it has been stopped."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, __file__, *map(str, (port, *tls)), stdout=subprocess.PIPE
-    )
-    try:
+    with started(port, *tls) as process:
         async with asyncio.timeout(START_WITHIN_S):
-            assert await process.stdout.readline() == b"ready\n"
+            assert await asyncio.to_thread(process.stdout.readline) == b"ready\n"
         yield process
-    finally:
-        with contextlib.suppress(ProcessLookupError):
+
+
+@contextlib.contextmanager
+def started(port, *tls):
+    """The same, not waited for."""
+    command = [sys.executable, __file__, *map(str, (port, *tls))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        try:
+            yield process
+        finally:
             process.kill()
-        await process.wait()
 
 
 def main():

@@ -55,8 +55,8 @@ class Plan:
         return values[said.register] & said.mask == said.equals
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
-        """Register → raw for the set-points. What is missing, NaN or infinite is zero; where a
-        register of its own says the direction, it is the magnitude."""
+        """Register → raw for the set-points, and for what goes with them. What is missing, NaN or
+        infinite is zero; where a register of its own says the direction, it is the magnitude."""
         raw = {}
         for joint in self.joints:
             channel = self.channel(joint)
@@ -69,4 +69,5 @@ class Plan:
                 value = abs(value)
             register = self.profile.registers[channel.setpoint]
             raw[register.name] = register.from_si(value)
+            raw.update(channel.setpoint_with)
         return raw
