@@ -266,6 +266,12 @@ async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(r
         await until(are(rig, "pwm-pwm", "coast"))
 
 
+def all_forward(rig):
+    return all(
+        are(rig, drive, "forward", 0.5, where)() for drive, where in laid_out(BRIDGES).items()
+    )
+
+
 KILLED = """
 import asyncio, sys
 sys.path[:0] = {path!r}
@@ -280,7 +286,9 @@ async def main():
         for drive, where in here.laid_out(here.BRIDGES).items():
             await here.reaches(line, here.are(rig, drive, "forward", 0.5, where), drive)
         print("turning", flush=True)
-        await asyncio.sleep(600)
+        while True:
+            await here.armed(line)
+            await asyncio.sleep(0.01)
 asyncio.run(main())
 """
 
@@ -290,7 +298,18 @@ def test_what_kill_9_leaves_behind_is_known_of_every_bridge_and_stop_all_ends_it
     chip does that."""
     code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
+
+        def held():
+            """Stopped while all of them turn: set-points of a slow machine get old now and then."""
+            child.send_signal(signal.SIGSTOP)
+            os.waitpid(child.pid, os.WUNTRACED)
+            if all_forward(rig):
+                return True
+            child.send_signal(signal.SIGCONT)
+            return False
+
         assert child.stdout.readline().strip() == b"turning"
+        wait_until(held, "all turn")
         before = {drive: levels(rig, where) for drive, where in laid_out(BRIDGES).items()}
         child.send_signal(signal.SIGKILL)
         child.wait()
