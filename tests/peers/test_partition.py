@@ -16,7 +16,7 @@ from tests.peers.mosquitto import BROKER, certified, needs_mosquitto, stamp
 from tests.peers.namespaces import THERE, cable, inside, why_not
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, obeying, running, wait_until
 
-pytest.importorskip("zenoh")
+pytest.importorskip("zenoh", reason="needs eclipse-zenoh")
 pytestmark = [
     needs_mosquitto,
     pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl"),

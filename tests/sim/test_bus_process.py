@@ -259,7 +259,10 @@ def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
                 "publish.prom.kind=prometheus", f"publish.prom.port={port}")  # fmt: skip
     with running(tmp_path, *settings, environ=environ) as stage:
         pid = living(stage)
-        failures = lambda: bus(stage).get("failures", {}).get("publish.failing", 0)  # noqa: E731
+
+        def failures():
+            return bus(stage).get("failures", {}).get("publish.failing", 0)
+
         wait_until(lambda: failures() >= 2, "a second failure")
         full(port)
         assert bus(stage)["restarts"] == 0

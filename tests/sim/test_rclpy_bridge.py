@@ -126,7 +126,10 @@ def test_a_bridge_that_is_killed_loses_its_lease(stage, bridge):
 
 def test_a_command_without_a_stamp_that_may_have_waited_moves_nothing(stage):
     bridge = Bridge(stage.socket, "ros", stamped=False)
-    accepted = lambda: stage.robot.status()["commands"]["accepted"]  # noqa: E731
+
+    def accepted():
+        return stage.robot.status()["commands"]["accepted"]
+
     try:
         for _ in range(2):
             before = accepted()

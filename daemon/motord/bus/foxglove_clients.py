@@ -219,7 +219,7 @@ class Commands(Looks):
         self,
         client: Client,  # noqa: ARG002  # the SDK's signature
         param_names: list[str],
-        request_id: str | None = None,  # noqa: ARG002
+        request_id: str | None = None,  # noqa: ARG002  # the SDK's
     ) -> list[Parameter]:
         """As ServerListener; no name: all."""
         return self._listed(param_names)
@@ -228,7 +228,7 @@ class Commands(Looks):
         self,
         client: Client,
         parameters: list[Parameter],
-        request_id: str | None = None,  # noqa: ARG002
+        request_id: str | None = None,  # noqa: ARG002  # the SDK's
     ) -> list[Parameter]:
         """As ServerListener: all or none. The answer, which is also told to who has subscribed, is
         what is in force afterwards."""

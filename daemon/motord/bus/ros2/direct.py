@@ -65,7 +65,7 @@ def _written_out(parameters: str, arguments: str, count: int) -> Callable[..., b
         f"def packed(pack, {parameters}, joints):\n {names} = joints\n return pack({arguments})\n"
     )
     made: dict[str, Any] = {"HEADER": HEADER}
-    exec(source, made)  # noqa: S102
+    exec(source, made)  # noqa: S102  our own text: names are numbers of joints
     packed: Callable[..., bytes] = made["packed"]
     return packed
 
