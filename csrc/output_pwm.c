@@ -157,7 +157,29 @@ static int apply(pwm_thread *t, const double *level)
     return error;
 }
 
-/* COAST everywhere, whatever fails. */
+static bool is_high(const bridge_pin *output, uint32_t mode)
+{
+    return output->base[mode] >= 0.5;
+}
+
+/* GPIO lines of a joint whose levels at COAST are those of a way (PWM and DIR): they take no power, the duty alone does. */
+static uint64_t lines_without_a_say(const pwm_thread *t, uint32_t joint)
+{
+    uint64_t bits = 0;
+    bool as_forward = true, as_reverse = true;
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        const bridge_pin *output = &t->config.output[i];
+        if (output->joint == joint && output->fd < 0 && output->pumps == 0) {
+            bool coasts = is_high(output, BRIDGE_COAST);
+            as_forward = as_forward && coasts == is_high(output, BRIDGE_FORWARD);
+            as_reverse = as_reverse && coasts == is_high(output, BRIDGE_REVERSE);
+            bits |= 1ull << output->bit;
+        }
+    }
+    return as_forward || as_reverse ? bits : 0;
+}
+
+/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only say the way stay as they are. */
 static int rest(pwm_thread *t)
 {
     double level[PWM_OUTPUTS_MAX];
@@ -169,6 +191,10 @@ static int rest(pwm_thread *t)
     t->bits_known = false;
     wanted_bits(t, level, &bits, &mask);
     int error = bring_down(t, level, bits, mask);
+    for (uint32_t i = 0; i < t->config.output_count; i++) {
+        const bridge_pin *output = &t->config.output[i];
+        mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_a_say(t, output->joint) : UINT64_MAX;
+    }
     int lines_error = write_bits(t, bits, mask);
     (void)bring_down(t, level, bits, mask);   /* once more what failed */
     return error != 0 ? error : lines_error;

@@ -19,8 +19,9 @@ static const uint64_t PERIOD_NS = 50000;
 static _Alignas(64) uint8_t exchange_memory[16384];
 
 static const uint64_t WAY_BIT = 1u << 3;
+static const uint64_t POWER_BIT = 1u << 5;
 static _Atomic uint64_t bits_set_to;
-static _Atomic bool was_turned;      /* some request has had WAY_BIT low: backward */
+static _Atomic uint64_t bits_that_changed;
 
 /* In the C library's place: GPIO lines that remember. */
 int ioctl(int fd, unsigned long request, ...)
@@ -33,8 +34,9 @@ int ioctl(int fd, unsigned long request, ...)
         errno = ENOTTY;
         return -1;
     }
-    bits_set_to = values->bits;
-    was_turned = was_turned || (values->bits & WAY_BIT) == 0;
+    uint64_t before = bits_set_to;
+    bits_set_to = (before & ~values->mask) | (values->bits & values->mask);
+    bits_that_changed |= before ^ bits_set_to;
     return 0;
 }
 
@@ -167,11 +169,12 @@ static unsigned long duty_in(int fd)
     return strtoul(text, NULL, 10);
 }
 
-static bool comes_true(int fd, unsigned long duty_ns, bool fresh)
+/* With set-points of `duty`; 0: with none. */
+static bool comes_true(int fd, unsigned long duty_ns, double duty)
 {
     for (int i = 0; i < 10000; i++) {
-        setpoints newest = duty_of(0.5, 1, clock_now_ns());
-        if (fresh) {
+        setpoints newest = duty_of(duty, 1, clock_now_ns());
+        if (duty != 0.0) {
             exchange_put_setpoints((exchange *)exchange_memory, 1, &newest);
         }
         if (duty_in(fd) == duty_ns) {
@@ -192,12 +195,12 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     exchange_init((exchange *)exchange_memory);
     CHECK(pwm_line_stop(1) == -ESRCH && pwm_line_read_report(1, &report) == -ESRCH);
     CHECK(pwm_line_start(1, &config) == 0 && pwm_line_start(1, &config) == -EBUSY);
-    CHECK(comes_true(fd, 0, true));
+    CHECK(comes_true(fd, 0, 0.5));
     pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
-    CHECK(comes_true(fd, 25000, true));
-    CHECK(comes_true(fd, 0, false));
+    CHECK(comes_true(fd, 25000, 0.5));
+    CHECK(comes_true(fd, 0, 0.0));
     pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 2});
-    CHECK(comes_true(fd, 25000, true));
+    CHECK(comes_true(fd, 25000, 0.5));
     CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
     CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 && report.cycles > 0);
     CHECK(close(fd) == 0);
@@ -230,24 +233,44 @@ static bool ends(uint32_t line, double duty, bridge_report *report)
     return report->running == 0;
 }
 
-static void a_motor_whose_duty_cannot_be_taken_back_is_not_turned(void)
+/* Driven at `duty`, the files fail from then on, and `then` is wanted: which lines changed. */
+static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, double then)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC), pipe_ends[2];
     CHECK(pipe(pipe_ends) == 0);
-    bridge_config config = config_of(fd);
+    bridge_config config = *wanted;
+    config.output[0].fd = fd;
     bridge_report report = {.running = 1};
     exchange_init((exchange *)exchange_memory);
-    was_turned = false;
     CHECK(pwm_line_start(1, &config) == 0);
-    CHECK(comes_true(fd, 0, true));
+    CHECK(comes_true(fd, 0, duty));
     pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
-    CHECK(comes_true(fd, 25000, true) && bits_set_to == WAY_BIT);
+    CHECK(comes_true(fd, 25000, duty));
+    CHECK(((bits_set_to & WAY_BIT) != 0) == (duty > 0.0));
     CHECK(dup2(pipe_ends[1], fd) == fd);   /* from now on its writes fail, with ESPIPE */
-    CHECK(ends(1, -0.5, &report));
+    bits_that_changed = 0;
+    CHECK(ends(1, then, &report));
     CHECK(report.error == ESPIPE && report.error_output == 0);
-    CHECK(!was_turned && bits_set_to == WAY_BIT);
     CHECK(pwm_line_stop(1) == 0);
     CHECK(close(fd) == 0 && close(pipe_ends[0]) == 0 && close(pipe_ends[1]) == 0);
+    return bits_that_changed;
+}
+
+static void a_motor_whose_duty_cannot_be_taken_back_is_not_turned(void)
+{
+    bridge_config config = config_of(-1);
+    CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0);     /* at rest the line would say forward */
+    CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
+}
+
+static void lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back(void)
+{
+    bridge_config config = config_of(-1);
+    config.output[2] = (bridge_pin){.fd = -1, .bit = 5, .base = {0.0, 1.0, 1.0, 1.0}};
+    config.output_count = 3;
+    CHECK(changed_at_a_failure(&config, 0.5, -0.5) == POWER_BIT);
+    CHECK((changed_at_a_failure(&config, -0.5, 0.5) & POWER_BIT) != 0 && (bits_set_to & POWER_BIT) == 0);
 }
 
 int main(void)
@@ -260,5 +283,6 @@ int main(void)
     the_thread_writes_the_files_and_ends_at_rest();
     the_thread_ends_with_the_errno_and_the_pin();
     a_motor_whose_duty_cannot_be_taken_back_is_not_turned();
+    lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back();
     return checks_report("bridge");
 }

@@ -144,8 +144,9 @@ async def open_pins(spec: LineSpec) -> OpenPins:
         _open_inputs(spec, opened, inputs)
         for joint in spec.joints:
             opened.encoders.append(_open_encoder(spec, joint))
-        _open_outputs(spec, opened, lines)
+        # a channel may be running still: it rests before a line can say another way
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
+        _open_outputs(spec, opened, lines)
         undo.pop_all()
     return opened
 

@@ -252,6 +252,28 @@ async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
 
 
 @pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
+async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_turned(rig):
+    where = places("cytron-mdd")
+    async with running(spec_of(rig, "cytron-mdd")) as line:
+        await line.ready()
+    folder = rig.chip / where["pwm"]
+    (folder / "duty_cycle").write_text("50000")
+    (folder / "enable").write_text("1")
+    rig.drive(where["dir"], 1)
+    fail_with(5)
+    try:
+        async with running(spec_of(rig, "cytron-mdd")) as line:
+            await until(lambda: EventKind.LINE_LOST in line.kinds())
+            assert "joint left, pin pwm" in line.events[0].text
+            assert rig.level(where["dir"]) == 1.0
+            fail_with(0)
+            await until(are(rig, "cytron-mdd", "coast"))
+    finally:
+        fail_with(0)
+        rig.drive(where["dir"], 0)
+
+
+@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
 async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(rig):
     async with running(spec_of(rig, "pwm-pwm")) as line:
         await armed(line)
