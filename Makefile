@@ -62,7 +62,7 @@ check: $(VENV)/built $(VENV)/check
 
 # UBSan under Python (an ASan or TSan library cannot be loaded into it); ASan and TSan in C programs of their own.
 san: $(VENV)/built $(VENV)/test
-	@$(MAKE) -C tests/c asan tsan >&2
+	@$(MAKE) -j 2 -C tests/c asan tsan >&2
 	@rm -rf build/ubsan && mkdir -p build/ubsan
 	@MOTORD_CFLAGS="-fsanitize=undefined -fno-sanitize-recover=undefined -g" MOTORD_LDFLAGS="-fsanitize=undefined" \
 		$(PYTHON) setup.py --quiet build_ext --build-lib build/ubsan --build-temp build/ubsan/temp >&2

@@ -10,7 +10,7 @@ pip install --quiet --no-index --find-links /wheels 'setuptools>=77' wheel cffi
 pip wheel --quiet --no-index --find-links /wheels --no-deps --no-build-isolation --wheel-dir dist .
 ls dist
 pip install --quiet --no-index --find-links /wheels --no-build-isolation --editable '.[test]'
-make -C tests/c plain
+make -j 2 -C tests/c plain
 # QEMU 7.2 knows no termios2 (any baud rate of a port: ioctl_tty(2)), takes page faults of its own in our threads, and
 # answers for scheduling and capabilities otherwise than the kernel.
 not_emulated=(
