@@ -60,7 +60,7 @@ def moving() -> View:
             "lateness_us": late, "step_ns": late}  # fmt: skip
     battery = {"state": "normal", "voltage_v": 24.31, "current_a": -1.27, "temperature_c": None,
                "age_s": 0.4, "cells": 7, "capacity_ah": 10.0}  # fmt: skip
-    leases = ({"number": 1, "owner": "fleet", "priority": 70},)
+    leases = ({"number": 1, "owner": "fleet", "priority": 70, "why": "in command: the only one"},)
     status = {"loop": loop, "leases": leases, "battery": battery}
     return View(snapshot=snapshot, status=status, status_ns=1)
 

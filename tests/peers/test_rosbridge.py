@@ -86,6 +86,7 @@ def test_a_program_on_it_reads_arms_drives_and_stops_the_robot(stage, ports, lib
     assert said["odom"]["child_frame_id"] == "base_link"
     assert said["arm"] == {"success": True, "message": "armed"}
     assert said["motor_status"]["commander_priority"] == 100
+    assert said["motor_status"]["commander_why"] == "in command: the only one"
     assert said["estop"] == {"success": True, "message": "estop"}
     assert said["reset"] == {"success": True, "message": "idle"}
 

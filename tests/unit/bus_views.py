@@ -106,7 +106,8 @@ def any_view(rng, count):
     numbers = {name: any_number(rng) for name in (
         "x_m", "y_m", "heading_rad", "linear_m_s", "angular_rad_s", "command_age_s",
         "setpoint_linear_m_s", "setpoint_angular_rad_s")}  # fmt: skip
-    lease = {"number": 1, "owner": rng.choice(("", "fleet")), "priority": rng.choice((0, 70))}
+    lease = {"number": 1, "owner": rng.choice(("", "fleet")), "priority": rng.choice((0, 70)),
+             "why": rng.choice(("", "in command: the only one"))}  # fmt: skip
     return view(
         rng.choice((0, 7, rng.randrange(10**9))),
         status={"leases": [lease], "loop": any_loop(rng), "battery": any_battery(rng)},

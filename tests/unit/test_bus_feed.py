@@ -96,7 +96,7 @@ def test_a_topic_that_there_is_not_has_no_feed():
 
 
 def test_the_commander_is_who_holds_the_lease_of_the_snapshot():
-    leases = [{"number": 4, "owner": "web", "priority": 7}]
+    leases = [{"number": 4, "owner": "web", "priority": 7, "why": "in command: the only one"}]
     assert view(1, {"leases": leases}, owner=4).commander().owner == "web"
     assert view(1, {"leases": leases}, owner=5).commander() is None
     assert view(1, owner=4).commander() is None

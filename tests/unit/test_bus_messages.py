@@ -152,9 +152,10 @@ def test_degraded_odometry_is_a_warning():
 
 
 def test_motor_status_says_who_commands_and_one_value_a_joint():
-    boss = Commander(owner="autopilot", priority=50)
+    boss = Commander(owner="autopilot", priority=50, why="in command: the only one")
     message = messages.motor_status(snapshot(owner=3), BODY, OFFSET_NS, boss)
     assert (message.commander, message.commander_priority) == ("autopilot", 50)
+    assert message.commander_why == "in command: the only one"
     nobody = messages.motor_status(snapshot(), BODY, OFFSET_NS)
     assert (nobody.commander, nobody.commander_priority, nobody.state) == ("", 0, "moving")
     assert len(message.name) == len(message.duty) == len(message.stale) == 2

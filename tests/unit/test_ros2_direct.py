@@ -47,7 +47,9 @@ def test_it_says_what_the_message_says_byte_for_byte(name):
     assert said > ROUNDS
 
 
-LEASES = {"leases": [{"number": 1, "owner": "fleet", "priority": 7}]}
+LEASES = {
+    "leases": [{"number": 1, "owner": "fleet", "priority": 7, "why": "in command: the only one"}]
+}
 WORDS = (
     {"machine_state": 3}, {"armed": True}, {"at_rest": True}, {"faults": ("estop",)},
     {"reasons": ("linear_jerk",)}, {"owner": 1}, {"status": {"leases": []}},

@@ -190,6 +190,7 @@ class _MotorStatus(_Document):
             commander = view.commander()
             document["commander"] = commander.owner if commander else ""
             document["commander_priority"] = commander.priority if commander else 0
+            document["commander_why"] = commander.why if commander else ""
         wall_ns = now.stamp_ns + wall_offset_ns
         stamp["sec"] = sec = wall_ns // _NS
         stamp["nanosec"] = wall_ns - sec * _NS

@@ -220,6 +220,8 @@ class MotorStatus:
     commander: str
     """Owner of the lease in command; empty: nobody."""
     commander_priority: int
+    commander_why: str
+    """Why that one is in command, in words."""
     command_age_s: float
     setpoint_linear_m_s: float
     setpoint_angular_rad_s: float

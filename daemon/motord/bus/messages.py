@@ -57,10 +57,11 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Commander:
-    """Who is in command: a lease's owner and its priority."""
+    """Who is in command: a lease's owner, its priority, and why it is that one."""
 
     owner: str
     priority: int
+    why: str
 
 
 def wall_time(moment_ns: int, wall_offset_ns: int) -> Time:
@@ -374,6 +375,7 @@ def motor_status(
         reasons=snapshot.reasons,
         commander=commander.owner if commander else "",
         commander_priority=commander.priority if commander else 0,
+        commander_why=commander.why if commander else "",
         command_age_s=snapshot.command_age_s,
         setpoint_linear_m_s=snapshot.setpoint_linear_m_s,
         setpoint_angular_rad_s=snapshot.setpoint_angular_rad_s,

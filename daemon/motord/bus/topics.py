@@ -32,7 +32,7 @@ class View:
         """Who holds the lease that commands. None: nobody, or the daemon has not said yet."""
         for lease in (self.status or {}).get("leases", ()):
             if lease["number"] == self.snapshot.owner:
-                return Commander(owner=lease["owner"], priority=lease["priority"])
+                return Commander(owner=lease["owner"], priority=lease["priority"], why=lease["why"])
         return None
 
 

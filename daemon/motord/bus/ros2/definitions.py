@@ -116,6 +116,7 @@ string[] faults
 string[] reasons
 string commander
 int32 commander_priority
+string commander_why
 float64 command_age_s
 float64 setpoint_linear_m_s
 float64 setpoint_angular_rad_s

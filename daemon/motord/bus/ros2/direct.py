@@ -366,7 +366,8 @@ class _MotorStatus:
         words = _Constant(_AFTER_STAMP).string(self._body.base_frame).string(state_name(now))
         words.number("2?", now.armed, now.at_rest).strings(now.faults).strings(now.reasons)
         words.string(commander.owner if commander else "")
-        words.number("i", commander.priority if commander else 0).align(_ALIGNMENT)
+        words.number("i", commander.priority if commander else 0)
+        words.string(commander.why if commander else "").align(_ALIGNMENT)
         names = _Constant(words.end + 3 * _ALIGNMENT).strings(joints)
         names.number("I", len(joints)).align(_ALIGNMENT)
         self._words, self._names = words.raw, names.raw
