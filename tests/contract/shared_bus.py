@@ -5,13 +5,17 @@ import contextlib
 import threading
 
 import can
-from scripted_odrive import new_address
+from scripted_odrive import INTERFACE, new_address
 
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.unix_client import UnixClient
 from motord_hal.sim.unix_bus import UnixBus
 
-KINDS = [("udp_multicast", "asyncio"), ("unix", "asyncio"), ("unix", "rt")]
+KINDS = (
+    [("socketcan", "asyncio"), ("socketcan", "rt")]
+    if INTERFACE
+    else [("udp_multicast", "asyncio"), ("unix", "asyncio"), ("unix", "rt")]
+)
 """Of buses, with the engine of the line on them."""
 
 

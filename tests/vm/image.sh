@@ -8,9 +8,9 @@ here=$(dirname "$(realpath "$0")")
 mkdir -p "$1"
 dir=$(realpath "$1")
 host=(busybox-static cpio e2fsprogs gcc kmod make mmdebstrap qemu-system-x86 xz-utils)
-guest=(can-utils dbus gpiod iproute2 kmod procps python3 python3-pytest python3-pytest-asyncio python3-pytest-timeout systemd systemd-sysv udev)
+guest=(can-utils dbus gpiod iproute2 kmod procps python3 python3-evdev python3-pytest python3-pytest-asyncio python3-pytest-timeout systemd systemd-sysv udev)
 early=(virtio_pci virtio_blk ext4 crc32c_generic)
-late=(can can-bcm can-raw vcan vxcan slcan configfs ftdi_sio i2c-dev i2c-stub kvaser_pci sch_netem usbserial virtio_console xhci-pci)
+late=(can can-bcm can-raw vcan vxcan slcan configfs evdev ftdi_sio i2c-dev i2c-stub kvaser_pci sch_netem uinput usbserial virtio_console xhci-pci)
 quiet=(apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer e2scrub_all.timer fstrim.timer getty@tty1.service
     getty-static.service serial-getty@ttyS0.service systemd-hwdb-update.service systemd-logind.service
     systemd-timesyncd.service)

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -28,8 +30,8 @@ ADAPTER_SERIAL = "A10K3XYZ"
 STATUS = "guest: status "
 DISK_MB = 120
 SHARED = (
-    "loop_side.py", "scripted_odrive.py", "cia402_node.py",
-    "test_can_line.py", "test_can_bus.py", "test_can_halt.py", "test_cia402.py",
+    "loop_side.py", "scripted_odrive.py", "scripted_moteus.py", "shared_bus.py", "cia402_node.py",
+    "test_can_line.py", "test_can_bus.py", "test_can_halt.py", "test_cia402.py", "test_moteus.py",
 )  # fmt: skip
 """Of the contract suite: on real buses here."""
 
@@ -67,10 +69,28 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     return disk
 
 
+def free_ports() -> tuple[int, int]:
+    """Of UDP, on this machine."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for end in (one, other):
+            end.bind(("127.0.0.1", 0))
+        return one.getsockname()[1], other.getsockname()[1]
+
+
+def cable_end(name: str, port: int, far_port: int) -> str:
+    """Datagrams: like a cable they lose what nobody reads. A stream would get full, and QEMU
+    waits for room in it with the lock that its reader needs."""
+    return f"udp,id={name},host=127.0.0.1,port={far_port},localaddr=127.0.0.1,localport={port}"
+
+
 def qemu(disk: Path, folder: Path) -> list[str]:
     """The machine: a UART (ttyS1) cabled to a USB adapter, two CAN controllers on one bus, and the
     monitor as a port in the guest, so that a test can pull the adapter by itself."""
-    cable, monitor = folder / "cable", folder / "monitor"
+    monitor = folder / "monitor"
+    one, other = free_ports()
     append = "console=ttyS0 quiet loglevel=4 audit=0 mitigations=off"
     return [
         "qemu-system-x86_64", "-accel", "tcg,thread=multi",
@@ -80,8 +100,8 @@ def qemu(disk: Path, folder: Path) -> list[str]:
         "-drive", f"file={BUILD / 'root.ext4'},if=virtio,format=raw,snapshot=on,cache=unsafe",
         "-drive", f"file={disk},if=virtio,format=raw,readonly=on",
         "-chardev", f"file,id=console,path={BUILD / 'console.log'}", "-serial", "chardev:console",
-        "-chardev", f"socket,id=wire,path={cable},server=on,wait=off",
-        "-chardev", f"socket,id=uart,path={cable},reconnect=1", "-serial", "chardev:uart",
+        "-chardev", cable_end("wire", one, other),
+        "-chardev", cable_end("uart", other, one), "-serial", "chardev:uart",
         "-device", "qemu-xhci", "-device",
         f"usb-serial,id=adapter,chardev=wire,always-plugged=on,serial={ADAPTER_SERIAL}",
         "-chardev", f"socket,id=qmp,path={monitor},server=on,wait=off",
@@ -146,6 +166,7 @@ def main(arguments: list[str]) -> int:
     if reason:
         print(f"make vm: skipped: {reason}", file=sys.stderr)
         return 0
+    begin_s = time.monotonic()
     subprocess.run([HERE / "image.sh", BUILD], check=True, timeout=600)
     made = subprocess.run([ROOT / "systemd" / "deb.sh", ROOT / "build" / "deb"],
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
@@ -157,6 +178,8 @@ def main(arguments: list[str]) -> int:
         pi = pool.submit(on_the_pi, said)
         status = on_the_guest(package, [])
     print("\nRaspberry Pi 3:", *said, sep="\n")
+    took_s = time.monotonic() - begin_s
+    print(f"make vm: guest {status}, Raspberry Pi {pi.result()} (0: passed), {took_s:.0f} s")
     return status or pi.result()
 
 

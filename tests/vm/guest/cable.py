@@ -9,6 +9,7 @@ import select
 import threading
 from pathlib import Path
 
+from hardware import run_first
 from shell import DEADLINE_S, wait_until
 
 from motord_hal.serial.settings import set_raw
@@ -75,6 +76,7 @@ class Bridge:
             os.close(fd)
 
     def _carry(self):
+        run_first()
         one, other = self._fds
         while True:
             ready = select.select([one, other, self._end], [], [])[0]

@@ -26,8 +26,7 @@ def simulator(tmp_path_factory):
     """The demo robot's drives, a process of their own; to start it takes an emulated machine
     seconds."""
     from cable import ROBOT
+    from hardware import simulated
 
-    from motord.tools.simulator import start_simulator
-
-    with start_simulator(ROBOT, link_dir=tmp_path_factory.mktemp("drives"), timeout_s=100.0) as it:
+    with simulated(ROBOT, link_dir=tmp_path_factory.mktemp("drives")) as it:
         yield it

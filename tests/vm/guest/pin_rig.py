@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import fcntl
 import time
 from pathlib import Path
 
 CONFIG = Path("/sys/kernel/config/gpio-sim")
 PWM = Path("/sys/class/pwm")
 LABEL = "motord-pins"
+TURN = Path("/run/pins.turn")
 LINES = tuple(f"PIN{n}" for n in range(12))
 DEADLINE_S = 60.0
 
@@ -57,7 +59,15 @@ class Pins:
 
 @contextlib.contextmanager
 def pins():
-    """A GPIO chip with LINES, and the first PWM chip of the machine."""
+    """A GPIO chip with LINES, and the first PWM chip of the machine: for one user at a time."""
+    with TURN.open("w") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        with _pins() as found:
+            yield found
+
+
+@contextlib.contextmanager
+def _pins():
     chip = CONFIG / LABEL
     bank = chip / "bank0"
     bank.mkdir(parents=True)

@@ -11,7 +11,7 @@ import pytest
 from cable import UART, adapter, behind, plug, robot_file
 from shell import journal, output, properties, status_of, wait_until
 from stage import granted
-from unit import ETC, prepared, started
+from unit import ETC, prepared, reached
 
 NAME = "cart"
 UNIT = f"motord@{NAME}.service"
@@ -30,11 +30,11 @@ def drives(simulator):
 
 @pytest.fixture
 def unit(drives):
-    """Running, idle, nothing wrong with its drives."""
+    """Running, idle, nothing wrong with its drives; the test before may have left it running: a
+    start costs an emulated machine ten seconds."""
     drives.clear_faults_script()
-    with started(NAME, drives) as unit:
-        if unit.state() == "fault":
-            granted(unit.robot.reset)
+    with reached(NAME, drives) as unit:
+        granted(unit.is_idle, "it is idle", unit.said)
         yield unit
 
 

@@ -29,6 +29,15 @@ class Unit(Stage):
     def main_pid(self):
         return int(properties(self.unit, "MainPID")["MainPID"])
 
+    def is_idle(self):
+        """Asks for what is missing."""
+        state = self.state()
+        if state == "fault":
+            self.robot.reset()
+        elif state != "idle":
+            self.robot.disarm()
+        return state == "idle"
+
     def again(self, old_pid):
         """Waits for the next process of the unit, and is connected to it."""
         self.robot.close()
@@ -68,15 +77,21 @@ def prepared(name, more=""):
 
 
 @contextlib.contextmanager
+def reached(name, sim):
+    """Running, started where it was not, and left so."""
+    output("systemctl", "start", f"motord@{name}.service")
+    with wait_until(lambda: connected(name), "it listens") as client:
+        running = Unit(name, sim, client)
+        running.wait_for("idle", "fault", "armed", "moving")
+        yield running
+        running.robot.close()
+
+
+@contextlib.contextmanager
 def started(name, sim):
     """Running, idle or with a fault; stopped afterwards."""
-    unit = f"motord@{name}.service"
-    output("systemctl", "start", unit)
     try:
-        with wait_until(lambda: connected(name), "it listens") as client:
-            running = Unit(name, sim, client)
-            running.wait_for("idle", "fault")
+        with reached(name, sim) as running:
             yield running
-            running.robot.close()
     finally:
-        output("systemctl", "stop", unit)
+        output("systemctl", "stop", f"motord@{name}.service")

@@ -6,11 +6,11 @@ import dataclasses
 import re
 
 from cable import ROBOT, UART, Bridge, adapter, behind, plug, robot_file
+from hardware import simulated
 from pin_rig import LABEL, LINES, pins
 from shell import DEADLINE_S, output
 from unit import ETC
 
-from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
 
 CONFIG = ROBOT.parent
@@ -71,7 +71,7 @@ def modbus(name):
     plug()
     robot = robot_file(ETC, UART, name=name)
     with (
-        start_simulator(ROBOT, timeout_s=DEADLINE_S) as simulator,
+        simulated(ROBOT) as simulator,
         behind(simulator, adapter()) as sim,
     ):
         yield sim, robot
@@ -95,7 +95,7 @@ def can(name):
         ('drive = "odrive-0.6"', f'drive = "./{profile.name}"'),
     )
     options = ("--can", "socketcan:vxcan9")
-    with start_simulator(robot, options=options, timeout_s=DEADLINE_S) as simulator:
+    with simulated(robot, options=options) as simulator:
         yield simulator.control, robot
     robot.unlink()
     profile.unlink()
@@ -112,7 +112,7 @@ def board(name):
         ("cycle_hz = 100", "cycle_hz = 10"),
         ("drive_watchdog_s = 0.25", "drive_watchdog_s = 2.0\nfeedback_timeout_s = 5.0"),
     )
-    with start_simulator(robot, timeout_s=DEADLINE_S) as simulator:
+    with simulated(robot) as simulator:
         control = SimControl(simulator.control_path, timeout_s=DEADLINE_S)
         with Bridge(simulator.ports["board"], adapter()), contextlib.closing(control):
             yield control, robot

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A joystick as the kernel has it (uinput): wheels turn only while its dead-man button is held."""
+
+import os
+from pathlib import Path
+
+import evdev
+import pytest
+from cable import UART, adapter, behind, plug, robot_file
+from evdev.ecodes import ABS_X, ABS_Y, BTN_EAST, BTN_TL, EV_ABS, EV_KEY
+from shell import wait_until
+from stage import daemon, granted
+
+NAME = "motord test pad"
+SECTION = f"""
+[input.pad]
+kind = "joystick"
+device = "{NAME}"
+linear_m_s = 0.5
+estop_button = "BTN_EAST"
+"""
+
+
+@pytest.fixture
+def pad():
+    axis = evdev.AbsInfo(value=0, min=-100, max=100, fuzz=0, flat=0, resolution=0)
+    events = {EV_KEY: [BTN_TL, BTN_EAST], EV_ABS: [(ABS_X, axis), (ABS_Y, axis)]}
+    with evdev.UInput(events, name=NAME) as pad:
+        yield pad
+
+
+@pytest.fixture
+def stage(tmp_path, simulator, monkeypatch):
+    """The daemon, whose package has no evdev of its own: it is given the distribution's."""
+    plug()
+    given = tmp_path / "packages"
+    given.mkdir()
+    (given / "evdev").symlink_to(Path(evdev.__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", os.environ["PYTHONPATH"] + os.pathsep + str(given))
+    robot = robot_file(tmp_path, UART)
+    robot.write_text(robot.read_text() + SECTION)
+    with behind(simulator, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:
+        yield stage
+
+
+def tell(pad, *events):
+    for event in events:
+        pad.write(*event)
+    pad.syn()
+
+
+def test_wheels_turn_while_its_button_is_held_and_its_emergency_stop_latches(pad, stage):
+    stage.wait_for("idle")
+    wait_until(lambda: f"input.pad: {NAME}" in stage.said(), "it is found", stage.said)
+    granted(stage.robot.arm, "armed", stage.said)
+    tell(pad, (EV_ABS, ABS_Y, -100))
+    assert stage.sim.truth().at_rest
+    tell(pad, (EV_KEY, BTN_TL, 1))
+    wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn", stage.said)
+    tell(pad, (EV_KEY, BTN_TL, 0))
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest", stage.said)
+    tell(pad, (EV_KEY, BTN_TL, 1))
+    wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn again", stage.said)
+    tell(pad, (EV_KEY, BTN_EAST, 1))
+    stage.wait_for("estop")
+    wait_until(stage.rests_without_power, "without power", stage.said)
