@@ -35,6 +35,9 @@ class Told:
     duty: int
 
 
+WITHOUT_POWER = Told(enabled=False, braking=False, left_mrad_s=0, right_mrad_s=0, duty=0)
+
+
 class McuPeer:
     """Runs until it is closed. `told` grows with each change."""
 
@@ -70,7 +73,8 @@ class McuPeer:
 
     @property
     def now(self) -> Told:
-        return self.told[-1]
+        """The newest; before its first word it has told them nothing."""
+        return self.told[-1] if self.told else WITHOUT_POWER
 
     def pull(self) -> None:
         """The board is gone, and its port with it."""

@@ -89,9 +89,9 @@ async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(pee
         await until(lambda: len(peer.lines) > 10)
         assert set(peer.lines) == {b"0,0"}
         await rig.line.arm()
-        await until(lambda: peer.lines[-1] == b"128,-255")
+        await until(lambda: peer.lines[-1:] == [b"128,-255"])
         await rig.line.disarm()
-        await until(lambda: peer.lines[-1] == b"0,0")
+        await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
 async def test_a_board_may_be_told_the_base_s_own_speeds(peer, engine):
@@ -99,7 +99,7 @@ async def test_a_board_may_be_told_the_base_s_own_speeds(peer, engine):
     async with running(spec) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 1.0, 1: 3.0}
-        await until(lambda: peer.lines[-1] == b"0.20 0.40")
+        await until(lambda: peer.lines[-1:] == [b"0.20 0.40"])
         rig.loop.running = False
         await until(lambda: peer.lines[-1] in (b"0.00 0.00", b"-0.00 -0.00", b"0.00 -0.00"))
         await until(lambda: rig.states() == {DriveState.READY})
@@ -110,8 +110,8 @@ async def test_the_last_line_of_all_is_zero(tmp_path, engine):
     async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
-        await until(lambda: peer.lines[-1] == b"128,-255")
-    await until(lambda: peer.lines[-1] == b"0,0")
+        await until(lambda: peer.lines[-1:] == [b"128,-255"])
+    await until(lambda: peer.lines[-1:] == [b"0,0"])
     peer.close()
 
 

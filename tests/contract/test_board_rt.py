@@ -96,7 +96,7 @@ async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):
     async with running(text_spec(peer.link, "rt", "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
-        await until(lambda: peer.lines[-1] == b"128,-255")
+        await until(lambda: peer.lines[-1:] == [b"128,-255"])
         sleep_until(lambda: peer.lines[-6:] == [b"0,0"] * 6)
     peer.close()
 
