@@ -198,7 +198,8 @@ async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, ask
     async with running(spec) as rig:
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
         assert said in rig.events[0].text
-    assert [chip.read(number, "enable") for number in range(4)] == [0] * 4
+        assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
+        assert [duty > 0 for duty in chip.duties()] == [False, False, False, True]
 
 
 async def test_pulses_that_software_makes_turn_motors_where_they_are_asked_for(chip):
@@ -299,6 +300,34 @@ async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(ch
     (problem,) = await halt_line(spec_of(chip))
     assert "joint left, pin rpwm" in problem
     assert chip.duties() == REST
+
+
+@pytest.mark.parametrize(
+    ("drive", "pins", "touched"),
+    [
+        ("cytron-mdd", {"pwm": "pwm0", "dir": "GPIO5"}, False),
+        ("tb6612fng", {"pwm": "pwm0", "in1": "GPIO5", "in2": "GPIO6", "stby": "GPIO7"}, True),
+    ],
+)
+async def test_of_a_motor_whose_pulses_go_on_only_lines_that_take_its_power_are_touched(
+    chip, drive, pins, touched
+):
+    (chip.folder / "pwm0/period").unlink()
+    joint = JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=pins)
+    nowhere = PinsSpec(pwm_chip=str(chip.folder), gpio_chip="nowhere")
+    problems = await halt_line(spec_of(chip, joints=(joint,), pins=nowhere))
+    assert "joint left, pin pwm" in problems[0]
+    assert [text for text in problems if 'no GPIO chip "nowhere"' in text] == problems[1:]
+    assert len(problems) == 1 + touched
+
+
+async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
+    (chip.folder / "pwm0/period").unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    async with running(spec_of(chip)) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        assert "joint left, pin rpwm" in rig.events[0].text
+        assert chip.duties() == REST
 
 
 def test_a_bridge_without_its_pins_is_refused(chip):

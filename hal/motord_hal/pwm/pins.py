@@ -102,6 +102,21 @@ def may_be_left_out(bridge: Bridge, pin: str) -> bool:
     return all(level == (1.0, 0.0) for level in driven)
 
 
+def lines_take_power(joint: JointSpec) -> bool:
+    """Whether its GPIO lines end motion by themselves at COAST: they are neither as forward nor as
+    backward then. Those of PWM and DIR are, and only say the way."""
+    bridge = bridge_of(joint)
+    lines = [
+        bridge.levels[place.pin]
+        for place in places_of(0, joint)
+        if place.channel is None and place.pin in bridge.levels
+    ]
+    return all(
+        any((levels["coast"][0] >= 0.5) != (levels[way][0] >= 0.5) for levels in lines)
+        for way in ("forward", "reverse")
+    )
+
+
 @dataclass(slots=True)
 class OpenPins:
     """All pins of a line. The descriptors are this object's."""
@@ -134,7 +149,16 @@ class OpenPins:
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
-    """Raises PortError, ProfileError; nothing stays open then."""
+    """Raises PortError, ProfileError; nothing stays open then. A motor may be turning still, as a
+    dead program left it: what can be brought to rest is, also where something else is missing."""
+    try:
+        return await _open_all(spec)
+    except PortError:
+        await rest_pins(spec)
+        raise
+
+
+async def _open_all(spec: LineSpec) -> OpenPins:
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     with contextlib.ExitStack() as undo:
         undo.callback(opened.close)
@@ -249,16 +273,29 @@ def _allow_software(spec: LineSpec, places: list[Place]) -> None:
 
 async def rest_pins(spec: LineSpec) -> list[str]:
     """Every pin to no power, whatever another one says; then they are let go. Returns what could
-    not be done, in words. Raises ProfileError."""
+    not be done, in words. A motor whose pulses go on is not turned: lines that only say its way
+    stay as they are. Raises ProfileError."""
     problems: list[str] = []
+    driven: set[int] = set()
     chip: Path | None = None
     for place in [place for place in _places(spec) if place.channel is not None]:
         try:
             chip = chip or _find_chip(spec)
             (await _open_channel(spec, chip, place)).close()
         except PortError as error:
+            driven.add(place.joint)
             problems.append(str(error))
-    lines = [p for p in _places(spec) if p.channel is None and p.pin != FAULT]
+    lines = [
+        place
+        for place in _places(spec)
+        if place.channel is None
+        and place.pin != FAULT
+        and (
+            place.joint not in driven
+            or place.pin == PUMP
+            or lines_take_power(spec.joints[place.joint])
+        )
+    ]
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     try:
         _open_outputs(spec, opened, lines)
