@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Every line of guard.c, and the edges of output_guard.c on descriptors that are no GPIO lines. */
 #include <errno.h>
+#include <linux/gpio.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "check.h"
@@ -72,8 +74,10 @@ static void a_pin_that_cannot_be_written_is_told_with_its_reason(void)
 {
     guard g;
     guard_init(&g, &(guard_config){.watchdog = 1, .watchdog_fd = -1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = MS});
+    CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
+    const int reason = errno;   /* EBADF; an emulator that does not know the request has another one */
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
-    CHECK(g.watchdog_edges == 1 && g.watchdog_errno == EBADF && g.watchdog_well == 1);
+    CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);
     guard_rest(&g);
     CHECK(g.watchdog_well == 0);
 }
