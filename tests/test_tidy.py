@@ -143,6 +143,14 @@ def test_no_error_is_swallowed():
     )  # fmt: skip
 
 
+def test_limits_on_waiting_hold_in_cleanups_too():
+    rows = matching(PRODUCT, r"asyncio\.(timeout|timeout_at|wait_for)\(")
+    report(
+        [row for row in rows if "hal/motord_hal/clock.py" not in row],
+        "until Python 3.11.3 a cancelled task gets no TimeoutError: motord_hal.clock.within",
+    )
+
+
 def test_an_error_without_words_is_said_in_others():
     rows = matching(PYTHON, r"\berror or [\"']")
     report(rows, "an exception is always true: str(error) or ...")

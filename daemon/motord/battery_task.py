@@ -12,6 +12,7 @@ from motord.battery import BatteryLevel, Measure, of_drives
 from motord.config import DrivesBattery, InaBattery
 from motord.log import about
 from motord.operation import Operation
+from motord_hal.clock import within
 from motord_hal.errors import HalError
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.ina import Ina, Power
@@ -82,7 +83,7 @@ class _Readings:
         joint, _, register = where.partition(".")
         problem = ""
         try:
-            async with asyncio.timeout(REGISTER_WITHIN_S):
+            async with within(REGISTER_WITHIN_S):
                 value = await self._line_of(joint).read_register(joint, register)
         except LookupError as error:
             value, problem = math.nan, str(error.args[0])
@@ -114,7 +115,7 @@ class _Chip:
             # a thread: a device that holds the bus blocks for seconds, and the robot must not wait
             self._under_way = asyncio.get_running_loop().run_in_executor(None, self._read)
         try:
-            async with asyncio.timeout(READ_WITHIN_S):
+            async with within(READ_WITHIN_S):
                 power = await asyncio.shield(self._under_way)
         except TimeoutError as error:
             if self._under_way.done():  # the chip's own NoReply

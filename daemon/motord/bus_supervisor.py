@@ -19,6 +19,7 @@ from typing import Any
 
 from motord.config import Robot
 from motord.sparing import Sparing
+from motord_hal.clock import within
 
 SILENT_S = 10.0
 """It says every second that it lives."""
@@ -107,7 +108,7 @@ class BusSupervisor:
     async def _listen(self, output: asyncio.StreamReader) -> None:
         """Until its end. Raises TimeoutError for who says nothing that counts for so long."""
         loop, rest = asyncio.get_running_loop(), b""
-        async with asyncio.timeout(SILENT_S) as silence:
+        async with within(SILENT_S) as silence:
             while chunk := await output.read(READ_BYTES):
                 *lines, rest = (rest + chunk).split(b"\n")
                 rest = rest[-BEAT_BYTES_MAX:]
@@ -171,7 +172,7 @@ async def _end(process: Process) -> None:
     assert process.stdin is not None  # it was asked for
     process.stdin.close()
     try:
-        async with asyncio.timeout(END_WITHIN_S):
+        async with within(END_WITHIN_S):
             await process.wait()
     except TimeoutError:
         process.kill()

@@ -7,7 +7,6 @@ drive: it lasts until the drive loses its power.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -15,6 +14,7 @@ from motord.config.problems import nearest
 from motord.machine import State
 from motord.operation import Operation
 from motord.rpc import INVALID_PARAMS, Refused, RpcError
+from motord_hal.clock import within
 from motord_hal.drives.profile import SI_UNITS, Register
 from motord_hal.engine.parameter import kept_back
 from motord_hal.errors import HalError
@@ -96,7 +96,7 @@ def _place(lines: Iterable[Line], name: str) -> tuple[Line, str, str]:
 
 async def _read(line: Line, joint: str, register: str) -> float:
     try:
-        async with asyncio.timeout(WITHIN_S):
+        async with within(WITHIN_S):
             return await line.read_register(joint, register)
     except LookupError as error:
         raise RpcError(str(error.args[0]), INVALID_PARAMS) from error
@@ -108,7 +108,7 @@ async def _read(line: Line, joint: str, register: str) -> float:
 
 async def _write(line: Line, joint: str, register: str, value: float) -> float:
     try:
-        async with asyncio.timeout(WITHIN_S):
+        async with within(WITHIN_S):
             return await line.write_register(joint, register, value)
     except (LookupError, ValueError) as error:
         raise RpcError(str(error.args[0]), INVALID_PARAMS) from error

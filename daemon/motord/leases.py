@@ -23,6 +23,7 @@ from motord.commands import (
     datagram,
 )
 from motord.rt import LEASE_NUMBERS, LEASES_MAX, Loop
+from motord_hal.clock import within
 from motord_hal.rt import now_ns
 
 LEASE_MIN_S = 0.02
@@ -212,7 +213,7 @@ class Leases:
 
     async def _judged(self, number: int, sequence: int, before: CommandReport) -> LeaseState:
         """Wait until the loop has seen it. Raises TimeoutError, NoLease."""
-        async with asyncio.timeout(JUDGED_WITHIN_S):
+        async with within(JUDGED_WITHIN_S):
             while True:
                 report = self._loop.commands()
                 state = report.leases.get(number)

@@ -26,6 +26,7 @@ from motord.rpc import Refused
 from motord.rt import Control, Loop
 from motord.sdnotify import Notifier
 from motord.snapshot import Snapshot
+from motord_hal.clock import within
 from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineState
 from motord_hal.rt import now_ns
 
@@ -349,7 +350,7 @@ class Operation:
         """Wait until the condition holds; it is looked at with each snapshot and each step. False:
         it did not within the deadline."""
         try:
-            async with asyncio.timeout(deadline_s):
+            async with within(deadline_s):
                 while not condition():
                     await self._changed.wait()
         except TimeoutError:

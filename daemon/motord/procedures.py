@@ -15,6 +15,7 @@ from collections.abc import AsyncIterator
 from motord.machine import Event, State
 from motord.operation import Operation
 from motord.rpc import Refused
+from motord_hal.clock import within
 from motord_hal.errors import HalError
 from motord_hal.ports import Line
 
@@ -37,7 +38,7 @@ async def arm(operation: Operation) -> State:
         try:
             operation.check(Event.ARM)
             for line in operation.lines:
-                async with asyncio.timeout(LINES_WITHIN_S):
+                async with within(LINES_WITHIN_S):
                     await line.arm()
             operation.check(Event.ARM)
             await _arm_core(operation)
@@ -90,7 +91,7 @@ async def reset(operation: Operation) -> State:
         operation.check(Event.RESET)
         try:
             for line in operation.lines:
-                async with asyncio.timeout(LINES_WITHIN_S):
+                async with within(LINES_WITHIN_S):
                     await line.clear_faults()
         except (HalError, TimeoutError) as error:
             raise Refused(f"not reset: {str(error) or 'a drive took too long'}") from error
@@ -184,7 +185,7 @@ async def _power_off(operation: Operation) -> list[str]:
 
 async def _disarm_line(line: Line, problems: list[str]) -> None:
     try:
-        async with asyncio.timeout(LINES_WITHIN_S):
+        async with within(LINES_WITHIN_S):
             await line.disarm()
     except (HalError, TimeoutError) as error:
         problems.append(

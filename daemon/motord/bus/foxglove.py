@@ -21,6 +21,7 @@ from motord.bus.ros2.types import definition
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
 from motord.bus.topics import TOPICS
 from motord.config import FoxgloveInput, FoxgloveServer
+from motord.deadline import within
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -77,7 +78,7 @@ class FoxgloveAdapter:
                 topic = sample.topic.name
                 self._channels[topic].log(sample.message, log_time=stamp_ns(topic, sample.message))
         finally:
-            async with asyncio.timeout(STOP_WITHIN_S):
+            async with within(STOP_WITHIN_S):
                 await asyncio.to_thread(server.stop)  # threads of it may wait for this loop
 
     async def _started(self) -> WebSocketServer:

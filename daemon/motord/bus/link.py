@@ -19,6 +19,7 @@ from typing import Any
 
 from motord.client import NOT_ALLOWED, REFUSED, ClientError, Refused
 from motord.commands import RELEASE, TWIST, datagram, joint_datagram
+from motord.deadline import within
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
@@ -64,7 +65,7 @@ async def _ask(
 async def call(path: Path, method: str, **params: Any) -> Any:
     """Any method of the local socket, by name. Raises Refused, or ClientError for all else."""
     try:
-        async with asyncio.timeout(CALL_WITHIN_S), _connected(path) as (reader, writer):
+        async with within(CALL_WITHIN_S), _connected(path) as (reader, writer):
             return await _ask(reader, writer, method, params)
     except TimeoutError:
         raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
@@ -99,7 +100,7 @@ class Source:
         while True:
             try:
                 async with _connected(self._path) as (reader, writer):
-                    async with asyncio.timeout(LEASE_WITHIN_S):
+                    async with within(LEASE_WITHIN_S):
                         grant = await _ask(reader, writer, "lease", {"owner": self.owner})
                     await self._hold(grant, reader)
             except (ClientError, OSError, TimeoutError) as error:
@@ -171,6 +172,6 @@ async def _ended(reader: asyncio.StreamReader) -> None:
     """Until the daemon closes the connection."""
     while True:
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_LOOK_EVERY_S):
+            async with within(_LOOK_EVERY_S):
                 if not await reader.read(4096):
                     return

@@ -28,6 +28,7 @@ from motord.config import (
     StdoutPublish,
     UdpPublish,
 )
+from motord.deadline import within
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 
@@ -208,7 +209,7 @@ class Station:
                 if self.view is not None:
                     self.view = View(snapshot=self.view.snapshot, status=status, status_ns=asked_ns)
             try:
-                async with asyncio.timeout(STATUS_EVERY_S):
+                async with within(STATUS_EVERY_S):
                     await self._asked.wait()
             except TimeoutError:
                 pass

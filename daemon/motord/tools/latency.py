@@ -20,6 +20,7 @@ from motord.tools.latency_machine import CpuTimes, machine_facts
 from motord.tools.latency_other_end import Answers, LatencyError, OtherEnd, other_end, own_port
 from motord.tools.latency_report import NOTHING, Bar, LatencyReport, Spread, Window
 from motord.tools.latency_rig import Rig, core_config
+from motord_hal.clock import within
 
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]
 
@@ -174,7 +175,7 @@ class Run:
                 progress(self._so_far(now_s - begin_s))
                 next_progress_s = now_s + PROGRESS_S
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(begin_s + seconds - now_s, WINDOW_S)):
+                async with within(min(begin_s + seconds - now_s, WINDOW_S)):
                     await end.wait()
         self.ended_early = end.is_set()
         self.steal_percent = CpuTimes.now().steal_percent_since(cpu_times)
@@ -187,7 +188,7 @@ class Run:
         """The ticks before belong to no measurement; the loop clears them away at its next tick."""
         self.timeline = Timeline(self.loop)
         self.loop.clear_histograms()
-        async with asyncio.timeout(CLEAR_DEADLINE_S):
+        async with within(CLEAR_DEADLINE_S):
             while True:
                 ticks = self.loop.status().ticks
                 if self.loop.percentiles(HistogramKind.LATENESS).samples < ticks:

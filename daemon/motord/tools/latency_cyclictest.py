@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from motord.tools.latency_process import running
 from motord.tools.latency_report import Bar, Spread
+from motord_hal.clock import within
 
 HISTOGRAM_US = 20_000
 """Later than this is counted as overflow, and told as the maximum."""
@@ -72,7 +73,7 @@ class Beside:
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGINT)
         try:
-            async with asyncio.timeout(END_DEADLINE_S):
+            async with within(END_DEADLINE_S):
                 out, err = await self._process.communicate()
         except TimeoutError:
             return CyclictestResult(None, (), "cyclictest did not end when it was asked to")

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from motord.tools.latency_process import running
 from motord.tools.latency_report import Spread
+from motord_hal.clock import within
 
 COMMAND_HZ = 100.0
 PEER = Path(__file__).with_name("latency_peer.py")
@@ -50,7 +51,7 @@ class OtherEnd:
 
     async def result(self) -> Answers:
         """After `end`. Raises LatencyError."""
-        async with asyncio.timeout(DEADLINE_S):
+        async with within(DEADLINE_S):
             out, err = await self._process.communicate()
         if self._process.returncode != 0:
             raise LatencyError(f"the other end of the port died: {err.decode(errors='replace')}")
@@ -70,7 +71,7 @@ async def other_end(far_fd: int, loop_priority: int) -> AsyncIterator[OtherEnd]:
         ours.setblocking(False)  # noqa: FBT003 no keyword there
         async with running(command, pass_fds=(theirs.fileno(), far_fd)) as process:
             theirs.close()
-            async with asyncio.timeout(DEADLINE_S):
+            async with within(DEADLINE_S):
                 ready = await asyncio.get_running_loop().sock_recv(ours, 1)
             if not ready:
                 raise LatencyError("the other end of the port did not start")

@@ -8,6 +8,8 @@ import contextlib
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Sequence
 
+from motord_hal.clock import within
+
 END_DEADLINE_S = 10.0
 
 
@@ -29,5 +31,5 @@ async def running(command: Sequence[str], pass_fds: Sequence[int] = ()) -> Async
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
-            async with asyncio.timeout(END_DEADLINE_S):
+            async with within(END_DEADLINE_S):
                 await process.communicate()

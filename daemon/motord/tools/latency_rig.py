@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from motord.rt import BaseLimits, Control, CoreConfig, JointConfig, Loop, StopAction
 from motord.tools.latency_other_end import LatencyError
 from motord.tools.latency_peer import COMMAND, Tally
+from motord_hal.clock import within
 from motord_hal.rt import Exchange, Setpoints
 
 LINE = 0
@@ -177,7 +178,7 @@ class Rig:
         """The core arms on an edge that it sees, so it is given again until it was. Raises
         LatencyError."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(ARM_DEADLINE_S):
+            async with within(ARM_DEADLINE_S):
                 while not self._loop.read_state().armed:
                     self.stay_alive()
                     for armed in (False, True):

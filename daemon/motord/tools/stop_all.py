@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from motord.assembly import line_specs, profiles_of
 from motord.client import ClientError, find_socket
 from motord.config import Robot
+from motord_hal.clock import within
 from motord_hal.errors import HalError
 from motord_hal.lines import halt_line
 from motord_hal.ports import LineSpec
@@ -48,7 +49,7 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
 
 async def _problems(spec: LineSpec, within_s: float) -> list[str]:
     try:
-        async with asyncio.timeout(within_s):
+        async with within(within_s):
             return await halt_line(spec)
     except HalError as error:  # before TimeoutError: NoReply is both
         return [str(error)]

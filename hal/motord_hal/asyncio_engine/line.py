@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.asyncio_engine.tally import CycleTally
-from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job, clear_steps
 from motord_hal.engine.line import DriveLine, fresh
@@ -143,7 +143,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         left = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
         why = self.deaf
         try:
-            async with asyncio.timeout(SHUTDOWN_WITHIN_S):
+            async with within(SHUTDOWN_WITHIN_S):
                 await self._come_to_rest(left)
                 while left:
                     for drive in list(left):
@@ -210,7 +210,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
         waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
         try:
-            async with asyncio.timeout(limit_s):
+            async with within(limit_s):
                 results = await asyncio.gather(*waits, return_exceptions=True)
         except TimeoutError:
             what = f"{self.spec.name}: {jobs[0].name}"

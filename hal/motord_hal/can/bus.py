@@ -23,7 +23,7 @@ from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.clock import now_ns, now_s
+from motord_hal.clock import now_ns, now_s, within
 from motord_hal.errors import PortError
 
 OPEN_WITHIN_S = 5.0
@@ -81,7 +81,7 @@ class CanBus:
         await make_ready(self.address, self.errors, fd_frames=self._fd_frames)
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
-            async with asyncio.timeout(OPEN_WITHIN_S):
+            async with within(OPEN_WITHIN_S):
                 self._bus = await asyncio.shield(opening)
         except TimeoutError:
             raise PortError(f"{self.address}: not open after {OPEN_WITHIN_S:g} s") from None

@@ -32,7 +32,7 @@ from pymodbus.framer import FramerBase, FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
 from serial import Serial, SerialException
 
-from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.errors import BadReply, NoReply, PortError, Refused
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
@@ -281,7 +281,7 @@ class GuardedClient:
             keeping_cancellation(),
             contextlib.suppress(TimeoutError, ModbusException, SerialException),
         ):
-            async with asyncio.timeout(limit_s):
+            async with within(limit_s):
                 await self._send(request)
 
     async def _send(self, request: Request) -> None:

@@ -23,7 +23,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import ModbusPDU
 
-from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.errors import NoReply, PortError, Refused
 from motord_hal.modbus.codec import BROADCAST_UNIT, Request, seal
 from motord_hal.modbus.guard import (
@@ -125,7 +125,7 @@ class GatewayClient(GuardedClient):
             undo.callback(client.close)
             try:
                 with keeping_cancellation():
-                    async with asyncio.timeout(CONNECT_WITHIN_S):
+                    async with within(CONNECT_WITHIN_S):
                         connected = await client.connect()
             except TimeoutError:
                 raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None

@@ -8,7 +8,7 @@ import asyncio
 import os
 from collections.abc import Iterator
 
-from motord_hal.clock import now_s
+from motord_hal.clock import now_s, within
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.encoder.board import CountingBoard
 from motord_hal.engine.line import LineTask
@@ -235,7 +235,7 @@ class PwmLine(LineTask):
     async def _obeyed(self, wish: Wish) -> BridgeReport:
         number = self._thread.wish(wish)
         try:
-            async with asyncio.timeout(OBEYED_WITHIN_S):
+            async with within(OBEYED_WITHIN_S):
                 while (report := self._thread.report()).number != number:
                     self._check_open()
                     await asyncio.sleep(LOOK_EVERY_S)

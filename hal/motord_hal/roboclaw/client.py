@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from motord_hal.clock import now_s, sleep_until_s
+from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.errors import BadReply, NoReply, PortError
 from motord_hal.mcu.link import Stream
 from motord_hal.modbus.codec import Request
@@ -89,7 +89,7 @@ class RoboclawClient(GuardedClient):
         """Until all bytes are there, or the time is over. Raises PortError."""
         size = codec.reply_size(request)
         try:
-            async with asyncio.timeout(limit_s):
+            async with within(limit_s):
                 while len(self._came) < size:
                     if not self.connected:
                         raise PortError(f"{self.port} went away")

@@ -12,6 +12,7 @@ import contextlib
 from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
+from motord_hal.clock import within
 from motord_hal.engine.line import DriveLine
 from motord_hal.engine.parameter import write_steps
 from motord_hal.errors import HalError, PortError
@@ -133,7 +134,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         self._thread.shut_down()
         report = self._thread.report()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(SHUTDOWN_WITHIN_S):
+            async with within(SHUTDOWN_WITHIN_S):
                 while (report := self._thread.report()).running and not report.shut_down:
                     await self._news.wait()
         done = report.shut_down

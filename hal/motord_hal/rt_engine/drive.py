@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from motord_hal.clock import NS_PER_S, now_ns
+from motord_hal.clock import NS_PER_S, now_ns, within
 from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.engine.faults import FaultWatch, Say
 from motord_hal.engine.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
@@ -235,7 +235,7 @@ class RtDrive(abc.ABC):
     async def _obeyed(self, wish: int) -> None:
         """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
         try:
-            async with asyncio.timeout(OBEYED_WITHIN_S):
+            async with within(OBEYED_WITHIN_S):
                 await self._news.until(
                     lambda: self._report is not None and self._report.wish_seen >= wish
                 )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from motord.bus.publish.metrics import exposition
 from motord.config import PrometheusPublish
+from motord.deadline import within
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -60,7 +61,7 @@ class PrometheusServer:
                 return
             self._connections += 1
             try:
-                async with asyncio.timeout(REQUEST_WITHIN_S):
+                async with within(REQUEST_WITHIN_S):
                     head = await reader.readuntil(b"\r\n\r\n")
                     writer.write(self._answer(head))
                     await writer.drain()

@@ -9,6 +9,7 @@ import socket
 
 from motord.bus.publish.samples import Samples
 from motord.config import UdpPublish
+from motord.deadline import within
 
 RESOLVE_WITHIN_S = 5.0
 RESOLVE_AGAIN_S = 5.0
@@ -40,7 +41,7 @@ class UdpPublisher:
         loop = asyncio.get_running_loop()
         while True:
             try:
-                async with asyncio.timeout(RESOLVE_WITHIN_S):
+                async with within(RESOLVE_WITHIN_S):
                     found = await loop.getaddrinfo(
                         self._host, self._port, type=socket.SOCK_DGRAM, proto=socket.IPPROTO_UDP
                     )

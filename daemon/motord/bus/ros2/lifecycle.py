@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from motord.bus.inputs.desk import Desk, NotTaken
 from motord.bus.messages import state_name
 from motord.bus.ros2.nodes import Node
+from motord.deadline import within
 from motord.sparing import Sparing
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ class Lifecycle:
         if _OF_MACHINE.get(answer["state"]) not in reached:
             return False
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(SEEN_WITHIN_S):
+            async with within(SEEN_WITHIN_S):
                 while self._now() not in (*reached, ERROR):  # noqa: ASYNC110  the view has no event
                     await asyncio.sleep(_SEEN_EVERY_S)
         if self._now() == ERROR:

@@ -20,6 +20,7 @@ from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant, client_of
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.types import type_hash
+from motord.deadline import within
 from motord.sparing import Sparing
 
 WAITING_MAX = 32
@@ -99,7 +100,7 @@ class Service:
         if name is None:
             return
         try:
-            async with asyncio.timeout(MATCHED_WITHIN_S):
+            async with within(MATCHED_WITHIN_S):
                 while name not in self._hearing():  # noqa: ASYNC110  DDS has no event for it
                     await asyncio.sleep(_MATCHED_EVERY_S)
         except TimeoutError:

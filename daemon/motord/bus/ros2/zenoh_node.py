@@ -18,6 +18,7 @@ from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
+from motord.deadline import within
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where ROS 2 has its router."""
@@ -157,7 +158,7 @@ class ZenohNode:
             except zenoh.ZError as error:
                 self._say(str(error))
             finally:
-                async with asyncio.timeout(CLOSE_WITHIN_S):
+                async with within(CLOSE_WITHIN_S):
                     await asyncio.to_thread(_close, session)
 
     def _open(self) -> zenoh.Session:
