@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source
 from motord.bus.motion import (
     Axis,
@@ -43,9 +44,11 @@ class NotNow(Exception):
 class Mover:
     """Of one input. A command by that input itself ends the motion: the newest wish counts."""
 
-    def __init__(self, station: Station, source: Source, lease_s: float) -> None:
+    def __init__(self, station: Station, source: Source, gap: Gap, lease_s: float) -> None:
+        """`gap`: a goal says no time; none begins where it may have waited here."""
         self._station = station
         self._source = source
+        self._gap = gap
         self._lease_s = lease_s
         self._every_s = min(max(lease_s / LOOKS_A_LEASE, LOOK_MIN_S), LOOK_MAX_S)
         self.stale_s = station.robot.safety.feedback_timeout_s
@@ -59,6 +62,8 @@ class Mover:
 
     async def plan(self, goal: Goal) -> Plan:
         """What would be done. Raises NotNow where it cannot be, or may not be now."""
+        if self._gap.just_over():
+            raise NotNow(STOOD_STILL)
         try:
             plan = planned(goal, await self._bounds(goal.axis))
         except (ValueError, ClientError) as error:
@@ -73,6 +78,8 @@ class Mover:
         return plan
 
     def _why_not(self, snapshot: Snapshot | None) -> str | None:
+        if self._gap.just_over():
+            return STOOD_STILL
         if time.monotonic() - self._driven_s < self._lease_s:
             return "cmd_vel commands"
         if not self._source.ready:
