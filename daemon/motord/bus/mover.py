@@ -5,6 +5,7 @@ commands again and again: when this process hangs or dies, the lease lapses and 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source
 from motord.bus.motion import (
+    STOPS_EVERY_S,
     Axis,
     Bounds,
     End,
@@ -100,6 +102,7 @@ class Mover:
     ) -> tuple[Wish, Motion | None]:
         """Until its end; `tell` is called at each look. Motion None: it did not begin."""
         try:
+            stops = await self._stops()
             with StatePage.open(self._station.robot.robot.name) as page:
                 start = page.read()
                 why = self._why_not(start)
@@ -112,10 +115,27 @@ class Mover:
                     time.monotonic_ns(),
                     lease=self._source.number,
                     stale_s=self.stale_s,
+                    stops=stops,
                 )
-                return await self._follow(motion, start, page, tell, cancel), motion
-        except NoPage as error:
+                async with asyncio.TaskGroup() as tasks:
+                    counting = tasks.create_task(self._count_stops(motion))
+                    wish = await self._follow(motion, start, page, tell, cancel)
+                    counting.cancel()
+                return wish, motion
+        except (NoPage, ClientError) as error:
             return Wish(end=End.ABORTED, why=str(error)), None
+
+    async def _stops(self) -> int:
+        """Counted by the daemon until now. Raises ClientError."""
+        return int((await self._station.call("status"))["stops"])
+
+    async def _count_stops(self, motion: Motion) -> None:
+        """Until cancelled."""
+        while True:
+            asked_ns = time.monotonic_ns()
+            with contextlib.suppress(ClientError):  # nothing is corrected then
+                motion.counted(await self._stops(), asked_ns)
+            await asyncio.sleep(STOPS_EVERY_S)
 
     async def _follow(
         self,
