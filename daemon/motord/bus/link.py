@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the second process to the daemon: calls on its local socket, and commands under a lease.
 
-Every call has a connection of its own and a deadline. A lease lives as long as its connection; when
+Every call has a connection of its own and a deadline; what stops the robot has one more that is
+open beforehand. A lease lives as long as its connection; when
 the daemon ends it, another is asked for. Nobody answers a command: docs/commands.md.
 """
 
@@ -24,10 +25,15 @@ from motord.deadline import within
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
 LEASE_AGAIN_S = 0.5
+STANDBY_AGAIN_S = 0.5
 _LOOK_EVERY_S = 10.0
 _ANSWER_BYTES_MAX = 1 << 20
 
 _log = logging.getLogger(__name__)
+
+
+class NotConnected(ClientError):
+    """The daemon was not asked."""
 
 
 @contextlib.asynccontextmanager
@@ -37,7 +43,7 @@ async def _connected(
     try:
         reader, writer = await asyncio.open_unix_connection(str(path), limit=_ANSWER_BYTES_MAX)
     except OSError as error:
-        raise ClientError(f"{path}: {error.strerror or error}") from error
+        raise NotConnected(f"{path}: {error.strerror or error}") from error
     try:
         yield reader, writer
     finally:
@@ -69,6 +75,60 @@ async def call(path: Path, method: str, **params: Any) -> Any:
             return await _ask(reader, writer, method, params)
     except TimeoutError:
         raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
+
+
+class Standby:
+    """A connection that is there before it is needed: who has no descriptor left for another can
+    still have the robot stopped. Of one method, so that an emergency stop waits for none other."""
+
+    def __init__(self, path: Path, method: str) -> None:
+        self._path, self._method = path, method
+        self._line: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self._turn = asyncio.Lock()
+        self._unanswered = False
+
+    @property
+    def ready(self) -> bool:
+        """It is connected, as far as is known."""
+        return self._line is not None
+
+    async def run(self) -> None:
+        """Be connected, again after each loss, until cancelled."""
+        while True:
+            with contextlib.suppress(ClientError, TimeoutError):
+                async with contextlib.AsyncExitStack() as cleanup:
+                    async with within(LEASE_WITHIN_S):
+                        line = await cleanup.enter_async_context(_connected(self._path))
+                    await self._offer(line)
+            await asyncio.sleep(STANDBY_AGAIN_S)
+
+    async def _offer(self, line: tuple[asyncio.StreamReader, asyncio.StreamWriter]) -> None:
+        """Until it is lost, or a late answer on it would be taken for that of the next call."""
+        self._line, self._unanswered = line, False
+        try:
+            while not line[0].at_eof() and (  # noqa: ASYNC110  a reader has none
+                self._turn.locked() or not self._unanswered
+            ):
+                await asyncio.sleep(STANDBY_AGAIN_S)
+        finally:
+            self._line = None
+
+    async def call(self) -> Any:
+        """Of its method. Raises Refused and ClientError."""
+        try:
+            async with within(CALL_WITHIN_S), self._turn:
+                if self._line is None or self._unanswered:
+                    raise NotConnected(f"{self._method}: no connection to the daemon is left")
+                self._unanswered = True
+                try:
+                    answer = await _ask(*self._line, self._method, {})
+                except Refused:
+                    self._unanswered = False
+                    raise
+                self._unanswered = False
+                return answer
+        except TimeoutError:
+            raise ClientError(f"{self._method}: no answer within {CALL_WITHIN_S:g} s") from None
 
 
 class Source:

@@ -15,7 +15,7 @@ from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHE
 from motord.bus.feed import Feed, Form, as_message
 from motord.bus.guard import keep
 from motord.bus.inputs.gap import Gap
-from motord.bus.link import Source, call
+from motord.bus.link import NotConnected, Source, Standby, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError
@@ -36,6 +36,8 @@ ATTACH_AGAIN_S = 0.5
 STATUS_EVERY_S = 1.0
 LOOK_MIN_S, LOOK_MAX_S = 0.001, 0.1
 LOOKS_PER_SAMPLE = 2
+TO_REST = ("stop", "estop", "disarm")
+"""Calls for which a connection to the daemon is kept."""
 
 BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
@@ -58,6 +60,7 @@ class Station:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Feed] = {}
         self.sources: dict[str, Source] = {}
+        self._standby = {method: Standby(path, method) for method in TO_REST}
         self._gaps: list[Gap] = []
         self._failures: dict[str, int] = {}
         """How often the adapter of a section has failed, where it has."""
@@ -81,7 +84,13 @@ class Station:
 
     async def call(self, method: str, **params: Any) -> Any:
         """Ask the daemon. Raises Refused and ClientError."""
-        return await call(self.path, method, **params)
+        try:
+            return await call(self.path, method, **params)
+        except NotConnected:
+            standby = self._standby.get(method)
+            if params or standby is None or not standby.ready:
+                raise
+        return await standby.call()
 
     def beside_robot_file(self, name: str) -> Path:
         """A file that the robot file names: beside it, unless its path is absolute."""
@@ -111,6 +120,8 @@ class Station:
         async with asyncio.TaskGroup() as tasks:
             for where, adapter in adapters.items():
                 tasks.create_task(keep(where, adapter, self._failures))
+            for standby in self._standby.values():
+                tasks.create_task(standby.run())
             for gap in self._gaps:
                 tasks.create_task(gap.watch())
             tasks.create_task(self._look())
