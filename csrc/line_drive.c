@@ -192,6 +192,9 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
+    if (drive->stopping) {
+        return false;   /* rest would take its brake off: it comes with the power-off */
+    }
     for (; drive->place < table->way_count; drive->place++) {
         uint32_t wanted = line_way_wanted(m, number, drive->place);
         uint32_t told = drive->way_told[drive->place];
