@@ -4,6 +4,7 @@
 import pytest
 from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
+from test_line_adversary import mute
 from test_modbus_line import ENGINES, registers_of, spec_of
 
 from motord_hal.drives.load import find_profile
@@ -61,4 +62,13 @@ async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
         await set_off(rig, unit)
         unit.silent = True
     assert rig.kinds()[-1] is EventKind.DRIVE_WARNING
+    assert "wheel not switched off at the end" in rig.events[-1].text
+
+
+async def test_a_drive_that_hears_but_is_not_heard_is_switched_off_at_the_end(peer):
+    unit = peer.units[1]
+    async with running(spec_of(peer, [WHEEL])) as rig:
+        await set_off(rig, unit)
+        mute(peer)
+    assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
     assert "wheel not switched off at the end" in rig.events[-1].text
