@@ -53,7 +53,8 @@ typedef struct {
     uint32_t extra_next;
     uint32_t still_enabled;     /* cycles in a row in which it said so without being armed */
     uint32_t stop;              /* line_stop_kind: frames that go before all else */
-    uint32_t stop_place;
+    uint32_t stop_place;        /* the frame that is told next, or has been told */
+    uint32_t stop_done;         /* bit n: frame n was acknowledged, or is refused for good */
     uint32_t stop_failures;
     uint32_t probe_place;
     uint32_t probes_at_once;
