@@ -73,6 +73,7 @@ typedef struct {
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;
     uint16_t sequence;
+    uint16_t next;              /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
     int64_t told_ns;            /* a frame went out last */

@@ -21,6 +21,7 @@ bool can_send(can_machine *m, const can_packet *packet)
     bool went = m->send(m->sink, packet);
     m->sent += went;
     m->tx_full += !went;
+    m->clogged &= !went;
     return went;
 }
 
@@ -69,7 +70,11 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
         drive->told_motion |= moves;
-        all &= can_send(m, &packet);
+        bool went = can_send(m, &packet);
+        all &= went;
+        if (moves && went && m->motion_since_ns == 0) {
+            m->motion_since_ns = now_ns;
+        }
     }
     if (all) {
         drive->told_motion = motion;
