@@ -20,6 +20,9 @@ from motord_hal.pwm.sysfs import _why, find_chip, open_channel
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
+FORWARD = '[bridge.forward]\nrpwm = "duty"\nlpwm = "low"\n'
+OFF, DUTY = (0.0, 0.0), (0.0, 1.0)
+BRAKE = '[bridge.brake]\nrpwm = "low"\nlpwm = "low"\n'
 LEFT = 'pins = { rpwm = "pwm0", lpwm = "pwm1", r_en = "GPIO5", l_en = "GPIO6" }'
 
 RS485 = """[line.rs485]
@@ -157,6 +160,16 @@ def test_an_absent_gpio_chip_is_said(tmp_path):
         ('[bridge.brake]\nrpwm = "low"\n', "[bridge.brake]\n", 'pin "rpwm" has no level in brake'),
         ("pwm_hz = 20000", "pwm_hz = 90000", "not within pwm_min_hz and pwm_max_hz"),
         ('protocol = "pwm"', 'protocol = "ascii"', "if and only if"),
+        (
+            FORWARD,
+            FORWARD.replace('"low"', '"inverse"'),
+            r"bridge\.forward.* written one after the",
+        ),
+        (
+            BRAKE,
+            BRAKE.replace('"low"', '"high"'),
+            r'bridge\.brake.*"rpwm" and "lpwm" are both above',
+        ),
     ],
 )
 def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
@@ -165,6 +178,12 @@ def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
     path.write_text(BTS.replace(right, wrong, 1), encoding="utf-8")
     with pytest.raises(ProfileError, match=words):
         load_profile(path)
+
+
+def test_of_a_bridge_with_a_pwm_pin_for_each_way_one_write_that_fails_gives_no_power():
+    levels = find_profile("drv8871").bridge.levels
+    assert levels["in1"] == {**dict.fromkeys(("coast", "brake", "reverse"), OFF), "forward": DUTY}
+    assert levels["in2"] == {**dict.fromkeys(("coast", "brake", "forward"), OFF), "reverse": DUTY}
 
 
 # -------------------------------------------------------------------------------------- robot files
