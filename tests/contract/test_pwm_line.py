@@ -152,6 +152,68 @@ async def test_cancelling_the_line_leaves_no_pulses(chip):
     assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
 
 
+def broken(chip, number):
+    """From now on the kernel refuses every duty of a channel that is open: no space on the device.
+    Returns a descriptor of the file, for the caller to close."""
+    path = (chip.folder / f"pwm{number}/duty_cycle").resolve()
+    links = [Path("/proc/self/fd", name) for name in os.listdir("/proc/self/fd")]
+    (fd,) = (int(link.name) for link in links if os.path.realpath(link) == str(path))
+    kept = os.dup(fd)
+    full = os.open("/dev/full", os.O_WRONLY | os.O_CLOEXEC)
+    os.dup2(full, fd, inheritable=False)
+    os.close(full)
+    return kept
+
+
+async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        kept = broken(chip, 0)
+        try:
+            with pytest.raises(PortError):
+                await rig.line.disarm()
+            assert chip.duties()[0] == 25_000
+            await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        finally:
+            os.close(kept)
+    (text,) = (event.text for event in rig.events if "not brought to rest" in event.text)
+    assert "joint left, pin rpwm: No space left on device" in text
+
+
+async def test_a_line_that_ends_and_leaves_a_pin_its_duty_says_so(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        kept = broken(chip, 0)
+    os.close(kept)
+    said = [event for event in rig.events if "not brought to rest" in event.text]
+    assert [event.kind for event in said] == [EventKind.DRIVE_WARNING]
+    assert "joint left, pin rpwm: No space left on device" in said[0].text
+
+
+async def test_pulses_that_cannot_be_ended_are_said_by_the_line_that_ends(chip):
+    enable = chip.folder / "pwm2/enable"
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        enable.unlink()
+        enable.mkdir()
+    said = [event.text for event in rig.events if "not brought to rest" in event.text]
+    assert said == [
+        f"pins: not brought to rest: joint right, pin rpwm: {enable.parent}: enable: Is a directory"
+    ]
+    assert chip.duties() == REST
+
+
+async def test_a_channel_that_is_gone_at_the_end_is_no_reason_for_a_warning(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        (chip.folder / "pwm2/enable").unlink()
+    assert EventKind.DRIVE_WARNING not in rig.kinds()
+
+
 async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
     async with running(spec_of(chip)) as rig:
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)

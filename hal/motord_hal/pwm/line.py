@@ -130,7 +130,7 @@ class PwmLine(LineTask):
         try:
             self._thread.start(self._config(pins))
         except HalError:
-            pins.close()
+            self._say_not_resting(pins.close())
             raise
         self._pins, self._started_s = pins, now_s()
         self._seen = BridgeReport()
@@ -173,12 +173,13 @@ class PwmLine(LineTask):
         raise PortError(self._what_failed(report))
 
     def _what_failed(self, report: BridgeReport) -> str:
+        return f"{self.spec.name}: {self._at(report.error_output)}: {os.strerror(report.error)}"
+
+    def _at(self, output: int) -> str:
         names = self._pins.names if self._pins else []
-        at = report.error_output
-        where = names[at] if 0 <= at < len(names) else "the GPIO lines"
-        if at <= AT_ENCODER:
-            where = f"the encoder of {self._names[AT_ENCODER - at]}"
-        return f"{self.spec.name}: {where}: {os.strerror(report.error)}"
+        if output <= AT_ENCODER:
+            return f"the encoder of {self._names[AT_ENCODER - output]}"
+        return names[output] if 0 <= output < len(names) else "the GPIO lines"
 
     def _note(self, report: BridgeReport) -> None:
         before, self._seen = self._seen, report
@@ -197,8 +198,18 @@ class PwmLine(LineTask):
     def _close_medium(self) -> None:
         if self._pins is not None:
             self._thread.stop()
-            self._pins.close()
+            report = self._thread.report()
+            problems = self._pins.close()
+            if report.rest_error:
+                what = f"{self._at(report.rest_output)}: {os.strerror(report.rest_error)}"
+                problems.insert(0, what)
             self._pins = None
+            self._say_not_resting(problems)
+
+    def _say_not_resting(self, problems: list[str]) -> None:
+        if problems:
+            text = f"{self.spec.name}: not brought to rest: {'; '.join(problems)}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
 
     async def _shut_down(self) -> None:
         """Brake, then no power; the thread's last words are those in any case."""
@@ -241,6 +252,8 @@ class PwmLine(LineTask):
                     await asyncio.sleep(LOOK_EVERY_S)
         except TimeoutError:
             raise NoReply(f"{self.spec.name}: the thread of the pins does not answer") from None
+        if not report.running:
+            raise PortError(self._what_failed(report))
         return report
 
     async def clear_faults(self) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -136,16 +137,21 @@ class OpenPins:
     doubt: str = ""
     """Why pulses may not reach the pins, in a sentence; empty: there is no reason."""
 
-    def close(self) -> None:
-        """The thread has let them rest."""
-        for channel in self.channels:
-            channel.close()
+    def close(self) -> list[str]:
+        """The thread has let them rest. Returns which pulses could not be ended, in words."""
+        problems = []
+        for name, channel in zip(self.names, self.channels, strict=False):  # lines come after them
+            try:
+                channel.close()
+            except PortError as error:
+                problems.append(f"{name}: {error}")
         for fd in (self.outputs_fd, self.inputs_fd):
             if fd >= 0:
                 os.close(fd)
         for encoder in self.encoders:
             if encoder is not None and encoder.fd >= 0:
                 os.close(encoder.fd)
+        return problems
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
@@ -281,7 +287,9 @@ async def rest_pins(spec: LineSpec) -> list[str]:
     for place in [place for place in _places(spec) if place.channel is not None]:
         try:
             chip = chip or _find_chip(spec)
-            (await _open_channel(spec, chip, place)).close()
+            channel = await _open_channel(spec, chip, place)
+            with _saying(place):
+                channel.close()
         except PortError as error:
             driven.add(place.joint)
             problems.append(str(error))
@@ -316,7 +324,14 @@ async def _open_channel(spec: LineSpec, chip: Path, place: Place) -> Channel:
     high_ns = round(base * period)
     rest_ns = period - high_ns if place.inverted else high_ns
     assert place.channel is not None  # a PWM pin
-    try:
+    with _saying(place):
         return await open_channel(chip, place.channel, period, rest_ns)
+
+
+@contextlib.contextmanager
+def _saying(place: Place) -> Iterator[None]:
+    """Errors name the pin."""
+    try:
+        yield
     except PortError as error:
         raise PortError(f"{place.purpose}: {error}") from error
