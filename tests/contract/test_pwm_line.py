@@ -4,6 +4,7 @@ makes of it is in tests/vm/guest/test_gpio_pwm.py."""
 
 import asyncio
 import contextlib
+import ctypes
 import fcntl
 import os
 import subprocess
@@ -381,6 +382,53 @@ async def test_of_a_motor_whose_pulses_go_on_only_lines_that_take_its_power_are_
     assert "joint left, pin pwm" in problems[0]
     assert [text for text in problems if 'no GPIO chip "nowhere"' in text] == problems[1:]
     assert len(problems) == 1 + touched
+
+
+async def test_no_channel_waits_for_another_one_to_rest(chip):
+    period = chip.folder / "pwm0/period"
+    period.unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    async with asyncio.TaskGroup() as tasks:
+        halt = tasks.create_task(halt_line(spec_of(chip)))
+        await until(lambda: chip.duties() == REST)
+        assert not halt.done()
+        period.write_text("0\n")
+    assert halt.result() == []
+
+
+class Opened:
+    """Tells whether a file was opened since it is watched, inotify(7)."""
+
+    IN_OPEN = 0x20
+
+    def __init__(self, path):
+        libc = ctypes.CDLL(None, use_errno=True)
+        self.fd = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        assert libc.inotify_add_watch(self.fd, os.fsencode(path), self.IN_OPEN) >= 0
+
+    def __bool__(self):
+        try:
+            return bool(os.read(self.fd, 4096))
+        except BlockingIOError:
+            return False
+
+
+async def test_lines_rest_also_where_nobody_waits_for_a_channel_any_more(chip, tmp_path):
+    (chip.folder / "pwm0/period").unlink()
+    lines = tmp_path / "gpiochip"
+    lines.touch()
+    pins = {"rpwm": "pwm0", "lpwm": "pwm2", "r_en": "1", "l_en": "2", "pump": "3"}
+    joint = JointSpec(index=0, name="left", profile=find_profile("bts7960"), unit=1, pins=pins)
+    where = PinsSpec(pwm_chip=str(chip.folder), gpio_chip=str(lines))
+    opened = Opened(lines)
+    async with asyncio.TaskGroup() as tasks:
+        halt = tasks.create_task(halt_line(spec_of(chip, joints=(joint,), pins=where)))
+        await until(lambda: chip.read(2, "period") == PERIOD_NS)
+        assert not opened
+        halt.cancel()
+    assert halt.cancelled()
+    assert opened
+    os.close(opened.fd)
 
 
 async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
