@@ -102,6 +102,16 @@ def test_a_pull_is_refused_on_a_chip_whose_driver_would_ignore_it():
         os.close(request_edges("tegra234-gpio", wanted, "motord", Pull.AS_IT_IS, rising=True))
 
 
+def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
+    wanted = Wanted(line="A", purpose="safety.estop")
+    twice = gpio_chip("motord-twice", "A", "B", "A")
+    with twice, pytest.raises(PortError, match=r'safety\.estop: lines 0, 2 of this chip are "A"'):
+        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
+    one, other = gpio_chip("motord-twice", "A"), gpio_chip("motord-twice", "A", folder="other")
+    with one, other, pytest.raises(PortError, match=r'2 GPIO chips are "motord-twice": /dev/gpioc'):
+        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
+
+
 def test_a_line_that_somebody_has_is_named_with_its_owner():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with chip(), contextlib.ExitStack() as unless_ended:
