@@ -14,11 +14,15 @@ from pathlib import Path
 import pytest
 from loop_side import GENEROUS_S, running, until
 
+import motord_hal.pwm
+import motord_hal.rt_engine
+from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
 from motord_hal.lines import halt_line, open_line
 from motord_hal.pinmux import not_muxed
 from motord_hal.ports import (
+    SETPOINT_TIMEOUT_S,
     DriveState,
     EventKind,
     JointSpec,
@@ -26,6 +30,7 @@ from motord_hal.ports import (
     LineState,
     PinsSpec,
 )
+from motord_hal.pwm.line import WATCH_EVERY_S
 from motord_hal.rt import Exchange
 
 PERIOD_NS = 50_000
@@ -142,6 +147,25 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
         with pytest.raises(HalError, match="no fresh set-points"):
             while True:
                 await rig.line.arm()
+
+
+async def test_a_line_that_could_not_be_armed_does_not_say_that_it_was_stopped(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        rig.loop.running = False
+        await until(lambda: now_ns() - rig.loop.put_ns > 2e9 * SETPOINT_TIMEOUT_S)
+        with pytest.raises(HalError, match="no fresh set-points"):
+            await rig.line.arm()
+        looks = rig.line.stats().cycles + 2 * WATCH_EVERY_S * rig.line.spec.cycle_hz
+        await until(lambda: rig.line.stats().cycles > looks)
+    assert EventKind.DRIVE_WARNING not in rig.kinds()
+
+
+def test_set_points_that_a_thread_in_c_reads_have_no_second_reader():
+    """The mailbox has room for one: the other one's value could be written while it is read."""
+    for package in (motord_hal.pwm, motord_hal.rt_engine):
+        for path in Path(package.__path__[0]).glob("*.py"):
+            assert "take_setpoints" not in path.read_text("utf-8"), path
 
 
 async def test_cancelling_the_line_leaves_no_pulses(chip):

@@ -52,7 +52,8 @@ class PwmLine(LineTask):
         self._names = tuple(joint.name for joint in spec.joints)
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
-        self._seen = BridgeReport()
+        self._was_armed = False
+        """By `arm`, and nothing has been said of its end yet."""
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
         self._stats = LineStats()
         self._epoch = 0
@@ -133,7 +134,7 @@ class PwmLine(LineTask):
             self._say_not_resting(pins.close())
             raise
         self._pins, self._started_s = pins, now_s()
-        self._seen = BridgeReport()
+        self._was_armed = False
 
     def _config(self, pins: OpenPins) -> BridgeConfig:
         joints = [
@@ -182,8 +183,8 @@ class PwmLine(LineTask):
         return names[output] if 0 <= output < len(names) else "the GPIO lines"
 
     def _note(self, report: BridgeReport) -> None:
-        before, self._seen = self._seen, report
-        if report.demoted and report.demoted != before.demoted and not report.armed:
+        if report.demoted and not report.armed and self._was_armed:
+            self._was_armed = False
             why = ", ".join(str(flag.name).lower().replace("_", " ") for flag in report.demoted)
             text = f"{', '.join(self._names)}: stopped: set-points {why}"
             self._say_all(EventKind.DRIVE_WARNING, text)
@@ -228,14 +229,14 @@ class PwmLine(LineTask):
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
-        self._check_fresh(self._exchange.take_setpoints(self.spec.index).stamp_ns)
         armed = False
         try:
             armed = (await self._obeyed(Wish.ARMED)).armed
         finally:
+            self._was_armed = armed
             if not armed:
                 self._thread.wish(Wish.OFF)
-        if not armed:
+        if not armed:  # the thread alone reads set-points: their mailbox has one reader
             raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
 
     async def disarm(self) -> None:
