@@ -88,6 +88,8 @@ typedef struct {
     uint32_t reserved;
     int64_t stop_until_ns;      /* 0: not stopping */
     int64_t last_ns;
+    uint64_t enabled_count;     /* how often the set-points have become enabled: whoever steps it writes it first */
+    uint64_t enabled_count_armed;
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */

@@ -233,7 +233,7 @@ static void guard_armed(can_machine *m, uint32_t number, int64_t now_ns)
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     } else if (m->newest.enabled == 1) {
         drive->was_enabled = true;
-    } else if (drive->was_enabled) {
+    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
         demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
         power_off(m, number);
     }
@@ -285,6 +285,7 @@ static void arm(can_machine *m, uint32_t number, int64_t now_ns)
     drive->mode = DRIVE_ARMED;
     drive->may_turn = true;
     drive->was_enabled = false;
+    drive->enabled_count = m->enabled_count;
     drive->demoted = drive->still_enabled = 0;
     drive->enabled = 2;
     drive->told_ns = now_ns;

@@ -42,6 +42,7 @@ typedef struct {
     uint32_t stop;              /* can_stop_kind */
     uint32_t stop_place;
     bool was_enabled;           /* set-points were enabled since it was armed */
+    uint64_t enabled_count;     /* of the machine, when it was armed */
     bool may_turn;              /* armed since it was last set up, before the bus was opened or after */
     bool told_motion;
     bool stopping;
@@ -89,6 +90,7 @@ typedef struct {
     can_drive_state drive[CAN_DRIVES_MAX];
     can_joint_state joint[JOINTS_MAX];
     setpoints newest;           /* the core's */
+    uint64_t enabled_count;     /* how often they have become enabled */
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;

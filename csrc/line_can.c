@@ -204,7 +204,7 @@ static int go_round(can_thread *t, int64_t *wake_ns)
     /* the control first: what is heard while Python listens is for it */
     line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
-    line_thread_take_setpoints(&t->life, &t->machine.newest);
+    t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_orders(t);
     int64_t now_ns = clock_now_ns();
     t->send_error = 0;

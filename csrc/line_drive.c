@@ -78,7 +78,7 @@ static void guard_armed(line_machine *m, uint32_t number, int64_t now_ns)
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     } else if (m->newest.enabled == 1) {
         drive->was_enabled = true;
-    } else if (drive->was_enabled) {
+    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
         line_demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
         power_off(m, number);
     }
@@ -125,6 +125,7 @@ static void arm(line_machine *m, uint32_t number, int64_t now_ns)
     drive->mode = DRIVE_ARMED;
     drive->may_turn = true;
     drive->was_enabled = false;
+    drive->enabled_count = m->enabled_count;
     drive->demoted = 0;
     drive->still_enabled = 0;
     drive->enabled = 2;

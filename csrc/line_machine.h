@@ -61,6 +61,7 @@ typedef struct {
     uint32_t way_last[DRIVE_WAYS_MAX];      /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool was_enabled;           /* set-points were enabled since it was armed */
+    uint64_t enabled_count;     /* of the machine, when it was armed */
     bool may_turn;              /* armed since it was last set up, before the port was opened or after */
     bool told_motion;
     bool cycle_motion;
@@ -100,6 +101,7 @@ typedef struct line_machine {
     line_drive_state drive[LINE_DRIVES_MAX];
     line_joint_state joint[JOINTS_MAX];
     setpoints newest;           /* the core's */
+    uint64_t enabled_count;     /* how often they have become enabled */
     line_control control;
     line_ask ask[LINE_ASKS_MAX];
     uint32_t ask_count;

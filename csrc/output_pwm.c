@@ -294,6 +294,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     uint64_t inputs_before = t->out.active_inputs;
     int error = read_inputs(t);
     error = error != 0 ? error : read_encoders(t, now_ns);
+    t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
     bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from motord import procedures
+from motord import procedures, running_file
 from motord.assembly import core_config, line_specs, loop_settings, profiles_of
 from motord.battery_task import watch_battery
 from motord.bus.publish import KINDS, open_publisher
@@ -67,6 +67,7 @@ async def run(
     with (
         _signals() as (end, hurry),
         listening(path) as listener,
+        running_file.kept(robot, path.parent),
         open_doors(robot, path) as doors,
         open_guard(robot, {spec.name: spec.cycle_hz for spec in specs}) as guard,
         Loop(

@@ -52,12 +52,18 @@ def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = No
     return folders
 
 
-def find_socket(robot: str | None = None, folders: list[Path] | None = None) -> Path:
-    """The socket of a running daemon: of `robot`, or the only one there is. Raises ClientError."""
+def find_socket(
+    robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
+) -> Path:
+    """The socket of a running daemon: of `robot`, or the only one there is. `barred`: one that this
+    user may not ask counts, too; the kernel refuses before it looks whether somebody listens
+    (unix(7)), so its daemon may be dead. Raises ClientError."""
     found: list[Path] = []
     for folder in socket_folders() if folders is None else folders:
         with contextlib.suppress(OSError):
-            found += [path for path in sorted(folder.glob(f"{robot or '*'}.sock")) if _lives(path)]
+            found += [
+                path for path in sorted(folder.glob(f"{robot or '*'}.sock")) if _lives(path, barred)
+            ]
     if not found:
         what = f"robot {robot}" if robot else "robot"
         raise ClientError(f"no {what} runs here: motord run ROBOT.toml")
@@ -67,25 +73,25 @@ def find_socket(robot: str | None = None, folders: list[Path] | None = None) -> 
     return found[0]
 
 
-def _trusted(folder: Path) -> set[int]:
-    """Whose sockets are believed in a folder: ours, root's, and those of the user to whom root
+def trusted_owners(folder: Path) -> set[int]:
+    """Whose files are believed in a folder: ours, root's, and those of the user to whom root
     has given it (a service's /run/motord): where only root writes, only root makes folders."""
     above = folder.parent.stat()
     by_root = above.st_uid == 0 and not above.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return {0, os.geteuid()} | ({folder.lstat().st_uid} if by_root else set())
 
 
-def _lives(path: Path) -> bool:
+def _lives(path: Path, barred: bool) -> bool:
     """A socket that somebody listens at, and that is no stranger's trap."""
     info = path.stat()
-    if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in _trusted(path.parent):
+    if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in trusted_owners(path.parent):
         return False
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(1.0)
         try:
             probe.connect(str(path))
         except PermissionError:
-            return True
+            return barred
         except OSError:
             return False
     return True
@@ -215,15 +221,24 @@ class Client:
 
     def disarm(self) -> str:
         """Come to rest and take the power off."""
-        return str(self.call("disarm")["state"])
+        return self._surely("disarm")
 
     def stop(self) -> str:
         """Come to rest, stay armed."""
-        return str(self.call("stop")["state"])
+        return self._surely("stop")
 
     def estop(self) -> str:
         """Emergency stop; stays until `reset`."""
-        return str(self.call("estop")["state"])
+        return self._surely("estop")
+
+    def _surely(self, method: str) -> str:
+        """Over a new connection where the daemon has closed this one: whoever is silent for long
+        makes room for others, and what ends motion must not fail for that."""
+        if not self.connected:
+            again = Client(self.path, timeout_s=self.timeout_s)
+            self._socket.close()
+            self._socket, self._buffer = again._socket, b""
+        return str(self.call(method)["state"])
 
     def reset(self) -> str:
         """Clear a fault or an emergency stop. Stays disarmed."""

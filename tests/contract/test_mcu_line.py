@@ -173,6 +173,12 @@ async def test_a_duty_board_is_told_duties(peer):
 
 
 # -------------------------------------------------------------------------------------- stopping
+async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+    await rig.arm()
+    rig.loop.put_for_a_moment()
+    await until(lambda: rig.states() == {DriveState.READY})
+
+
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(rig, peer):
     await armed_and_turning(rig, peer)
     rig.loop.enabled = False

@@ -130,6 +130,13 @@ async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chi
         await until(lambda: chip.duties()[0] == 25_000)
 
 
+async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.put_for_a_moment()
+        await until(lambda: rig.states() == {DriveState.READY})
+
+
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
     async with running(spec_of(chip)) as rig:
         await armed(rig)

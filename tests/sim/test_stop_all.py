@@ -6,6 +6,7 @@ The drives' own watchdogs are set so long that what stops the wheels is what was
 
 import json
 import signal
+import stat
 import struct
 import subprocess
 import sys
@@ -103,6 +104,49 @@ def test_drives_of_a_killed_daemon_stop_and_lose_their_power(stage):
     truth = stage.sim.truth()
     assert not any(joint.enabled for joint in truth.joints.values())
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+@pytest.fixture
+def where_it_looks(tmp_path, monkeypatch):
+    """A folder for sockets, as users have one."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "motord"
+    folder.mkdir(mode=0o700)
+    return folder
+
+
+@pytest.fixture
+def own_file(tmp_path):
+    """A robot file to be edited."""
+    robot = tmp_path / "own.toml"
+    robot.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
+    return robot
+
+
+@pytest.mark.parametrize("edited", ["[robot", "", None], ids=["half saved", "empty", "removed"])
+def test_the_drives_that_ran_are_told_whatever_has_become_of_the_robot_file(
+    where_it_looks, own_file, edited
+):
+    with running(where_it_looks, LONG, robot=own_file) as stage:
+        full_speed(stage)
+        if edited is None:
+            own_file.unlink()
+        else:
+            own_file.write_text(edited, encoding="utf-8")
+        stage.end(signal.SIGKILL)
+        status, lines = stop_all(robot=own_file)
+        assert (status, lines[0]["problems"]) == (0, [])
+        assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
+    assert not list(where_it_looks.glob("*.running")), "they have been told"
+
+
+def test_a_daemon_that_ended_at_rest_leaves_no_robot_file_behind(where_it_looks, own_file):
+    with running(where_it_looks, robot=own_file) as stage:
+        stage.wait_for("idle")
+        (kept,) = where_it_looks.glob("*.running")
+        assert stat.S_IMODE(kept.stat().st_mode) == 0o600
+        stage.end(signal.SIGTERM)
+        assert not kept.exists()
 
 
 def test_wheels_are_braked_before_the_power_goes(stage):

@@ -18,6 +18,8 @@ from motord.cli.common import (
     robot_argument,
     set_option,
 )
+from motord.config import ConfigError, Robot, load_robot
+from motord.running_file import find, forget
 from motord.tools.stop_all import DaemonRuns, Halted
 from motord.tools.stop_all import stop_all as stop_everything
 from motord_hal.errors import ProfileError
@@ -37,13 +39,14 @@ def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_j
     """Tell every drive of the robot to stop, and take its power off when it rests.
 
     For after a crash: opens the lines itself, so it refuses while the daemon runs. Sends quick
-    stop, zero and power off, whatever a drive does not answer. Exit status 3 where a drive did not
+    stop, zero and power off, whatever a drive does not answer. The drives are those of the file as
+    it was when the daemon started, unless there is a --set. Exit status 3 where a drive did not
     acknowledge all of it.
 
     \b
     Example: motord stop-all robot.toml
     """
-    robot = load_or_exit(robot_file, overrides)
+    robot = (None if overrides else _as_it_ran(robot_file)) or load_or_exit(robot_file, overrides)
     try:
         halted = asyncio.run(stop_everything(robot, within_s))
     except ProfileError as error:
@@ -56,8 +59,28 @@ def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_j
     else:
         for each in halted:
             _say(each)
-    if not ok:
+    if ok:
+        forget(robot_file)
+    else:
         raise click.exceptions.Exit(Exit.FAULT)
+
+
+def _as_it_ran(robot_file: Path) -> Robot | None:
+    """The robot whose daemon has died, as the file was then. None: nothing was kept of it."""
+    ran = find(robot_file)
+    if ran is None:
+        return None
+    try:
+        robot = load_robot(robot_file, ran.overrides, text=ran.text)
+    except ConfigError:  # another version's
+        return None
+    if not robot_file.exists() or robot_file.read_bytes() != ran.text.encode():
+        click.echo(
+            f"{robot_file} has changed since motord was started by it: the drives that it had then "
+            "are told",
+            err=True,
+        )
+    return robot
 
 
 def _say(halted: Halted) -> None:

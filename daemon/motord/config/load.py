@@ -21,12 +21,14 @@ from motord.config.toml_lines import Path, line_of, lines_of
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 
 
-def load_robot(path: str | File, overrides: Sequence[str] = ()) -> Robot:
+def load_robot(
+    path: str | File, overrides: Sequence[str] = (), *, text: str | None = None
+) -> Robot:
     """Read a robot file. `overrides` are KEY=VALUE: a dotted key, and a value as TOML writes it
-    (else it is taken for a text). Raises ConfigError with every problem; what only deserves a look
-    is in `robot.warnings`."""
+    (else it is taken for a text); `text` is taken for what is in the file. Raises ConfigError with
+    every problem; what only deserves a look is in `robot.warnings`."""
     file = File(path)
-    text = _read(file)
+    text = _read(file) if text is None else text
     data = _parse(file, text)
     places = _Places(str(file), lines_of(text))
     for option in overrides:
@@ -38,7 +40,7 @@ def load_robot(path: str | File, overrides: Sequence[str] = ()) -> Robot:
     found = findings(robot)
     if any(not hit.warning for hit in found):
         raise ConfigError(places.sorted(found, warnings=False))
-    return robot.read_from(file, places.sorted(found, warnings=True), overrides)
+    return robot.read_from(file, text, places.sorted(found, warnings=True), overrides)
 
 
 class _Places:

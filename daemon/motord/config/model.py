@@ -362,6 +362,7 @@ class Robot(Section):
     )
 
     _path: Path = PrivateAttr(Path())
+    _text: str = PrivateAttr("")
     _overrides: tuple[str, ...] = PrivateAttr(())
     _warnings: tuple[Problem, ...] = PrivateAttr(())
 
@@ -369,6 +370,11 @@ class Robot(Section):
     def path(self) -> Path:
         """The file that it came from; drive profiles beside it are found too."""
         return self._path
+
+    @property
+    def text(self) -> str:
+        """What was in the file."""
+        return self._text
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
@@ -399,10 +405,16 @@ class Robot(Section):
         )
 
     def read_from(
-        self, path: Path, warnings: Iterable[Problem] = (), overrides: Iterable[str] = ()
+        self,
+        path: Path,
+        text: str = "",
+        warnings: Iterable[Problem] = (),
+        overrides: Iterable[str] = (),
     ) -> Robot:
-        """Note the file, what deserves a look in it, and its --set options; returns self."""
-        self._path, self._warnings, self._overrides = path, tuple(warnings), tuple(overrides)
+        """Note the file, what was in it, what deserves a look there, and its --set options; returns
+        self."""
+        self._path, self._text = path, text
+        self._warnings, self._overrides = tuple(warnings), tuple(overrides)
         return self
 
     def wheel_radius_m(self, joint: str) -> float:

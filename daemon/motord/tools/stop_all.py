@@ -33,7 +33,7 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     """Raises DaemonRuns; ProfileError for profiles that cannot be read."""
     name = robot.robot.name
     try:
-        socket = find_socket(name)
+        socket = find_socket(name, barred=False)  # its daemon may be dead, and a port tells
     except ClientError:
         pass
     else:

@@ -49,6 +49,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self.was_enabled = False
         """Set-points were enabled since it was armed: the next disable takes its power."""
+        self.enabled_count = 0
+        """How often set-points had become enabled when it was armed: those of a short while no look
+        may see."""
         self.told_motion = False
         """It was sent set-points that are not zero, and has not been sent zero since, as far as
         its wire can tell."""
