@@ -471,6 +471,17 @@ async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
         assert chip.duties() == REST
 
 
+async def test_a_line_that_cannot_be_opened_says_what_else_it_could_not_bring_to_rest(chip):
+    for number in (0, 2):
+        (chip.folder / f"pwm{number}/period").unlink()
+    async with running(spec_of(chip)) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+    first, _, more = rig.events[0].text.partition("; not brought to rest: ")
+    assert "joint left, pin rpwm: PWM channel 0" in first
+    assert more.startswith("joint right, pin rpwm: PWM channel 2")
+    assert "joint left" not in more
+
+
 def test_a_bridge_without_its_pins_is_refused(chip):
     joint = JointSpec(index=0, name="left", profile=find_profile("bts7960"), unit=1)
     with pytest.raises(HalError, match="joint left: pin rpwm of bts7960 is not given"):

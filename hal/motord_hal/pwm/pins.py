@@ -160,9 +160,11 @@ async def open_pins(spec: LineSpec) -> OpenPins:
     dead program left it: what can be brought to rest is, also where something else is missing."""
     try:
         return await _open_all(spec)
-    except PortError:
-        await rest_pins(spec)
-        raise
+    except PortError as error:
+        more = [text for text in await rest_pins(spec) if text != str(error)]
+        if not more:
+            raise
+        raise PortError(f"{error}; not brought to rest: {'; '.join(more)}") from error
 
 
 async def _open_all(spec: LineSpec) -> OpenPins:
