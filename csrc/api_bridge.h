@@ -67,6 +67,8 @@ typedef struct {
     int32_t error_output;       /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
+    int32_t rest_error;         /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
+    int32_t rest_output;        /* which, as error_output */
     uint32_t reserved;
     uint64_t active_inputs;     /* bits of the input request */
     uint64_t cycles;

@@ -196,7 +196,9 @@ static int rest(pwm_thread *t)
         mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_a_say(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
-    (void)bring_down(t, level, bits, mask);   /* once more what failed */
+    int left = bring_down(t, level, bits, mask);   /* once more what failed */
+    t->out.rest_output = left != 0 ? t->out.error_output : AT_GPIO;
+    t->out.rest_error = left != 0 ? -left : -lines_error;
     return error != 0 ? error : lines_error;
 }
 
