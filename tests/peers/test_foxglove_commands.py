@@ -76,7 +76,10 @@ async def complaint(client, about, ask):
                 return said["message"]
 
 
-@pytest.mark.parametrize("request_", [{}, {"token": "wrong-token-of-some-length"}, {"token": 7}])
+WRONG = [{}, *({"token": shown} for shown in ("wrong-token-of-some-length", 7, "\ud800"))]
+
+
+@pytest.mark.parametrize("request_", WRONG)
 async def test_a_service_without_the_token_does_nothing(stage, port, request_):
     refused = inputs(stage)["refused"]
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:

@@ -262,6 +262,17 @@ def test_a_call_without_the_token_does_nothing(stage, peer):
     assert stage.state() == "armed"
 
 
+@pytest.mark.parametrize("key", ["token", "id", "method"])
+def test_half_a_surrogate_pair_is_refused_and_the_lease_goes_on(stage, peer, key):
+    before = inputs(stage)["fleet"]
+    call = {"token": TOKEN, "method": "estop", "id": 1} | {key: "\ud800"}
+    peer.pub("site/r2/call", call)
+    wait_until(lambda: inputs(stage)["fleet"]["refused"] > before["refused"], "a refusal")
+    assert stage.state() != "estop"
+    assert called(stage, peer, "status")["result"]
+    assert "input.fleet" not in stage.robot.status()["bus"]["failures"]
+
+
 def test_a_call_that_there_is_not_is_answered_with_those_there_are(stage, peer):
     assert "estop" in called(stage, peer, "params.set")["error"]
 

@@ -146,6 +146,7 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
         ({"op": [[[]]], "id": [[[]]]}, "not served"),
         ("{", "JSON object"),
         ("[" * 60000, "JSON object"),
+        ({"op": "fragment", "id": "\ud800"}, "JSON object"),
         ([1], "JSON object"),
     ],
 )

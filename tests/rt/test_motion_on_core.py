@@ -31,6 +31,7 @@ class Drive:
             self.rig.input.now_ns,
             lease=LEASE,
             stale_s=STALE_S,
+            stops=0,
         )
         self.fastest_u_s = 0.0
 
@@ -41,6 +42,7 @@ class Drive:
         for tick in range(TICKS_MAX):
             if tick % LOOK_TICKS == 0:
                 self._seen.append(self.snapshot())
+                self.motion.counted(0, self.rig.input.now_ns)
                 wish = self.motion.step(self._seen[0], self.rig.input.now_ns)
                 if wish.end is not None:
                     return wish

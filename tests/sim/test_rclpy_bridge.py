@@ -132,7 +132,7 @@ def test_a_command_without_a_stamp_that_may_have_waited_moves_nothing(stage):
 
     try:
         for _ in range(2):
-            before = accepted()
+            before, since_s = accepted(), time.monotonic()
             bridge.drive(0.0, 0.0)  # nobody has commanded for long: who knows since when it waits
             assert accepted() == before
 
@@ -140,7 +140,8 @@ def test_a_command_without_a_stamp_that_may_have_waited_moves_nothing(stage):
                 bridge.drive(0.0, 0.0)
                 return accepted() > before
 
-            wait_until(taken, "those that follow it are taken")
+            wait_until(taken, "those that follow it for long enough are taken")
+            assert time.monotonic() - since_s >= LEASE_S
             over_s = time.monotonic() + 1.1 * LEASE_S
             wait_until(lambda over_s=over_s: time.monotonic() > over_s, "a silence")
     finally:

@@ -157,9 +157,10 @@ async def test_nothing_but_the_calls_there_are_is_called(stamped, method):
         await stamped.act(method)
 
 
-async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(stamped):
+async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(tmp_path_factory):
+    fresh = desk(tmp_path_factory, lease_s=5.0)
     with pytest.raises(NotTaken, match="No such file"):
-        await stamped.act("arm")
+        await fresh.act("arm")
 
 
 @given(value=JSON)

@@ -177,7 +177,13 @@ def test_a_token_that_is_short_is_none(tmp_path):
         Token(secret_file(tmp_path, "short\n"))
 
 
-@given(shown=st.none() | st.integers() | st.text() | st.just("x" * 20) | st.lists(st.text()))
+@given(
+    shown=st.none()
+    | st.integers()
+    | st.text()
+    | st.sampled_from(["x" * 20, "\ud800", "x" * 20 + "\udcff"])
+    | st.lists(st.text())
+)
 def test_only_the_token_fits(tmp_path_factory, shown):
     token = Token(secret_file(tmp_path_factory.mktemp("secret"), "x" * 20 + "\n"))
     assert token.fits(shown) == (shown == "x" * 20)

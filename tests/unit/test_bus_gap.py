@@ -9,9 +9,13 @@ from pathlib import Path
 import pytest
 
 from motord.bus.inputs import gap as gap_module
-from motord.bus.inputs.desk import Desk, NotTaken
+from motord.bus.inputs.desk import ANY_TIME, METHODS, Desk, NotTaken
 from motord.bus.inputs.gap import Gap
+from motord.bus.motion import Goal
+from motord.bus.mover import Mover, NotNow
 from motord.bus.station import Station
+from motord.bus.tunable import Tunable
+from motord.client import ClientError
 from motord.config import Ros2Input, load_robot
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
@@ -87,3 +91,52 @@ async def test_one_that_says_its_time_is_judged_by_that():
         stamp = {"sec": int(sec), "nanosec": int(rest * 1e9)}
         with pytest.raises(NotTaken, match="there is no lease"):
             desk.drive({"header": {"stamp": stamp}, "twist": TWIST})
+
+
+@pytest.fixture
+def desk():
+    """Stamped: calls have no stamp all the same."""
+    station = Station(load_robot(DEMO), Path("no.sock"))
+    return Desk("net", Ros2Input(kind="ros2", lease_s=0.1), station)
+
+
+@pytest.mark.parametrize("method", sorted({*METHODS, *ANY_TIME}))
+async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(desk, method):
+    obeyed = method in ("stop", "estop", "disarm", "status", "params.list")
+    async with watched(desk.gap):
+        stand_still()
+        with pytest.raises((NotTaken, ClientError)) as told:
+            await desk.ask(method)
+    assert ("No such file" in str(told.value)) == obeyed
+    assert ("stood still" in str(told.value)) != obeyed
+    assert desk.source.refused == (not obeyed)
+
+
+async def test_an_arm_is_obeyed_again_when_what_waited_is_through(desk, monkeypatch):
+    async with watched(desk.gap):
+        stand_still()
+        with pytest.raises(NotTaken, match="stood still"):
+            await desk.act("arm")
+        monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
+        await over(desk.gap)
+        with pytest.raises(NotTaken, match="No such file"):
+            await desk.act("arm")
+
+
+async def test_a_change_of_limits_that_may_have_waited_is_refused(desk):
+    tunable = Tunable(load_robot(DEMO), desk.ask)
+    async with watched(desk.gap):
+        stand_still()
+        with pytest.raises(NotTaken, match="stood still"):
+            await tunable.change({"limits.linear_m_s": 1.0})
+
+
+async def test_a_goal_that_may_have_waited_is_refused(desk):
+    station = Station(load_robot(DEMO), Path("no.sock"))
+    mover = Mover(station, desk.source, desk.gap, lease_s=0.1)
+    async with watched(desk.gap):
+        with pytest.raises(NotNow, match="No such file"):  # it would be planned
+            await mover.plan(Goal(axis="linear", way_u=1.0))
+        stand_still()
+        with pytest.raises(NotNow, match="stood still"):
+            await mover.plan(Goal(axis="linear", way_u=1.0))

@@ -76,3 +76,15 @@ def test_joints_that_the_robot_file_does_not_have_are_not_told_under_the_names_o
     for count in (1, 3):
         with pytest.raises(ValueError, match=r"zip|JointState"):
             encode(view(2, joints=(joint(),) * count), OFFSET_NS)
+
+
+@pytest.mark.parametrize(
+    "raw", ['{"id": "\\ud800"}', b'{"\\uDFFF": 1}', b'["\xed\xa0\x80"]', "[" * 100_000]
+)
+def test_json_that_could_not_be_answered_is_none(raw):
+    with pytest.raises(ValueError, match=r"surrogates|nested"):
+        json_form.decode(raw)
+
+
+def test_a_pair_of_surrogates_is_a_letter_and_numbers_that_json_does_not_have_pass():
+    assert json_form.decode('["\\ud83e\\udd16", 1e999]') == ["\N{ROBOT FACE}", float("inf")]

@@ -29,6 +29,7 @@ class Base:
         self.speed_u_s, self.way_u, self.at_ms = 0.0, 0.0, 0
         self.fastest_u_s = 0.0
         self._wishes = deque([0.0] * late_steps, late_steps + 1)
+        self.stops = 0
 
     def follow(self, wish):
         assert (wish.linear_m_s, wish.angular_rad_s)[self.axis == "linear"] == 0.0
@@ -52,13 +53,19 @@ class Base:
 
 def begun(goal, bounds=BOUNDS, late_steps=2):
     base = Base(goal.axis, bounds, late_steps)
-    motion = Motion(planned(goal, bounds), base.said(), 0, lease=LEASE, stale_s=STALE_S)
+    motion = Motion(planned(goal, bounds), base.said(), 0, lease=LEASE, stale_s=STALE_S, stops=0)
     return base, motion
+
+
+def looked(base, motion):
+    """With the daemon's count of stops, as of this moment."""
+    motion.counted(base.stops, base.at_ms * 1_000_000)
+    return motion.step(base.said(), base.at_ms * 1_000_000)
 
 
 def carried_out(base, motion, steps_max=100_000):
     for _ in range(steps_max):
-        wish = motion.step(base.said(), base.at_ms * 1_000_000)
+        wish = looked(base, motion)
         if wish.end is not None:
             return wish
         base.follow(wish)
@@ -123,7 +130,7 @@ def moving():
     """Under way, at full speed."""
     base, motion = begun(Goal(axis="linear", way_u=5.0))
     while base.speed_u_s < BOUNDS.velocity_u_s:
-        base.follow(motion.step(base.said(), base.at_ms * 1_000_000))
+        base.follow(looked(base, motion))
     return base, motion
 
 
@@ -160,7 +167,7 @@ def test_a_state_page_that_stands_still_ends_it():
 def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
     base, motion = moving()
     base.at_ms += 901
-    wish = motion.step(base.said(), base.at_ms * 1_000_000)
+    wish = looked(base, motion)
     assert wish.end is End.ABORTED
     assert "not looked at" in wish.why
 
@@ -179,7 +186,7 @@ def test_it_does_not_wait_for_the_command_for_ever(owner, why):
 def test_cancelled_it_comes_to_rest_and_then_ends():
     base, motion = moving()
     motion.cancel(base.at_ms * 1_000_000)
-    wish = motion.step(base.said(), base.at_ms * 1_000_000)
+    wish = looked(base, motion)
     assert wish.end is None
     assert (wish.linear_m_s, wish.angular_rad_s) == (0.0, 0.0)
     wish = carried_out(base, motion)
@@ -198,9 +205,9 @@ def test_what_takes_too_long_comes_to_rest_and_is_aborted():
 def test_a_base_that_something_holds_is_not_pushed_for_long():
     base, motion = begun(Goal(axis="linear", way_u=5.0, timeout_s=1000.0))
     while base.way_u < 1.0:
-        base.follow(motion.step(base.said(), base.at_ms * 1_000_000))
+        base.follow(looked(base, motion))
     held_ms = base.at_ms
-    while motion.step(base.said(), base.at_ms * 1_000_000) != Wish():
+    while looked(base, motion) != Wish():
         base.at_ms += STEP_MS
     assert 3000 < base.at_ms - held_ms < 5000
     base.speed_u_s = 0.0
@@ -228,17 +235,53 @@ def test_a_base_that_slides_past_the_goal_did_not_succeed():
 def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
     base, motion = begun(Goal(axis="linear", way_u=-1.0))
     while motion.remaining_u > 0.004:
-        base.follow(motion.step(base.said(), base.at_ms * 1_000_000))
+        base.follow(looked(base, motion))
     base.way_u += slip_u
     wish = carried_out(base, motion)
     assert (wish.end, wish.why) == (End.SUCCEEDED, "")
     assert base.way_u == pytest.approx(-1.0, abs=0.01)
 
 
+def rested_beside_its_goal():
+    """By the wheels, or by a stop that nobody saw."""
+    base, motion = begun(Goal(axis="linear", way_u=1.0))
+    while motion.remaining_u > 0.004:
+        base.follow(looked(base, motion))
+    base.way_u += 0.05
+    base.speed_u_s = 0.0
+    return base, motion
+
+
+def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
+    base, motion = rested_beside_its_goal()
+    base.stops = 1
+    wish = carried_out(base, motion)
+    assert (wish.end, wish.why) == (End.ABORTED, "a stop was asked for")
+    assert base.way_u == pytest.approx(1.05, abs=0.01)
+
+
+def test_a_stop_that_is_only_counted_ends_a_motion_under_way():
+    base, motion = moving()
+    base.stops = 1
+    assert looked(base, motion) == Wish(end=End.ABORTED, why="a stop was asked for")
+
+
+@pytest.mark.parametrize("asked_before", [True, False])
+def test_who_does_not_know_whether_a_stop_came_corrects_nothing(asked_before):
+    base, motion = rested_beside_its_goal()
+    if asked_before:
+        motion.counted(0, base.at_ms * 1_000_000)
+    while (wish := motion.step(base.said(), base.at_ms * 1_000_000)).end is None:
+        assert wish == Wish()
+        base.follow(wish)
+    assert wish.end is End.ABORTED
+    assert "behind the goal" in wish.why
+
+
 def test_a_base_that_slips_each_time_is_not_corrected_for_ever():
     base, motion = begun(Goal(axis="linear", way_u=1.0))
     slips = 0
-    while (wish := motion.step(base.said(), base.at_ms * 1_000_000)).end is None:
+    while (wish := looked(base, motion)).end is None:
         base.follow(wish)
         if abs(motion.remaining_u) < 0.006 and base.speed_u_s == 0.0:
             base.way_u += 0.05

@@ -27,7 +27,8 @@ class Managed:
         self.station.call = self._call
         self.asked, self.events, self._served = [], [], {}
         self.become(state)
-        self.lifecycle = Lifecycle(self.station, Desk("ros2", Ros2Input(kind="ros2"), self.station))
+        desk = Desk("ros2", Ros2Input(kind="ros2", lease_s=5.0), self.station)
+        self.lifecycle = Lifecycle(self.station, desk)
         self.lifecycle.serve(self)
 
     def serve(self, name, _, answer):

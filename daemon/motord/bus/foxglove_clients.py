@@ -96,7 +96,7 @@ class Commands(Looks):
         super().__init__(looks)
         self._station = station
         self._desk = Desk(name, section, station)
-        self._tunable = Tunable(station.robot, station.call)
+        self._tunable = Tunable(station.robot, self._desk.ask)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
         self._told = dict(self._parameters)
         """To those who have subscribed."""

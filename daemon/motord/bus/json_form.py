@@ -47,9 +47,15 @@ encode: Callable[[Any], bytes] = encode_slowly if msgspec is None else msgspec.j
 """A message, or what JSON has, as JSON without a line end."""
 
 
+_TEXTS = json.JSONEncoder(ensure_ascii=False)
+
+
 def decode(raw: str | bytes) -> Any:
-    """What the JSON says. Raises ValueError, also for one that is nested too deeply."""
+    """What the JSON says. Raises ValueError, also for one that is nested too deeply or has a text
+    that is none: half a surrogate pair (RFC 8259, section 8.2) could not be answered or logged."""
     try:
-        return json.loads(raw)
+        value = json.loads(raw)
+        _TEXTS.encode(value).encode()
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    return value

@@ -31,6 +31,10 @@ TURN_RATE_MAX_RAD_S = math.pi
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
 """A base that rests beside the goal, because somebody was late, goes the rest of it, also back:
 so often, and by so many tolerances at most."""
+STOPS_EVERY_S = 0.1
+"""So often the daemon is asked whether a stop came, beside what the state page says."""
+UNSTOPPED_WITHIN_S = 1.0
+"""At rest: the daemon has said by then that no stop came, or nothing is corrected."""
 WAY_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
@@ -205,14 +209,16 @@ class Motion:
     """One goal under way. `step` again and again, with the newest snapshot."""
 
     def __init__(
-        self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float
+        self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
     ) -> None:
         """`lease`: the number under which the wishes are sent. `stale_s`: what is older says
-        nothing."""
+        nothing. `stops`: how many the daemon had counted before."""
         self.plan = plan
         self.travel = Travel(start)
         self._lease, self._stale_s = lease, stale_s
         self._start_ns = now_ns
+        self._stops, self._stopped, self._unstopped_ns = stops, False, now_ns
+        self._rest_ns: int | None = None
         self._commanding = False
         self._ending: tuple[End, str] | None = None
         self._ending_ns = 0
@@ -234,6 +240,14 @@ class Motion:
         """Come to rest, and end there."""
         self._end(End.CANCELED, "canceled", now_ns)
 
+    def counted(self, stops: int, asked_ns: int) -> None:
+        """How many stops the daemon has counted, when it was asked then. On the state page a stop
+        is only seen until the robot rests: one that was short is over before the next look."""
+        if stops != self._stops:
+            self._stopped = True
+        else:
+            self._unstopped_ns = asked_ns
+
     def step(self, snapshot: Snapshot, now_ns: int) -> Wish:
         """The wish that follows from what is known now."""
         why = self._trouble(snapshot, now_ns)
@@ -252,6 +266,8 @@ class Motion:
     def _trouble(self, snapshot: Snapshot, now_ns: int) -> str | None:
         """What ends it at once."""
         why = problem(snapshot, now_ns, self._stale_s) or obstacle(snapshot)
+        if self._stopped:
+            why = why or "a stop was asked for"
         why = why or self.travel.add(snapshot)
         if why is not None:
             return why
@@ -297,11 +313,16 @@ class Motion:
         assert self._ending is not None
         how, why = self._ending
         if not snapshot.at_rest:
+            self._rest_ns = None
             if (now_ns - self._ending_ns) * _NS > RESTS_WITHIN_S + self._ramp_s():
                 return Wish(end=End.ABORTED, why="it does not come to rest")
             return Wish()
+        self._rest_ns = now_ns if self._rest_ns is None else self._rest_ns
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
-            if self._corrected(now_ns):
+            unstopped = self._unstopped_ns > self._rest_ns
+            if not unstopped and (now_ns - self._rest_ns) * _NS <= UNSTOPPED_WITHIN_S:
+                return Wish()  # who knows what brought it to rest
+            if unstopped and self._corrected(now_ns):
                 return Wish()
             how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"
         return Wish(end=how, why=why)
@@ -314,7 +335,7 @@ class Motion:
         self._corrections += 1
         self._near_u, self._near_ns = abs(self.remaining_u), now_ns
         self._forward = math.copysign(1.0, self.remaining_u)
-        self._ending = None
+        self._ending = self._rest_ns = None
         return True
 
     def _ramp_s(self) -> float:

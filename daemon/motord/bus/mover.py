@@ -5,13 +5,16 @@ commands again and again: when this process hangs or dies, the lease lapses and 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source
 from motord.bus.motion import (
+    STOPS_EVERY_S,
     Axis,
     Bounds,
     End,
@@ -43,9 +46,11 @@ class NotNow(Exception):
 class Mover:
     """Of one input. A command by that input itself ends the motion: the newest wish counts."""
 
-    def __init__(self, station: Station, source: Source, lease_s: float) -> None:
+    def __init__(self, station: Station, source: Source, gap: Gap, lease_s: float) -> None:
+        """`gap`: a goal says no time; none begins where it may have waited here."""
         self._station = station
         self._source = source
+        self._gap = gap
         self._lease_s = lease_s
         self._every_s = min(max(lease_s / LOOKS_A_LEASE, LOOK_MIN_S), LOOK_MAX_S)
         self.stale_s = station.robot.safety.feedback_timeout_s
@@ -59,6 +64,8 @@ class Mover:
 
     async def plan(self, goal: Goal) -> Plan:
         """What would be done. Raises NotNow where it cannot be, or may not be now."""
+        if self._gap.just_over():
+            raise NotNow(STOOD_STILL)
         try:
             plan = planned(goal, await self._bounds(goal.axis))
         except (ValueError, ClientError) as error:
@@ -73,6 +80,8 @@ class Mover:
         return plan
 
     def _why_not(self, snapshot: Snapshot | None) -> str | None:
+        if self._gap.just_over():
+            return STOOD_STILL
         if time.monotonic() - self._driven_s < self._lease_s:
             return "cmd_vel commands"
         if not self._source.ready:
@@ -93,6 +102,7 @@ class Mover:
     ) -> tuple[Wish, Motion | None]:
         """Until its end; `tell` is called at each look. Motion None: it did not begin."""
         try:
+            stops = await self._stops()
             with StatePage.open(self._station.robot.robot.name) as page:
                 start = page.read()
                 why = self._why_not(start)
@@ -105,10 +115,27 @@ class Mover:
                     time.monotonic_ns(),
                     lease=self._source.number,
                     stale_s=self.stale_s,
+                    stops=stops,
                 )
-                return await self._follow(motion, start, page, tell, cancel), motion
-        except NoPage as error:
+                async with asyncio.TaskGroup() as tasks:
+                    counting = tasks.create_task(self._count_stops(motion))
+                    wish = await self._follow(motion, start, page, tell, cancel)
+                    counting.cancel()
+                return wish, motion
+        except (NoPage, ClientError) as error:
             return Wish(end=End.ABORTED, why=str(error)), None
+
+    async def _stops(self) -> int:
+        """Counted by the daemon until now. Raises ClientError."""
+        return int((await self._station.call("status"))["stops"])
+
+    async def _count_stops(self, motion: Motion) -> None:
+        """Until cancelled."""
+        while True:
+            asked_ns = time.monotonic_ns()
+            with contextlib.suppress(ClientError):  # nothing is corrected then
+                motion.counted(await self._stops(), asked_ns)
+            await asyncio.sleep(STOPS_EVERY_S)
 
     async def _follow(
         self,

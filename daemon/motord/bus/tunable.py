@@ -24,7 +24,8 @@ _log = logging.getLogger(__name__)
 
 class Tunable:
     def __init__(self, robot: Robot, call: Call) -> None:
-        """`call` asks the daemon; it raises ClientError."""
+        """`call` asks the daemon; it raises ClientError, and NotTaken for a change that is none of
+        now."""
         self._call = call
         self._voice = Sparing(_log)
         self.fixed: dict[str, dict[str, Any]] = {

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from motord.bus.motion import (
+    STOPS_EVERY_S,
     End,
     Goal,
     Motion,
@@ -99,11 +100,14 @@ def _carry_out(client: Client, goal: Goal, *, as_json: bool) -> None:
         raise click.UsageError(str(error)) from error
     begin_s = time.monotonic()
     try:
-        with StatePage.open(client.status()["robot"]) as page:
+        before = client.status()
+        with StatePage.open(before["robot"]) as page:
             start = _start(page)
             lease = _lease(client)
             now_ns = time.monotonic_ns()
-            motion = Motion(plan, start, now_ns, lease=lease, stale_s=STALE_S)
+            motion = Motion(
+                plan, start, now_ns, lease=lease, stale_s=STALE_S, stops=before["stops"]
+            )
             wish = _follow(client, motion, start, page)
     except NoPage as error:
         raise Failure(str(error)) from error
@@ -138,9 +142,12 @@ def _lease(client: Client) -> int:
 
 
 def _follow(client: Client, motion: Motion, newest: Snapshot, page: StatePage) -> Wish:
-    due_s = time.monotonic()
+    due_s = count_s = time.monotonic()
     with interruptible() as interrupts:
         while True:
+            if time.monotonic() >= count_s:
+                asked_ns, count_s = time.monotonic_ns(), time.monotonic() + STOPS_EVERY_S
+                motion.counted(client.status()["stops"], asked_ns)
             newest = page.read() or newest
             if interrupts:
                 motion.cancel(time.monotonic_ns())

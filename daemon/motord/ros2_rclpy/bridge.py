@@ -18,6 +18,8 @@ TRIGGERS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
 """Services, all of std_srvs/Trigger."""
 LEASE_WITHIN_S = 2.0
 LEASE_AGAIN_S = 0.5
+DRAINED_AFTER_S = 1.0
+"""What waited while this process stood still has been taken out of the queues by then."""
 FUTURE_S = 0.5
 """A stamp from further ahead is of another clock: its age cannot be known."""
 OLD_S = 3600.0
@@ -49,7 +51,7 @@ class Bridge:
         self._wall_s = wall_s
         self._lease: _Lease | None = None
         self._again_s = 0.0
-        self._asked_s = -math.inf
+        self._asked_s = self._silence_ended_s = -math.inf
 
     def close(self) -> None:
         """The lease ends: the robot comes to rest if it was in command."""
@@ -66,15 +68,18 @@ class Bridge:
             return False, str(error)
 
     def drive(self, linear_m_s: float, angular_rad_s: float, stamp: Stamp | None = None) -> None:
-        """One command. `stamp`: when it was given, wall time. The first one without, after a
-        silence in which its lifetime is over, is left out: it may have waited in the queue, which
-        holds one, while this process stood still. Raises NotTaken."""
+        """One command. `stamp`: when it was given, wall time. Those without, after a
+        silence in which their lifetime is over, are left out for so long again, DRAINED_AFTER_S at
+        least: they may have waited in queues while this process stood still. Raises NotTaken."""
         stamp_ns = time.monotonic_ns() - round(self._age_s(stamp) * 1e9)
         now_s = time.clock_gettime(time.CLOCK_BOOTTIME)  # it goes on while the machine sleeps
         silent_s, self._asked_s = now_s - self._asked_s, now_s
         try:
             lease = self._held()
-            if stamp is not None or silent_s <= lease.lifetime_s:
+            if silent_s > lease.lifetime_s:
+                self._silence_ended_s = now_s
+            heard_s = now_s - self._silence_ended_s
+            if stamp is not None or heard_s >= max(lease.lifetime_s, DRAINED_AFTER_S):
                 lease.send(linear_m_s, angular_rad_s, stamp_ns)
         except (ClientError, OSError) as error:
             self.close()

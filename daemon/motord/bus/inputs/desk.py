@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.gap import Gap
+from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source
 from motord.bus.secret import Token
 from motord.client import ClientError
@@ -26,6 +26,10 @@ TRIGGERS = tuple(method for method in METHODS if method != "status")
 COMMANDS = ("cmd_vel", "joint_commands")
 """Topics that are taken: Desk.take."""
 URGENT = ("estop", "stop")
+ANY_TIME = (*URGENT, "disarm", "status", "params.list")
+"""Obeyed also after having waited for this process: they look, or end at rest."""
+CALL_OLD_S = 0.5
+"""A call that waited here for less may be obeyed: a short lifetime of commands is none of calls."""
 CALLS_MAX = 4
 URGENT_MAX = 16
 """Calls of one urgent method that the daemon has not answered yet."""
@@ -60,6 +64,8 @@ class Desk:
         self._said_s = -SAY_AGAIN_S
         self.source: Source = station.source(name)
         self._gap: Gap = station.gap(section.lease_s)
+        self.gap: Gap = station.gap(max(section.lease_s, CALL_OLD_S))
+        """For calls and goals."""
 
     def admit(self, shown: object) -> None:
         """Raises NotTaken for who does not show the token."""
@@ -96,10 +102,14 @@ class Desk:
         """When a command was given, CLOCK_MONOTONIC. Raises NotTaken for one of unknown age that
         may have waited here."""
         if not self._stamped:
-            if self._gap.just_over():
-                raise self._no("motord-bus stood still: it may have waited for that to end")
+            self._not_old(self._gap)
             age_s = max(age_s, min(waited_s, OLD_S))
         return time.monotonic_ns() - round(age_s * 1e9)
+
+    def _not_old(self, gap: Gap) -> None:
+        """Raises NotTaken where what says no time may have waited here."""
+        if gap.just_over():
+            raise self._no(STOOD_STILL)
 
     def _wheels(self, message: object) -> tuple[list[float], float]:
         """rad/s in the order of the robot file, and the command's age in s."""
@@ -158,11 +168,18 @@ class Desk:
             raise self.busy()
         self._calls[method] += 1
         try:
-            return await self._station.call(method)
+            return await self.ask(method)
         except ClientError as error:
             raise NotTaken(str(error)) from error
         finally:
             self._calls[method] -= 1
+
+    async def ask(self, method: str, **params: Any) -> Any:
+        """As Station.call, for who is let in. Raises NotTaken for what moves the robot or changes
+        it where it may have waited here."""
+        if method not in ANY_TIME:
+            self._not_old(self.gap)
+        return await self._station.call(method, **params)
 
     def busy(self) -> NotTaken:
         """What a call is told that others have left no room for."""

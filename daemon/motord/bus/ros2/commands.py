@@ -59,10 +59,10 @@ class Ros2Commands:
         for method, urgent in self._urgent.items():
             for quality in (URGENT_RELIABLE, NEWEST):
                 self._node.subscribe(f"~/{method}", "std_msgs/msg/String", _asking(urgent), quality)
-        Parameters(station.robot, station.call).serve(self._node)
+        Parameters(station.robot, self._desk.ask).serve(self._node)
         self._lifecycle = Lifecycle(station, self._desk)
         self._lifecycle.serve(self._node)
-        self._mover = Mover(station, self._desk.source, section.lease_s)
+        self._mover = Mover(station, self._desk.source, self._desk.gap, section.lease_s)
         self._moves = Moves(station, self._mover)
         self._moves.serve(self._node)
 

@@ -28,7 +28,7 @@ _EMPTY: dict[str, Any] = {
 
 class Parameters:
     def __init__(self, robot: Robot, call: Call) -> None:
-        """`call` asks the daemon; it raises ClientError."""
+        """`call`: as Tunable."""
         self._tunable = Tunable(robot, call)
 
     def serve(self, node: Node) -> None:
