@@ -405,6 +405,9 @@ int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_take_imu(exchange *x, imu_sample *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
+/* How often a line's set-points have become enabled: newest wins, so a line may never see those of a short while. Ask it
+ * before the take: what is taken is at least as new. */
+uint64_t exchange_enabled_count(const exchange *x, uint32_t line);
 /* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
 int exchange_set_line_wake(exchange *x, uint32_t line, int fd);
 int exchange_line_wake(const exchange *x, uint32_t line);

@@ -67,6 +67,8 @@ typedef struct {
     int32_t error_output;       /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
+    int32_t rest_error;         /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
+    int32_t rest_output;        /* which, as error_output */
     uint32_t reserved;
     uint64_t active_inputs;     /* bits of the input request */
     uint64_t cycles;
@@ -86,6 +88,8 @@ typedef struct {
     uint32_t reserved;
     int64_t stop_until_ns;      /* 0: not stopping */
     int64_t last_ns;
+    uint64_t enabled_count;     /* how often the set-points have become enabled: whoever steps it writes it first */
+    uint64_t enabled_count_armed;
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */

@@ -126,7 +126,7 @@ static void guard_armed(board_machine *m, int64_t now_ns)
         board_quick_stop(m, now_ns);
     } else if (m->newest.enabled == 1) {
         m->was_enabled = true;
-    } else if (m->was_enabled) {
+    } else if (m->was_enabled || m->enabled_count_armed != m->enabled_count) {
         demote(m, DEMOTED_NOT_ENABLED, DRIVE_READY);
         board_power_off(m, now_ns);
     }
@@ -164,6 +164,7 @@ static void arm(board_machine *m, int64_t now_ns)
     }
     m->mode = DRIVE_ARMED;
     m->was_enabled = false;
+    m->enabled_count_armed = m->enabled_count;
     m->demoted = m->still_enabled = 0;
     m->enabled = 2;
     m->told_ns = now_ns;

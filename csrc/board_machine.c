@@ -20,6 +20,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     m->table = *table;
     m->epoch = epoch;
     m->sequence = sequence;
+    m->next = (uint16_t)(sequence + 1);
     m->cycle.due_ns = now_ns;
     memcpy(m->held, table->payload, sizeof m->held);
     board_hold(m, table->disarm, table->disarm_count, now_ns);
@@ -31,7 +32,8 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 }
 
 /* -------------------------------------------------------------------------------------------------- receiving */
-/* Which of our frames the board had heard by then, and how long it kept that to itself. */
+/* Which of our frames the board had heard by then, and how long it kept that to itself. One of an earlier program may be
+ * newer than ours: the board would take none before we are ahead of it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
     uint16_t sequence = (uint16_t)board_get(m->said, &HEARD_SEQUENCE);
@@ -40,6 +42,9 @@ static void note_what_it_knows(board_machine *m, int64_t now_ns)
     int64_t trip_ns = now_ns - sent_ns - board_get(m->said, &HEARD_AGO) * HELD_UNIT_NS;
     bool known = sent_ns > 0 && trip_ns >= -HELD_TOLERANCE_NS;
     m->knows_ns = known ? sent_ns : 0;
+    if ((int16_t)(uint16_t)(m->next - sequence) <= 0) {
+        m->next = (uint16_t)(sequence + 1);
+    }
     if (known && m->round_trips != NULL) {
         histogram_add(m->round_trips, trip_ns);
     }
@@ -147,7 +152,7 @@ static void tell(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX], out[BOARD_WIRE_MAX];
     bool motion = board_payload(m, payload);
-    uint16_t sequence = (uint16_t)(m->sequence + 1);
+    uint16_t sequence = m->next;
     bool text = m->table.dialect == BOARD_TEXT;
     uint32_t count = text ? board_text_write(&m->table, payload, out)
                           : board_frame_build(BOARD_TYPE_SETPOINTS, sequence, (uint32_t)(now_ns / NS_PER_US), payload,
@@ -156,7 +161,11 @@ static void tell(board_machine *m, int64_t now_ns)
         m->no_room++;
         return;
     }
+    if (sequence != (uint16_t)(m->sequence + 1)) {
+        memset(m->sent_ns, 0, sizeof m->sent_ns);   /* a new row */
+    }
     m->sequence = sequence;
+    m->next = (uint16_t)(sequence + 1);
     m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
     m->told_motion = motion;
     m->sent++;

@@ -41,6 +41,7 @@ typedef struct {
     board_table table;
     board_control control;
     setpoints newest;           /* the core's */
+    uint64_t enabled_count;     /* how often they have become enabled */
     board_joint joint[JOINTS_MAX];
     board_tail tail;
     board_clock clock;
@@ -62,6 +63,7 @@ typedef struct {
     imu_sample imu;             /* the newest */
     bool imu_is_new;            /* since it was taken */
     bool was_enabled;           /* set-points were enabled since it was armed */
+    uint64_t enabled_count_armed;   /* enabled_count when it was armed */
     bool told_motion;
     bool stopping;
     bool back;                  /* a quiet board spoke: BACK when it has been told to disarm */
@@ -71,6 +73,7 @@ typedef struct {
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;
     uint16_t sequence;
+    uint16_t next;              /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
     int64_t told_ns;            /* a frame went out last */

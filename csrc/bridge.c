@@ -27,6 +27,7 @@ static void obey_wish(bridge_state *state, const bridge_config *config, const br
     if (control->wish == PWM_ARMED && fresh) {
         state->armed = 1;
         state->was_enabled = state->demoted = 0;
+        state->enabled_count_armed = state->enabled_count;
         state->stop_until_ns = 0;
     } else if (control->wish == PWM_ARMED) {
         demote(state, PWM_DEMOTED_OLD, 0);
@@ -49,7 +50,7 @@ static void look_at_setpoints(bridge_state *state, const bridge_config *config, 
         demote(state, fresh ? PWM_DEMOTED_LEFT_ALONE : PWM_DEMOTED_OLD, now_ns + config->stopping_ns);
     } else if (newest->enabled != 0) {
         state->was_enabled = 1;
-    } else if (state->was_enabled != 0) {
+    } else if (state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count) {
         demote(state, PWM_DEMOTED_NOT_ENABLED, 0);
     }
 }

@@ -21,6 +21,7 @@ bool can_send(can_machine *m, const can_packet *packet)
     bool went = m->send(m->sink, packet);
     m->sent += went;
     m->tx_full += !went;
+    m->clogged &= !went;
     return went;
 }
 
@@ -69,7 +70,11 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
         drive->told_motion |= moves;
-        all &= can_send(m, &packet);
+        bool went = can_send(m, &packet);
+        all &= went;
+        if (moves && went && m->motion_since_ns == 0) {
+            m->motion_since_ns = now_ns;
+        }
     }
     if (all) {
         drive->told_motion = motion;
@@ -233,7 +238,7 @@ static void guard_armed(can_machine *m, uint32_t number, int64_t now_ns)
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     } else if (m->newest.enabled == 1) {
         drive->was_enabled = true;
-    } else if (drive->was_enabled) {
+    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
         demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
         power_off(m, number);
     }
@@ -285,6 +290,7 @@ static void arm(can_machine *m, uint32_t number, int64_t now_ns)
     drive->mode = DRIVE_ARMED;
     drive->may_turn = true;
     drive->was_enabled = false;
+    drive->enabled_count = m->enabled_count;
     drive->demoted = drive->still_enabled = 0;
     drive->enabled = 2;
     drive->told_ns = now_ns;

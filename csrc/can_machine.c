@@ -5,6 +5,8 @@
 #include <errno.h>
 #include <string.h>
 
+/* Adapters on USB take milliseconds to say that a frame has left. */
+static const int64_t LEAVES_WITHIN_NS = 5 * CAN_MS;
 
 /* -------------------------------------------------------------------------------------------------- beginning */
 static bool has_power(const can_input *input)
@@ -156,6 +158,11 @@ uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t s
     return CAN_FOR_NOBODY;
 }
 
+void can_machine_left(can_machine *m)
+{
+    m->motion_since_ns = 0;
+}
+
 /* ----------------------------------------------------------------------------------------------------- orders */
 bool can_machine_order(can_machine *m, const can_order *order)
 {
@@ -247,8 +254,19 @@ static void send_stops(can_machine *m, int64_t now_ns)
     }
 }
 
+/* A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in again, whoever lives
+ * then: so little motion waits there, and zero behind it. */
+static void look_at_queue(can_machine *m, int64_t now_ns)
+{
+    int64_t limit_ns = m->table.period_ns > LEAVES_WITHIN_NS ? m->table.period_ns : LEAVES_WITHIN_NS;
+    bool waits = m->motion_since_ns != 0 && now_ns - m->motion_since_ns > limit_ns;
+    m->motion_stays = m->hears_own && (m->clogged || waits);
+}
+
 static void cycle(can_machine *m, int64_t now_ns)
 {
+    m->tx_full += m->motion_stays;
+    uint64_t sent = m->sent, refused = m->tx_full;
     cycle_clock_begin(&m->cycle, m->table.period_ns, now_ns);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_cycle(m, i, now_ns);
@@ -256,6 +274,7 @@ static void cycle(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.sync_count; i++) {
         (void)can_send(m, &m->table.sync[i]);   /* the drives do now, all at once, what they were told */
     }
+    m->clogged |= m->sent == sent && m->tx_full > refused;
 }
 
 static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
@@ -278,6 +297,7 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)
 {
+    look_at_queue(m, now_ns);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_obey_wish(m, i, now_ns);
         can_guard(m, i, now_ns);

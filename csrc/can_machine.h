@@ -42,6 +42,7 @@ typedef struct {
     uint32_t stop;              /* can_stop_kind */
     uint32_t stop_place;
     bool was_enabled;           /* set-points were enabled since it was armed */
+    uint64_t enabled_count;     /* of the machine, when it was armed */
     bool may_turn;              /* armed since it was last set up, before the bus was opened or after */
     bool told_motion;
     bool stopping;
@@ -89,10 +90,15 @@ typedef struct {
     can_drive_state drive[CAN_DRIVES_MAX];
     can_joint_state joint[JOINTS_MAX];
     setpoints newest;           /* the core's */
+    uint64_t enabled_count;     /* how often they have become enabled */
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
     uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
+    bool hears_own;             /* the bus says when a set-point frame of ours has left */
+    bool clogged;               /* it has taken nothing in a whole cycle, nor since */
+    bool motion_stays;          /* in this step: set-points are zero, for motion would wait for a bus that is dead */
+    int64_t motion_since_ns;    /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
     uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
     bool news;                  /* something that Python wants to hear */
     int64_t shut_rest_by_ns;
@@ -112,6 +118,8 @@ int can_machine_init(can_machine *m, const can_table *table, const can_before *b
 /* A frame has come. Returns who is to be told: the number of its drive, CAN_DRIVES_MAX for an error frame, or
  * CAN_FOR_NOBODY. Nothing is sent. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);
+/* A set-point frame of ours has left. */
+void can_machine_left(can_machine *m);
 /* false: no room */
 bool can_machine_order(can_machine *m, const can_order *order);
 /* Sends what is due; returns when to step again, if nothing comes. */

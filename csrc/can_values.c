@@ -55,7 +55,7 @@ static double number_of(const can_place *place, int64_t raw)
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1;
+    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
     double raw = scaled(&m->newest, may_move, &setpoint->scale);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);

@@ -90,6 +90,11 @@ int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)
         return -EINVAL;
     }
     setpoints_box *to = &x->setpoints[line];
+    bool enabled = value->enabled != 0;
+    if (enabled && !x->enabled_before[line]) {
+        (void)atomic_fetch_add_explicit(&x->enabled_count[line], 1, memory_order_release);
+    }
+    x->enabled_before[line] = enabled;
     mailbox_put(&to->box, to->slot, value, sizeof *value);
     return 0;
 }
@@ -102,6 +107,11 @@ int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out)
     setpoints_box *from = &x->setpoints[line];
     (void)atomic_fetch_add_explicit(&x->takes[line], 1, memory_order_relaxed);
     return mailbox_take(&from->box, from->slot, out, sizeof *out);
+}
+
+uint64_t exchange_enabled_count(const exchange *x, uint32_t line)
+{
+    return line < LINES_MAX ? atomic_load_explicit(&x->enabled_count[line], memory_order_acquire) : 0;
 }
 
 uint64_t exchange_line_takes(const exchange *x, uint32_t line)

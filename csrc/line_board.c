@@ -123,7 +123,7 @@ static int go_round(board_thread *t, const uint8_t *bytes, uint32_t count, int64
     int64_t now_ns = clock_now_ns();
     line_thread_take_control(&t->life, &t->machine.control);
     board_machine_hear(&t->machine, bytes, count, now_ns);
-    line_thread_take_setpoints(&t->life, &t->machine.newest);
+    t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_order(t);
     t->send_error = 0;
     *wake_ns = board_machine_step(&t->machine, now_ns);

@@ -2,6 +2,7 @@
  * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is said and when is the machine's. */
 #include <errno.h>
 #include <linux/can.h>
+#include <linux/can/raw.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <sys/uio.h>
@@ -132,6 +133,10 @@ static int receive_batch(can_thread *t)
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, now_ns, wall_ns);
         inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;   /* the kernel has written how much it used */
+        if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
+            can_machine_left(&t->machine);   /* linux Documentation/networking/can.rst: sent by this socket */
+            continue;
+        }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
     }
     return count;
@@ -145,6 +150,14 @@ static int receive(can_thread *t)
         count = receive_batch(t);
     }
     return count < 0 ? count : 0;
+}
+
+/* The socket was opened to hear its own set-point frames when they have left; sockets of other kinds cannot. */
+static bool hears_own(int fd)
+{
+    int own = 0;
+    socklen_t size = sizeof own;
+    return getsockopt(fd, SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, &own, &size) == 0 && own != 0;
 }
 
 static int socket_error(const can_thread *t)
@@ -204,7 +217,7 @@ static int go_round(can_thread *t, int64_t *wake_ns)
     /* the control first: what is heard while Python listens is for it */
     line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
-    line_thread_take_setpoints(&t->life, &t->machine.newest);
+    t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_orders(t);
     int64_t now_ns = clock_now_ns();
     t->send_error = 0;
@@ -239,6 +252,7 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
     if (error != 0) {
         return error;
     }
+    t->machine.hears_own = hears_own(config->at.fd);
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;
     }

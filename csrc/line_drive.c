@@ -25,7 +25,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 {
     line_drive_state *drive = &m->drive[number];
     drive->stop = kind;
-    drive->stop_place = 0;
+    drive->stop_place = drive->stop_done = 0;
     drive->stop_failures = 0;
     drive->stage = STAGE_IDLE;
     memset(drive->way_told, 0, sizeof drive->way_told);
@@ -78,7 +78,7 @@ static void guard_armed(line_machine *m, uint32_t number, int64_t now_ns)
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     } else if (m->newest.enabled == 1) {
         drive->was_enabled = true;
-    } else if (drive->was_enabled) {
+    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
         line_demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
         power_off(m, number);
     }
@@ -125,6 +125,7 @@ static void arm(line_machine *m, uint32_t number, int64_t now_ns)
     drive->mode = DRIVE_ARMED;
     drive->may_turn = true;
     drive->was_enabled = false;
+    drive->enabled_count = m->enabled_count;
     drive->demoted = 0;
     drive->still_enabled = 0;
     drive->enabled = 2;
@@ -161,15 +162,26 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ----------------------------------------------------------------------------------------------- what to send */
+static const line_frame *stop_frames(const line_machine *m, uint32_t number, uint32_t *count)
+{
+    const line_drive *table = &m->table.drive[number];
+    bool quick = m->drive[number].stop == STOP_QUICK;
+    *count = quick ? table->quick_stop_count : table->disarm_count;
+    return quick ? table->quick_stop : table->disarm;
+}
+
 bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
-    const line_drive *table = &m->table.drive[number];
-    bool quick = drive->stop == STOP_QUICK;
-    uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
-    if (drive->stop_place < count) {
-        *out = quick ? table->quick_stop[drive->stop_place] : table->disarm[drive->stop_place];
-        return true;
+    uint32_t count;
+    const line_frame *frame = stop_frames(m, number, &count);
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t place = (drive->stop_place + i) % count;
+        if ((drive->stop_done >> place & 1) == 0) {
+            drive->stop_place = place;
+            *out = frame[place];
+            return true;
+        }
     }
     drive->stop = STOP_NOTHING;
     drive->enabled = 2;
@@ -192,6 +204,9 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
+    if (drive->stopping) {
+        return false;   /* rest would take its brake off: it comes with the power-off */
+    }
     for (; drive->place < table->way_count; drive->place++) {
         uint32_t wanted = line_way_wanted(m, number, drive->place);
         uint32_t told = drive->way_told[drive->place];
@@ -378,6 +393,38 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     }
 }
 
+/* The one under way may be of an older stop: that says nothing of the newest one. */
+static bool is_of_newest_stop(const line_machine *m, uint32_t number)
+{
+    const line_frame *sent = &m->transaction.frame;
+    uint32_t count;
+    const line_frame *frame = stop_frames(m, number, &count);
+    uint32_t place = m->drive[number].stop_place;
+    return place < count && sent->request_bytes == frame[place].request_bytes &&
+           memcmp(sent->request, frame[place].request, sent->request_bytes) == 0;
+}
+
+static void stop_frame_done(line_machine *m, uint32_t number)
+{
+    line_drive_state *drive = &m->drive[number];
+    drive->stop_failures = 0;
+    if (is_of_newest_stop(m, number)) {
+        drive->stop_done |= 1U << drive->stop_place;
+    }
+}
+
+/* At the end all is told, whatever the drive does not answer: it may hear us though we do not hear it. */
+static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure)
+{
+    line_drive_state *drive = &m->drive[number];
+    drive->stop_failures++;
+    if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
+        stop_frame_done(m, number);   /* it is there and will not: the next frame may do */
+    } else if (m->shut != 0 && is_of_newest_stop(m, number)) {
+        drive->stop_place++;
+    }
+}
+
 void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -396,8 +443,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     if (m->work == WORK_CYCLE) {
         cycle_answered(m, number, reply, stamp_ns);
     } else if (m->work == WORK_STOP) {
-        drive->stop_place++;
-        drive->stop_failures = 0;
+        stop_frame_done(m, number);
     } else if (m->work == WORK_PROBE) {
         drive->back = true;
         line_stop_now(m, number, STOP_POWER_OFF);
@@ -425,12 +471,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
         m->current = LINE_DRIVES_MAX;
     }
     if (m->work == WORK_STOP) {
-        drive->stop_failures++;
-        bool tried = drive->stop_failures >= table->tries;
-        if (tried && failure == ANSWER_REFUSED) {
-            drive->stop_place++;   /* it is there and will not: the next frame may do */
-            drive->stop_failures = 0;
-        }
+        stop_frame_failed(m, number, failure);
     }
     bool counts = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED || drive->stop != STOP_NOTHING;
     if (counts && drive->failures >= table->tries) {

@@ -238,6 +238,24 @@ static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t
 }
 
 /* ------------------------------------------------------------------------------------------------- whose turn */
+/* Quiet ones do not keep the others waiting, nor one of them the next: 0 comes first. */
+static uint32_t stop_rank(const line_drive_state *drive)
+{
+    return drive->failures > 0 ? 1 + drive->stop_failures : 0;
+}
+
+static uint32_t first_to_stop(const line_machine *m)
+{
+    uint32_t first = LINE_DRIVES_MAX;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        bool waits = m->drive[i].stop != STOP_NOTHING;
+        if (waits && (first == LINE_DRIVES_MAX || stop_rank(&m->drive[i]) < stop_rank(&m->drive[first]))) {
+            first = i;
+        }
+    }
+    return first;
+}
+
 static bool take_stop(line_machine *m, line_output *out)
 {
     line_frame frame;
@@ -246,13 +264,10 @@ static bool take_stop(line_machine *m, line_output *out)
         begin(m, WORK_BROADCAST, LINE_DRIVES_MAX, &m->table.broadcast_stop[count - m->broadcasts], out);
         return true;
     }
-    for (uint32_t round = 0; round < 2; round++) {   /* quiet ones do not keep the others waiting */
-        for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            bool quiet = m->drive[i].failures > 0;
-            if (m->drive[i].stop != STOP_NOTHING && quiet == (round == 1) && line_next_stop(m, i, &frame)) {
-                begin(m, WORK_STOP, i, &frame, out);
-                return true;
-            }
+    for (uint32_t number; (number = first_to_stop(m)) < LINE_DRIVES_MAX;) {
+        if (line_next_stop(m, number, &frame)) {
+            begin(m, WORK_STOP, number, &frame, out);
+            return true;
         }
     }
     return false;

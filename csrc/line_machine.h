@@ -53,7 +53,8 @@ typedef struct {
     uint32_t extra_next;
     uint32_t still_enabled;     /* cycles in a row in which it said so without being armed */
     uint32_t stop;              /* line_stop_kind: frames that go before all else */
-    uint32_t stop_place;
+    uint32_t stop_place;        /* the frame that is told next, or has been told */
+    uint32_t stop_done;         /* bit n: frame n was acknowledged, or is refused for good */
     uint32_t stop_failures;
     uint32_t probe_place;
     uint32_t probes_at_once;
@@ -61,6 +62,7 @@ typedef struct {
     uint32_t way_last[DRIVE_WAYS_MAX];      /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool was_enabled;           /* set-points were enabled since it was armed */
+    uint64_t enabled_count;     /* of the machine, when it was armed */
     bool may_turn;              /* armed since it was last set up, before the port was opened or after */
     bool told_motion;
     bool cycle_motion;
@@ -100,6 +102,7 @@ typedef struct line_machine {
     line_drive_state drive[LINE_DRIVES_MAX];
     line_joint_state joint[JOINTS_MAX];
     setpoints newest;           /* the core's */
+    uint64_t enabled_count;     /* how often they have become enabled */
     line_control control;
     line_ask ask[LINE_ASKS_MAX];
     uint32_t ask_count;

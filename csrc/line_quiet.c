@@ -29,8 +29,8 @@ void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
         drive->count.quiet++;
     }
     line_demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
-    if (m->shut == 0 || m->work == WORK_STOP) {
-        drive->stop = STOP_NOTHING;   /* its probes stop it; at the end there are none, so it is told all the same */
+    if (m->shut < 2) {
+        drive->stop = STOP_NOTHING;   /* its probes stop it; later there are none: it is told until the end */
     }
     drive->stopping = drive->back = false;
     drive->stage = STAGE_IDLE;

@@ -155,7 +155,7 @@ static int wait_for_news(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32
         return woken;
     }
     if (woken > 0) {
-        line_thread_take_setpoints(&t->life, &t->machine.newest);
+        t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
         line_machine_kick(&t->machine, clock_now_ns());
     }
     return line_thread_read_port(&t->life, fds[1].revents, bytes, room);
@@ -164,7 +164,7 @@ static int wait_for_news(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32
 static int round_trip(rtu_thread *t, const uint8_t *bytes, uint32_t count, int64_t *wake_ns)
 {
     line_output out;
-    line_thread_take_setpoints(&t->life, &t->machine.newest);
+    t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     line_thread_take_control(&t->life, &t->machine.control);
     take_asks(t);
     int64_t now_ns = clock_now_ns();

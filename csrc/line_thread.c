@@ -136,9 +136,11 @@ void line_thread_take_control(line_thread *t, void *out)
     (void)mailbox_take(&t->control, t->slots.control, out, t->slots.control_bytes);
 }
 
-void line_thread_take_setpoints(const line_thread *t, setpoints *out)
+uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out)
 {
+    uint64_t enabled_count = exchange_enabled_count(t->at.exchange, t->line);
     (void)exchange_take_setpoints(t->at.exchange, t->line, out);
+    return enabled_count;
 }
 
 void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes)

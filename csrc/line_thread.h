@@ -56,7 +56,8 @@ int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t
 void line_thread_begin(line_thread *t, const char *name);   /* as the kernel shows it: at most 15 characters */
 void line_thread_end(line_thread *t);                       /* its last report has been put */
 void line_thread_take_control(line_thread *t, void *out);
-void line_thread_take_setpoints(const line_thread *t, setpoints *out);
+/* Returns how often they have become enabled. */
+uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out);
 /* Of the joints of a mask; `joints`: JOINTS_MAX of the medium's own, each begins with its joint_feedback. */
 void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes);
 /* A report: its life is filled in here. */

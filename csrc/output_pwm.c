@@ -196,7 +196,9 @@ static int rest(pwm_thread *t)
         mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_a_say(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
-    (void)bring_down(t, level, bits, mask);   /* once more what failed */
+    int left = bring_down(t, level, bits, mask);   /* once more what failed */
+    t->out.rest_output = left != 0 ? t->out.error_output : AT_GPIO;
+    t->out.rest_error = left != 0 ? -left : -lines_error;
     return error != 0 ? error : lines_error;
 }
 
@@ -292,6 +294,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     uint64_t inputs_before = t->out.active_inputs;
     int error = read_inputs(t);
     error = error != 0 ? error : read_encoders(t, now_ns);
+    t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
     bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);

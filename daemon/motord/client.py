@@ -221,15 +221,24 @@ class Client:
 
     def disarm(self) -> str:
         """Come to rest and take the power off."""
-        return str(self.call("disarm")["state"])
+        return self._surely("disarm")
 
     def stop(self) -> str:
         """Come to rest, stay armed."""
-        return str(self.call("stop")["state"])
+        return self._surely("stop")
 
     def estop(self) -> str:
         """Emergency stop; stays until `reset`."""
-        return str(self.call("estop")["state"])
+        return self._surely("estop")
+
+    def _surely(self, method: str) -> str:
+        """Over a new connection where the daemon has closed this one: whoever is silent for long
+        makes room for others, and what ends motion must not fail for that."""
+        if not self.connected:
+            again = Client(self.path, timeout_s=self.timeout_s)
+            self._socket.close()
+            self._socket, self._buffer = again._socket, b""
+        return str(self.call(method)["state"])
 
     def reset(self) -> str:
         """Clear a fault or an emergency stop. Stays disarmed."""

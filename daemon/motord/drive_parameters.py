@@ -7,13 +7,14 @@ drive: it lasts until the drive loses its power.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from motord.config.problems import nearest
 from motord.machine import State
 from motord.operation import Operation
-from motord.rpc import INVALID_PARAMS, Refused, RpcError
+from motord.rpc import INVALID_PARAMS, Refused, RpcError, json_number
 from motord_hal.clock import within
 from motord_hal.drives.profile import SI_UNITS, Register
 from motord_hal.engine.parameter import kept_back
@@ -49,13 +50,13 @@ def _about(joint: JointSpec, register: Register) -> dict[str, Any]:
     }
 
 
-async def values(lines: Iterable[Line], names: Iterable[str]) -> dict[str, float]:
-    """By name, as the drives say now. Raises RpcError."""
+async def values(lines: Iterable[Line], names: Iterable[str]) -> dict[str, float | None]:
+    """By name, as the drives say now; None: no number. Raises RpcError."""
     found = {name: _place(lines, name) for name in names}
-    return {name: await _read(*place) for name, place in found.items()}
+    return {name: json_number(await _read(*place)) for name, place in found.items()}
 
 
-async def write(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float]:
+async def write(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
     """One after the other, each read back; returns what is in force. Only without power, which
     cannot come on meanwhile. Raises RpcError: those before it have been written."""
     found = {name: _place(operation.lines, name) for name in wanted}
@@ -64,14 +65,16 @@ async def write(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, fl
     for name, value in wanted.items():
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise RpcError(f"{name}: {value!r} is not a number", INVALID_PARAMS)
+        if abs(value) > sys.float_info.max:  # a whole number may have any size
+            raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
     if operation.busy.locked():
         raise Refused("something else is under way (arm, disarm or reset): try again")
     async with operation.busy:
-        done = {}
+        done: dict[str, float | None] = {}
         for name, place in found.items():
             if operation.state is not State.IDLE:
                 raise Refused(f"{name}: a drive is set up without power only: motord disarm first")
-            done[name] = await _write(*place, float(wanted[name]))
+            done[name] = json_number(await _write(*place, float(wanted[name])))
         return done
 
 

@@ -71,6 +71,8 @@ class Operation:
         self._notifier = notifier
         self._armed = False
         self._estop = False
+        self.estops = 0
+        """How often an emergency stop came."""
         self._broken: str | None = None
         """Why the daemon itself raises a fault."""
         self._reset_count = 0
@@ -246,6 +248,7 @@ class Operation:
     def estop(self, why: str) -> None:
         """At once, from every state, whatever else is going on."""
         self._estop = True
+        self.estops += 1
         if self.state is not State.ESTOP:
             self.why = (why,)
             _log.warning("emergency stop: %s", why)
@@ -270,11 +273,13 @@ class Operation:
     def look(self) -> None:
         """The core's newest word on the robot: it may only lead to less."""
         try:
-            self.snapshot = snapshot = self.loop.read_state()
+            before, self.snapshot = self.snapshot, self.loop.read_state()
         except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
             return
+        snapshot = self.snapshot
         if snapshot.faults:
             estop = "estop" in snapshot.faults
+            self.estops += estop and "estop" not in before.faults
             self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
             self._armed = False  # the next arming is an edge again
         elif self.state.live and self._armed and not snapshot.armed:
@@ -284,7 +289,8 @@ class Operation:
         elif not snapshot.at_rest:
             self.take(Event.MOVED)
         elif self.state is State.STOPPING and not self.disarming:
-            self.take(Event.STOPPED)
+            if "stop_requested" in snapshot.reasons:  # else the loop has not seen it yet
+                self.take(Event.STOPPED)
         else:
             self.take(Event.RESTED)
         self._notify()

@@ -16,7 +16,7 @@ from motord.assembly import base_limits
 from motord.config import Limits
 from motord.config.model import REST_MAX_S
 from motord.config.problems import nearest
-from motord.rpc import INVALID_PARAMS, RpcError, words
+from motord.rpc import INVALID_PARAMS, RpcError, json_number, words
 from motord.rt import limits_problem
 
 _PREFIX = "limits."
@@ -27,7 +27,7 @@ def listed(limits: Limits) -> dict[str, dict[str, Any]]:
     properties = Limits.model_json_schema()["properties"]
     return {
         _PREFIX + key: {
-            "value": _plain(getattr(limits, key)),
+            "value": json_number(getattr(limits, key)),
             "unit": schema["unit"],
             "minimum": schema["minimum"],
             "maximum": schema.get("maximum"),
@@ -40,7 +40,7 @@ def listed(limits: Limits) -> dict[str, dict[str, Any]]:
 def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]:
     """By name; no name: all. Raises RpcError for an unknown one."""
     keys = [_key(name) for name in names] or list(Limits.model_fields)
-    return {_PREFIX + key: _plain(getattr(limits, key)) for key in keys}
+    return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
 
 
 def changed(
@@ -71,7 +71,3 @@ def _key(name: str) -> str:
         hint = f"did you mean {near}?" if near else "params.list names them all"
         raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
     return key
-
-
-def _plain(value: float) -> float | None:
-    return value if math.isfinite(value) else None

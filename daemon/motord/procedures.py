@@ -89,6 +89,7 @@ async def reset(operation: Operation) -> State:
     operation.check(Event.RESET)
     async with _alone(operation):
         operation.check(Event.RESET)
+        estops = operation.estops
         try:
             for line in operation.lines:
                 async with within(LINES_WITHIN_S):
@@ -99,13 +100,21 @@ async def reset(operation: Operation) -> State:
         if left := operation.facts().drive_faults:
             raise Refused(f"not reset, still there: {'; '.join(left)}")
         operation.check(Event.RESET)
+        _no_other_estop(operation, estops)
         operation.ask_reset()
         if not await operation.until(lambda: not operation.snapshot.faults, CORE_WITHIN_S):
             left = operation.snapshot.faults
             raise Refused(f"not reset, the cause is still there: {', '.join(left)}")
+        _no_other_estop(operation, estops)
         state = operation.take(Event.RESET)
         operation.why = ()
         return state
+
+
+def _no_other_estop(operation: Operation, estops: int) -> None:
+    """Who pressed it meanwhile was told that it holds."""
+    if operation.estops != estops:
+        raise Refused("not reset: an emergency stop came meanwhile")
 
 
 async def reset_odometry(operation: Operation) -> State:

@@ -15,6 +15,7 @@ import inspect
 import itertools
 import json
 import logging
+import math
 import os
 import socket
 import stat
@@ -29,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from motord.client import NOT_ALLOWED, REFUSED, socket_folders
 
 PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
+INTERNAL_ERROR = -32603
 LINE_BYTES_MAX = 16384
 UNREAD_BYTES_MAX = 1 << 20
 CALLS_MAX = 4
@@ -335,7 +337,13 @@ class _Connection:
         if writer is None or writer.is_closing() or number is _NOBODY:
             return
         answer = {"jsonrpc": "2.0", "id": number, **content}
-        writer.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
+        try:
+            said = json.dumps(answer, allow_nan=False)
+        except ValueError as error:  # our own mistake, and no reason to let the robot go
+            _log.exception("an answer to process %d", self._caller.pid)
+            problem = {"code": INTERNAL_ERROR, "message": f"the answer is no JSON: {error}"}
+            said = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
+        writer.write(said.encode() + b"\n")
         if writer.transport.get_write_buffer_size() > UNREAD_BYTES_MAX:
             self.drop("it does not read its answers")
 
@@ -364,6 +372,11 @@ def _request(line: bytes) -> dict[str, Any]:
 
 def _no_constant(name: str) -> float:
     raise ValueError(f"{name} is not JSON")
+
+
+def json_number(value: float) -> float | None:
+    """JSON has neither NaN nor infinity, which a drive may well say: None."""
+    return value if math.isfinite(value) else None
 
 
 def words(error: ValidationError) -> str:

@@ -126,6 +126,11 @@ class Exchange:
             ),
         )
 
+    def enabled_count(self, line: int) -> int:
+        """How often a line's set-points have become enabled: those of a short while it may never
+        see. Ask it before the take."""
+        return int(lib.exchange_enabled_count(self._exchange, line))
+
     def put_setpoints(self, line: int, value: Setpoints) -> None:
         """The loop's side, for tests and tools. At most JOINTS_MAX joints, else ValueError."""
         if len(value.joints) > JOINTS_MAX:

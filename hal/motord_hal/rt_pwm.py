@@ -109,6 +109,9 @@ class BridgeReport:
     number: int = 0
     error: int = 0
     error_output: int = -1
+    rest_error: int = 0
+    """errno that kept a pin from its level without power; 0: all pins rest."""
+    rest_output: int = -1
     active_inputs: int = 0
     cycles: int = 0
     late_cycles: int = 0
@@ -165,6 +168,8 @@ class BridgeThread:
             number=raw.number,
             error=raw.error,
             error_output=raw.error_output,
+            rest_error=raw.rest_error,
+            rest_output=raw.rest_output,
             active_inputs=raw.active_inputs,
             cycles=raw.cycles,
             late_cycles=raw.late_cycles,

@@ -18,4 +18,4 @@ not_emulated=(
     tests/rt/test_loop_kernel.py
     tests/rt/test_loop.py::test_python_that_starts_processes_costs_the_thread_no_page_fault
 )
-.venv/bin/python -m pytest -q -n 2 --dist loadfile "${not_emulated[@]/#/--deselect=}" "$@"
+.venv/bin/python -m pytest -q -n 2 --dist loadfile -o timeout=900 "${not_emulated[@]/#/--deselect=}" "$@"

@@ -130,6 +130,10 @@ static void asyncio_side(uint8_t choice)
         w.machine.control.listen = what;
     } else if (what < 80) {
         to->arming_until_ns = w.now_ns + 20 * MS;
+    } else if (what < 82) {
+        w.machine.hears_own = !w.machine.hears_own;
+    } else if (what < 84) {
+        can_machine_left(&w.machine);
     } else if (what == 84) {
         w.machine.control.shut_down = 1;
     }

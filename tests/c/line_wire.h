@@ -12,18 +12,20 @@ enum { WRITE = 6, READ = 3, SPEED = 0x10, STATUS = 0x20, CONTROL = 0x30, RELEASE
 
 static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
 
-/* A wire with its drives; `dead` has a bit for each that never answers. */
+/* A wire with its drives; `dead` has a bit for each that neither hears nor answers, `mute` for each that hears. */
 typedef struct {
     line_table table;
     line_machine machine;
     line_output out;
     int64_t now_ns;
-        uint32_t dead;
+    uint32_t dead;
+    uint32_t mute;
     uint32_t turning;                       /* bit n: its wheel says that it turns */
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool echoes;
     uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
+    uint32_t released[LINE_DRIVES_MAX];     /* of them the last frame */
     uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
     uint8_t bytes[2 * FRAME_BYTES_MAX];
@@ -95,11 +97,15 @@ static inline void answer_on_the_wire(const uint8_t *request)
         return;
     }
     w.power_offs[number] += power_off;
+    w.released[number] += request[1] == WRITE && request[3] == RELEASE;
     if (power_off && w.power_off_ns[number] == 0) {
         w.power_off_ns[number] = w.now_ns;
     }
     if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
         w.quick_stop_ns[number] = w.now_ns;
+    }
+    if ((w.mute >> number & 1) != 0) {
+        return;
     }
     uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
     rtu_seal(read_reply, 7, SEAL_CRC16);

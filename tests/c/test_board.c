@@ -97,6 +97,40 @@ static void a_new_start_goes_on_with_the_sequence(void)
     CHECK(w.peer.frames_good >= good + 2 && w.peer.enabled == 0);
 }
 
+/* The machine knows nothing of the program before it, whose numbers go round at 65536. */
+static void a_new_program_goes_on_from_what_the_board_has_heard(void)
+{
+    const uint16_t heard[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
+    for (uint32_t i = 0; i < sizeof heard / sizeof heard[0]; i++) {
+        begin();
+        arm_and_turn();
+        w.peer.heard_sequence = heard[i];
+        w.machine.sequence = 0;
+        uint32_t refused = w.peer.frames_bad;
+        restart();
+        go_on(30 * MS);
+        CHECK(w.peer.enabled == 0 && w.peer.stopped_by_silence == 0 && w.peer.frames_bad <= refused + 1);
+        go_on(30 * MS);
+        CHECK(w.machine.knows_ns > w.now_ns - 30 * MS && w.peer.frames_bad <= refused + 1);
+    }
+}
+
+static void a_frame_that_comes_late_is_refused_by_the_board(void)
+{
+    begin();
+    arm_and_turn();
+    uint8_t late[BOARD_WIRE_MAX];
+    uint32_t count = w.sent_bytes;
+    memcpy(late, w.sent, count);
+    wish(DRIVE_STAND_DOWN);
+    go_on(30 * MS);
+    uint32_t refused = w.peer.frames_bad;
+    for (uint32_t i = 0; i < count; i++) {
+        motord_board_byte(&w.peer, late[i], (uint32_t)(w.now_ns / 1000));
+    }
+    CHECK(w.peer.enabled == 0 && w.peer.setpoint[0].velocity_mrad_s == 0 && w.peer.frames_bad == refused + 1);
+}
+
 /* --------------------------------------------------------------------------------------------------- stopping */
 static void old_set_points_brake_and_take_the_power_at_rest(void)
 {
@@ -419,6 +453,8 @@ int main(void)
     each_write_of_a_job_goes_out_with_a_frame_of_its_own();
     a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile();
     a_new_start_goes_on_with_the_sequence();
+    a_new_program_goes_on_from_what_the_board_has_heard();
+    a_frame_that_comes_late_is_refused_by_the_board();
     old_set_points_brake_and_take_the_power_at_rest();
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
     rest_is_only_what_was_said_after_the_stop_was_heard();

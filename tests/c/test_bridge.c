@@ -203,6 +203,7 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     CHECK(comes_true(fd, 25000, 0.5));
     CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
     CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 && report.cycles > 0);
+    CHECK(report.rest_error == 0);
     CHECK(close(fd) == 0);
 }
 
@@ -219,6 +220,7 @@ static void the_thread_ends_with_the_errno_and_the_pin(void)
         CHECK(pwm_line_read_report(2, &report) == 0);
     }
     CHECK(report.running == 0 && report.error == ESPIPE && report.error_output == 0);
+    CHECK(report.rest_error == ESPIPE && report.rest_output == 0);
     CHECK(pwm_line_stop(2) == 0 && close(ends[0]) == 0 && close(ends[1]) == 0);
 }
 
@@ -231,6 +233,18 @@ static bool ends(uint32_t line, double duty, bridge_report *report)
         CHECK(pwm_line_read_report(line, report) == 0);
     }
     return report->running == 0;
+}
+
+static void pins_that_rest_after_a_failure_are_told_to_rest(void)
+{
+    int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
+    bridge_config config = config_of(fd);
+    config.inputs_fd = 98;   /* nobody's */
+    config.joint[0].fault_mask = 1;
+    bridge_report report = {.running = 1};
+    exchange_init((exchange *)exchange_memory);
+    CHECK(pwm_line_start(2, &config) == 0 && ends(2, 0.5, &report) && pwm_line_stop(2) == 0);
+    CHECK(report.error == ENOTTY && report.rest_error == 0 && close(fd) == 0);
 }
 
 /* Driven at `duty`, the files fail from then on, and `then` is wanted: which lines changed. */
@@ -282,6 +296,7 @@ int main(void)
     a_config_that_cannot_be_is_refused();
     the_thread_writes_the_files_and_ends_at_rest();
     the_thread_ends_with_the_errno_and_the_pin();
+    pins_that_rest_after_a_failure_are_told_to_rest();
     a_motor_whose_duty_cannot_be_taken_back_is_not_turned();
     lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back();
     return checks_report("bridge");

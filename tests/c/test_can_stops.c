@@ -101,8 +101,111 @@ static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_he
     CHECK(count_sent(SPEED) == 0);   /* and since then it does not turn */
 }
 
+/* ------------------------------------------------------------------------------------- what waits for a dead bus */
+static uint32_t moving(uint32_t drive)
+{
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        count += w.sent[i].id == SPEED + drive && speed_in(&w.sent[i]) != 0;
+    }
+    return count;
+}
+
+static void turning(uint32_t drives)
+{
+    begin_with(drives);
+    for (uint32_t i = 0; i < drives; i++) {
+        arm(i);
+    }
+    go_on(30 * MS);
+    for (uint32_t i = 0; i < drives; i++) {
+        CHECK(speed_in(newest_of(i)) == 100);
+    }
+    forget_sent();
+}
+
+static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest(void)
+{
+    turning(2);
+    w.machine.hears_own = true;
+    w.full = true;
+    go_on(40 * MS);
+    w.full = false;
+    w.velocity_rad_s = 2.0;
+    while (w.sent_count == 0) {
+        go_on(MS);
+    }
+    CHECK(moving(0) == 0 && moving(1) == 0);
+    can_machine_left(&w.machine);
+    go_on(10 * MS);
+    CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 && state_of(0)->mode == DRIVE_ARMED);
+}
+
+static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
+{
+    turning(2);
+    w.machine.hears_own = true;
+    can_machine_left(&w.machine);
+    w.not_taken = SPEED;
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on(5 * MS);
+        can_machine_left(&w.machine);
+    }
+    CHECK(moving(1) == count_sent(SPEED + 1) && moving(1) >= 9);
+}
+
+static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them(void)
+{
+    turning(2);
+    can_machine_left(&w.machine);
+    w.machine.hears_own = true;   /* and nothing more is heard to have left */
+    go_on(150 * MS);
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->mode == DRIVE_ARMED);
+    }
+    CHECK(w.machine.tx_full >= 10);   /* somebody can see it */
+    can_machine_left(&w.machine);
+    forget_sent();
+    go_on(10 * MS);
+    CHECK(speed_in(newest_of(0)) == 100 && speed_in(newest_of(1)) == 100);
+}
+
+static void what_leaves_in_its_cycle_goes_on(void)
+{
+    turning(1);
+    w.machine.hears_own = true;
+    can_machine_left(&w.machine);
+    for (uint32_t i = 0; i < 50; i++) {
+        go_on(9 * MS);
+        can_machine_left(&w.machine);
+        go_on(MS);
+    }
+    CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 49);
+}
+
+/* A USB adapter takes longer than a cycle of 1 ms to say so. */
+static void what_is_said_to_have_left_some_milliseconds_late_goes_on(void)
+{
+    turning(1);
+    w.machine.table.period_ns = MS;
+    w.machine.hears_own = true;
+    go_on(10 * MS);
+    can_machine_left(&w.machine);
+    forget_sent();
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on(3 * MS);
+        can_machine_left(&w.machine);
+    }
+    CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 50);
+}
+
 int main(void)
 {
+    a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest();
+    a_bus_that_takes_some_frames_of_a_cycle_is_given_motion();
+    no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();
+    what_leaves_in_its_cycle_goes_on();
+    what_is_said_to_have_left_some_milliseconds_late_goes_on();
     one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it();
     standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest();
     switching_off_one_that_has_not_heard_its_zero_takes_its_power();

@@ -50,6 +50,101 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
     }
 }
 
+/* The quick stop and the first power-off are lost, as with a cut of 150 ms. */
+static void one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it(void)
+{
+    for (int64_t cut_ms = 0; cut_ms < 400; cut_ms += 10) {
+        begin_with(1, 0);
+        arm(0);
+        w.dead = 1;
+        int64_t asked_ns = w.now_ns;
+        w.machine.control.shut_down = 1;
+        while (w.now_ns < asked_ns + cut_ms * MS) {
+            go_on();
+        }
+        CHECK(w.machine.shut != 3);
+        w.dead = 0;
+        (void)shut_down();
+        CHECK(w.power_offs[0] >= 2);
+        CHECK(w.machine.drive[0].stop == STOP_NOTHING);
+    }
+}
+
+static void one_that_is_missing_until_the_end_is_reported_to_wait(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.dead = 1;
+    CHECK(shut_down() <= 520 * MS);
+    line_report report = {.shut_down = 0};
+    line_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].stop_waits == 1);
+    CHECK(w.told_off[0] > 4);
+}
+
+static void of_two_missing_drives_the_one_that_comes_back_is_told(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    arm(1);
+    w.dead = 3;
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    while (w.now_ns < asked_ns + 250 * MS) {
+        go_on();
+    }
+    w.dead = 1;
+    (void)shut_down();
+    CHECK(w.power_offs[1] >= 2 && w.machine.drive[1].stop == STOP_NOTHING);
+    CHECK(w.machine.drive[0].stop != STOP_NOTHING);
+}
+
+static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    arm(1);
+    w.turning = 2;
+    w.dead = 1;
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    while (w.now_ns < asked_ns + 200 * MS) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[1] > 0 && w.power_off_ns[1] == 0);
+    w.turning = 0;
+    (void)shut_down();
+    CHECK(w.power_off_ns[1] > asked_ns + 200 * MS && w.power_off_ns[1] < asked_ns + 300 * MS);
+}
+
+static void one_that_hears_but_is_not_heard_is_told_every_frame_at_the_end(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    arm(1);
+    w.mute = 1;
+    CHECK(shut_down() <= 520 * MS);
+    CHECK(w.quick_stop_ns[0] > 0);
+    CHECK(w.released[0] > 0 && w.power_offs[0] > w.released[0]);
+    CHECK(w.released[1] > 0 && w.machine.drive[1].stop == STOP_NOTHING);
+}
+
+static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.machine.control.shut_down = 1;
+    while (w.machine.work != WORK_STOP) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] == 0);
+    wish(0, DRIVE_OFF);
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);   /* its answer comes later */
+    CHECK(w.machine.drive[0].stop == STOP_POWER_OFF);
+    (void)shut_down();
+    CHECK(w.power_offs[0] == 4 && w.released[0] == 2);   /* for the wish, and for the end */
+}
+
 static void open_again(uint32_t may_turn)
 {
     CHECK(line_machine_init(&w.machine, &w.table, may_turn, w.now_ns) == 0);
@@ -170,6 +265,12 @@ int main(void)
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
     a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();
+    one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it();
+    one_that_is_missing_until_the_end_is_reported_to_wait();
+    of_two_missing_drives_the_one_that_comes_back_is_told();
+    a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
+    one_that_hears_but_is_not_heard_is_told_every_frame_at_the_end();
+    the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
     a_wheel_that_turns_is_stopped_before_it_loses_its_power();
     a_wheel_that_does_not_stop_loses_its_power_in_time();
     the_echo_of_a_stop_does_not_bring_a_dead_drive_back();

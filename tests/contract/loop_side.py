@@ -72,6 +72,13 @@ class LoopSide:
         )
         self.exchange.put_setpoints(self.line, Setpoints(self.put_ns, 1, self.enabled, wheels))
 
+    def put_for_a_moment(self) -> None:
+        """Enabled, and not any more before a line looks: an emergency stop right after arming."""
+        self.enabled = True
+        self.put()
+        self.enabled = False
+        self.put()
+
     def _torque_n_m(self, joint: int) -> float:
         loop = self.speed_loops.get(joint)
         if loop is None or not self.enabled:

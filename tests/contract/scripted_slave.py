@@ -40,6 +40,8 @@ class Unit:
     registers: dict[int, int] = field(default_factory=dict)
     on_write: Callable[[int, int], None] | None = None
     silent: bool = False
+    loses: int = 0
+    """So many of its next requests never reach it."""
     refuses: set[int] = field(default_factory=set)
     """Addresses whose access is answered with exception 2."""
 
@@ -116,6 +118,9 @@ class ScriptedSlave:
             return
         unit = self.units.get(request.unit)
         if unit is None or unit.silent:
+            return
+        if unit.loses:
+            unit.loses -= 1
             return
         honest = self._honest(unit, request)
         out = self.tricks.popleft()(request, honest) if self.tricks else [(0.0, honest)]

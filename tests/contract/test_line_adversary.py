@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The line against drives that go on turning, start again or are on when they shall not be."""
 
+import asyncio
 import time
 
 import pytest
@@ -237,3 +238,42 @@ async def test_shutting_down_tells_also_a_quiet_drive(peer):
         await until(lambda: rig.states() == {DriveState.QUIET})
         mark = len(peer.written(CONTROL))
     assert OFF in peer.written(CONTROL)[mark:]
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)  # the other one's arming is one job
+@pytest.mark.parametrize("when", ["before it goes", "while it goes"])
+async def test_a_drive_that_is_stopped_between_power_and_set_points_is_not_armed(rig, peer, when):
+    await rig.ready()
+    (drive,) = rig.line._drives
+    began = drive.stops
+    await drive.enable(began)
+    if when == "before it goes":
+        off = drive.stand_down()
+        with pytest.raises(HalError, match="stopped"):
+            await drive.go(began)
+    else:
+        going = asyncio.create_task(drive.go(began))
+        await asyncio.sleep(0)  # its wish is out
+        off = drive.stand_down()
+        with pytest.raises(HalError, match="stopped"):
+            await going
+    await off
+    assert rig.states() == {DriveState.READY}
+    assert peer.written(CONTROL)[-1] == OFF
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)
+async def test_an_arming_in_whose_middle_a_stop_comes_fails(rig, peer, monkeypatch):
+    await rig.ready()
+    (drive,) = rig.line._drives
+    enable, stops = drive.enable, []
+
+    async def enable_and_stop(began):
+        await enable(began)
+        asyncio.get_running_loop().call_soon(lambda: stops.append(drive.stand_down()))
+
+    monkeypatch.setattr(drive, "enable", enable_and_stop)
+    with pytest.raises(HalError, match="stopped"):
+        await rig.line.arm()
+    await stops[0]
+    assert DriveState.ARMED not in rig.states()

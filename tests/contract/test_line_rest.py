@@ -27,8 +27,9 @@ from test_modbus_line import (
 
 from motord_hal.asyncio_engine import drive
 from motord_hal.clock import now_ns
+from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError
-from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState
+from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, JointSpec
 
 CYCLES_SEEN = 5
 """More than what may have been under way when the line was told to end."""
@@ -93,6 +94,39 @@ async def test_a_modbus_drive_that_is_still_stopping_is_not_armed(peer, monkeypa
         peer.units[1].registers[VELOCITY_1] = 0
         await until(lambda: peer.written(CONTROL)[-1] == OFF)
         await rig.arm()
+
+
+@pytest.mark.parametrize(
+    ("name", "run", "speed", "velocity"),
+    [("bld-305s", 0x66, 0x56, 0x5F), ("blvd20km", 0x7D, 0x481, 0xCF)],
+)
+async def test_the_brake_of_a_quick_stop_holds_until_the_wheel_rests(
+    peer, name, run, speed, velocity
+):
+    profile = find_profile(name)
+    unit = peer.units[1] = Unit(registers_of(name))
+    brake = next(step.value for step in profile.quick_stop if step.register == "run_command")
+    wheel = JointSpec(index=0, name="wheel", profile=profile, unit=1)
+    async with running(spec_of(peer, [wheel])) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+        await until(lambda: unit.registers[speed] > 0)
+        unit.registers[velocity] = 900
+        rig.loop.running = False
+        await until(lambda: peer.written(run)[-1] == brake)
+        braking = len(peer.heard)
+        await until(lambda: wrote(peer, braking, speed) >= CYCLES_SEEN)
+        assert unit.registers[run] == brake
+        unit.registers[velocity] = 0
+        await until(lambda: unit.registers[run] == profile.channels[1].direction.rest)
+
+
+def wrote(peer, since, address):
+    """How often a register was written since then."""
+    return sum(
+        heard.request.address == address and bool(heard.request.values)
+        for heard in peer.heard[since:]
+    )
 
 
 async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_rest(bus):

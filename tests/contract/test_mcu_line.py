@@ -173,6 +173,12 @@ async def test_a_duty_board_is_told_duties(peer):
 
 
 # -------------------------------------------------------------------------------------- stopping
+async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+    await rig.arm()
+    rig.loop.put_for_a_moment()
+    await until(lambda: rig.states() == {DriveState.READY})
+
+
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(rig, peer):
     await armed_and_turning(rig, peer)
     rig.loop.enabled = False
@@ -279,9 +285,12 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
         assert "went away" in rig.events[0].text
 
 
-async def left_turning(peer, spec):
-    """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away."""
+async def left_turning(peer, spec, spoke=0):
+    """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away; it
+    had sent some frames before."""
     dialect = FrameDialect(spec)
+    for _ in range(spoke):
+        dialect.setpoints({}, now_ns())
     stream = Stream(spec, lambda data: None)
     stream.open()
     for raw in ({"control": 8}, {"control": 1}, {"control": 1, "target_velocity_1": 5000}):
@@ -290,14 +299,26 @@ async def left_turning(peer, spec):
     stream.close()
 
 
-async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_off(peer):
+@pytest.mark.parametrize("spoke", [0, 20_000, 40_000])
+async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_off(peer, spoke):
     spec = spec_of(peer)
-    await left_turning(peer, spec)
+    await left_turning(peer, spec, spoke)
     seen = len(peer.told)
     assert await halt_line(spec) == []
     assert peer.told[seen].braking
     assert not peer.told[-1].enabled
     assert not peer.told[-1].braking
+
+
+async def test_a_new_line_is_heard_by_a_board_that_a_dead_program_left_turning(peer):
+    spec = spec_of(peer)
+    await left_turning(peer, spec, spoke=20_000)
+    seen = len(peer.told)
+    async with running(spec) as rig:
+        await rig.ready()
+        assert not peer.told[seen].enabled
+        assert not peer.told[seen].braking  # told so, not by its own watchdog
+        await rig.arm()
 
 
 async def test_a_board_that_says_nothing_when_it_is_stopped_is_named(peer):

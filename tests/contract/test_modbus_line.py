@@ -155,6 +155,12 @@ async def test_feedback_says_enabled_once_armed(rig):
 
 
 # --------------------------------------------------------------------------------------- stopping
+async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+    await rig.arm()
+    rig.loop.put_for_a_moment()
+    await until(lambda: rig.states() == {DriveState.READY})
+
+
 async def test_set_points_that_are_not_enabled_any_more_take_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}

@@ -4,10 +4,12 @@
 import math
 import time
 
+import can
 import pytest
 from loop_side import running, until
 from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
 from shared_bus import KINDS, shared_bus
+from test_can_bus import bus_that
 
 from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan
@@ -136,6 +138,32 @@ async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(
         last = drive.modes.index(ZERO_VELOCITY)
         assert POSITION not in drive.modes[last:]
         assert [drive.velocities[-1], drive.bites] == [0.0, 0]
+
+
+@pytest.mark.parametrize("take_power", ["at rest", "disarm", "power off"])
+@pytest.mark.parametrize("bus", [one for one in KINDS if one[1] == "asyncio"], indirect=True)
+async def test_a_quick_stop_that_had_to_wait_is_not_carried_out_after_the_power_off(
+    rig, drives, take_power
+):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN * (take_power != "at rest")}
+    await until(lambda: drives[0].mode == POSITION)
+    await more_cycles(rig)
+    drive, bus = rig.line._drives[0], rig.line._bus
+    real, full = bus._bus, bus_that(can.CanTimeoutError("full"))._bus
+    bus._bus = full
+    await drive.quick_stop()
+    bus._bus = real
+    last = len(drives[0].modes)
+    if take_power == "disarm":
+        drive.stand_down()
+    elif take_power == "power off":
+        await drive.power_off()
+    await until(lambda: STOPPED in drives[0].modes[last:])
+    await more_cycles(rig)
+    told = drives[0].modes[last:]
+    assert set(told[told.index(STOPPED) :]) == {STOPPED}
+    full.shutdown()
 
 
 async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(rig, drives):

@@ -4,6 +4,7 @@ makes of it is in tests/vm/guest/test_gpio_pwm.py."""
 
 import asyncio
 import contextlib
+import ctypes
 import fcntl
 import os
 import subprocess
@@ -13,11 +14,15 @@ from pathlib import Path
 import pytest
 from loop_side import GENEROUS_S, running, until
 
+import motord_hal.pwm
+import motord_hal.rt_engine
+from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError, PortError
 from motord_hal.lines import halt_line, open_line
 from motord_hal.pinmux import not_muxed
 from motord_hal.ports import (
+    SETPOINT_TIMEOUT_S,
     DriveState,
     EventKind,
     JointSpec,
@@ -25,6 +30,7 @@ from motord_hal.ports import (
     LineState,
     PinsSpec,
 )
+from motord_hal.pwm.line import WATCH_EVERY_S
 from motord_hal.rt import Exchange
 
 PERIOD_NS = 50_000
@@ -124,6 +130,13 @@ async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chi
         await until(lambda: chip.duties()[0] == 25_000)
 
 
+async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.put_for_a_moment()
+        await until(lambda: rig.states() == {DriveState.READY})
+
+
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
     async with running(spec_of(chip)) as rig:
         await armed(rig)
@@ -143,6 +156,25 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
                 await rig.line.arm()
 
 
+async def test_a_line_that_could_not_be_armed_does_not_say_that_it_was_stopped(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        rig.loop.running = False
+        await until(lambda: now_ns() - rig.loop.put_ns > 2e9 * SETPOINT_TIMEOUT_S)
+        with pytest.raises(HalError, match="no fresh set-points"):
+            await rig.line.arm()
+        looks = rig.line.stats().cycles + 2 * WATCH_EVERY_S * rig.line.spec.cycle_hz
+        await until(lambda: rig.line.stats().cycles > looks)
+    assert EventKind.DRIVE_WARNING not in rig.kinds()
+
+
+def test_set_points_that_a_thread_in_c_reads_have_no_second_reader():
+    """The mailbox has room for one: the other one's value could be written while it is read."""
+    for package in (motord_hal.pwm, motord_hal.rt_engine):
+        for path in Path(package.__path__[0]).glob("*.py"):
+            assert "take_setpoints" not in path.read_text("utf-8"), path
+
+
 async def test_cancelling_the_line_leaves_no_pulses(chip):
     async with running(spec_of(chip)) as rig:
         await armed(rig)
@@ -150,6 +182,68 @@ async def test_cancelling_the_line_leaves_no_pulses(chip):
         await until(lambda: chip.duties()[0] == 25_000)
     assert chip.duties() == REST
     assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
+
+
+def broken(chip, number):
+    """From now on the kernel refuses every duty of a channel that is open: no space on the device.
+    Returns a descriptor of the file, for the caller to close."""
+    path = (chip.folder / f"pwm{number}/duty_cycle").resolve()
+    links = [Path("/proc/self/fd", name) for name in os.listdir("/proc/self/fd")]
+    (fd,) = (int(link.name) for link in links if os.path.realpath(link) == str(path))
+    kept = os.dup(fd)
+    full = os.open("/dev/full", os.O_WRONLY | os.O_CLOEXEC)
+    os.dup2(full, fd, inheritable=False)
+    os.close(full)
+    return kept
+
+
+async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        kept = broken(chip, 0)
+        try:
+            with pytest.raises(PortError):
+                await rig.line.disarm()
+            assert chip.duties()[0] == 25_000
+            await until(lambda: EventKind.LINE_LOST in rig.kinds())
+        finally:
+            os.close(kept)
+    (text,) = (event.text for event in rig.events if "not brought to rest" in event.text)
+    assert "joint left, pin rpwm: No space left on device" in text
+
+
+async def test_a_line_that_ends_and_leaves_a_pin_its_duty_says_so(chip):
+    async with running(spec_of(chip)) as rig:
+        await armed(rig)
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: chip.duties()[0] == 25_000)
+        kept = broken(chip, 0)
+    os.close(kept)
+    said = [event for event in rig.events if "not brought to rest" in event.text]
+    assert [event.kind for event in said] == [EventKind.DRIVE_WARNING]
+    assert "joint left, pin rpwm: No space left on device" in said[0].text
+
+
+async def test_pulses_that_cannot_be_ended_are_said_by_the_line_that_ends(chip):
+    enable = chip.folder / "pwm2/enable"
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        enable.unlink()
+        enable.mkdir()
+    said = [event.text for event in rig.events if "not brought to rest" in event.text]
+    assert said == [
+        f"pins: not brought to rest: joint right, pin rpwm: {enable.parent}: enable: Is a directory"
+    ]
+    assert chip.duties() == REST
+
+
+async def test_a_channel_that_is_gone_at_the_end_is_no_reason_for_a_warning(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        (chip.folder / "pwm2/enable").unlink()
+    assert EventKind.DRIVE_WARNING not in rig.kinds()
 
 
 async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
@@ -321,6 +415,53 @@ async def test_of_a_motor_whose_pulses_go_on_only_lines_that_take_its_power_are_
     assert len(problems) == 1 + touched
 
 
+async def test_no_channel_waits_for_another_one_to_rest(chip):
+    period = chip.folder / "pwm0/period"
+    period.unlink()
+    (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
+    async with asyncio.TaskGroup() as tasks:
+        halt = tasks.create_task(halt_line(spec_of(chip)))
+        await until(lambda: chip.duties() == REST)
+        assert not halt.done()
+        period.write_text("0\n")
+    assert halt.result() == []
+
+
+class Opened:
+    """Tells whether a file was opened since it is watched, inotify(7)."""
+
+    IN_OPEN = 0x20
+
+    def __init__(self, path):
+        libc = ctypes.CDLL(None, use_errno=True)
+        self.fd = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        assert libc.inotify_add_watch(self.fd, os.fsencode(path), self.IN_OPEN) >= 0
+
+    def __bool__(self):
+        try:
+            return bool(os.read(self.fd, 4096))
+        except BlockingIOError:
+            return False
+
+
+async def test_lines_rest_also_where_nobody_waits_for_a_channel_any_more(chip, tmp_path):
+    (chip.folder / "pwm0/period").unlink()
+    lines = tmp_path / "gpiochip"
+    lines.touch()
+    pins = {"rpwm": "pwm0", "lpwm": "pwm2", "r_en": "1", "l_en": "2", "pump": "3"}
+    joint = JointSpec(index=0, name="left", profile=find_profile("bts7960"), unit=1, pins=pins)
+    where = PinsSpec(pwm_chip=str(chip.folder), gpio_chip=str(lines))
+    opened = Opened(lines)
+    async with asyncio.TaskGroup() as tasks:
+        halt = tasks.create_task(halt_line(spec_of(chip, joints=(joint,), pins=where)))
+        await until(lambda: chip.read(2, "period") == PERIOD_NS)
+        assert not opened
+        halt.cancel()
+    assert halt.cancelled()
+    assert opened
+    os.close(opened.fd)
+
+
 async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
     (chip.folder / "pwm0/period").unlink()
     (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
@@ -328,6 +469,17 @@ async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
         assert "joint left, pin rpwm" in rig.events[0].text
         assert chip.duties() == REST
+
+
+async def test_a_line_that_cannot_be_opened_says_what_else_it_could_not_bring_to_rest(chip):
+    for number in (0, 2):
+        (chip.folder / f"pwm{number}/period").unlink()
+    async with running(spec_of(chip)) as rig:
+        await until(lambda: EventKind.LINE_LOST in rig.kinds())
+    first, _, more = rig.events[0].text.partition("; not brought to rest: ")
+    assert "joint left, pin rpwm: PWM channel 0" in first
+    assert more.startswith("joint right, pin rpwm: PWM channel 2")
+    assert "joint left" not in more
 
 
 def test_a_bridge_without_its_pins_is_refused(chip):

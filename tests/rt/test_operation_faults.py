@@ -4,13 +4,14 @@
 import pytest
 from small_base import core_config, hear_wheels, settings, until
 
-from motord import rt
+from motord import procedures, rt
 from motord.config import load_robot
 from motord.machine import Event, State
 from motord.operation import Operation
+from motord.rpc import Refused
 from motord.sdnotify import Notifier
 from motord_hal.paths import config_dir
-from motord_hal.ports import EventKind, LineEvent
+from motord_hal.ports import EventKind, LineEvent, LineState
 
 OFF = "left (unit 1) is not enabled any more: set up again, disarmed"
 OVER_CURRENT = "left: fault: over-current"
@@ -51,3 +52,35 @@ def test_a_drive_fault_without_a_latched_fault_is_no_reason_for_one(operation):
     say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
     assert operation.state is State.ARMED
     assert operation.why == ()
+
+
+def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
+    """Its newest word may be from before the stop was asked for; the robot rests in it."""
+    operation.take(Event.STOP)
+    assert operation.snapshot.at_rest
+    operation.loop.read_state = lambda: operation.snapshot
+    operation.look()
+    assert operation.state is State.STOPPING
+    del operation.loop.read_state
+    until(lambda: operation.look() or operation.state is State.ARMED)
+
+
+class LineWithAPanel:
+    """Somebody presses the emergency stop while its drives are cleared."""
+
+    state, drive_states, drive_faults = LineState.READY, {}, {}
+
+    def __init__(self, operation):
+        self.operation = operation
+
+    async def clear_faults(self):
+        self.operation.estop("the panel")
+
+
+async def test_a_reset_does_not_take_back_an_emergency_stop_that_came_meanwhile(operation):
+    operation.fault(OFF)
+    operation.lines.append(LineWithAPanel(operation))
+    with pytest.raises(Refused, match="meanwhile"):
+        await procedures.reset(operation)
+    assert operation.state is State.ESTOP
+    until(lambda: operation.look() or "estop" in operation.snapshot.faults)

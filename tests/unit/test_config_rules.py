@@ -449,3 +449,11 @@ def test_the_level_that_stops_follows_from_the_wiring(tmp_path, contact, switche
 def test_one_line_cannot_be_both_pins_of_safety(tmp_path):
     path = with_pins(tmp_path, ESTOP + WATCHDOG.replace('"W"', '"E"'))
     assert "safety.watchdog.gpio_line: E is taken already (safety.estop)" in errors(path)
+
+
+@pytest.mark.parametrize("pull", ["", "pull = true\n"])
+def test_a_contact_is_not_left_to_a_pull_that_a_jetson_has_not(tmp_path, pull):
+    estop = ESTOP.replace('"chip"', '"tegra234-gpio"').rstrip("\n")
+    (row,) = errors(with_pins(tmp_path, f"{estop}\n{pull}\n"))
+    assert row.startswith('safety.estop.pull: the chip "tegra234-gpio" has no pulls')
+    assert load_robot(with_pins(tmp_path, f"{estop}\npull = false\n\n")).safety.estop

@@ -132,6 +132,10 @@ def test_with_encoders_nothing_is_said_of_missing_counters(load):
             [("counts_per_turn = 1320", "")],
             "joint.left.encoder.counts_per_turn: is missing",
         ),
+        (
+            [(GPIO, GPIO + '\ngpio_chip = "tegra-gpio"')],
+            'joint.left.encoder: the chip "tegra-gpio" has no pulls',
+        ),
     ],
 )
 def test_what_does_not_fit_is_said(load, edits, words):

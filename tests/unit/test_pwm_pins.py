@@ -15,11 +15,14 @@ from motord_hal.gpio.chip import Chip
 from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
 from motord_hal.pinmux import freeing_step, pwm_step
 from motord_hal.ports import JointSpec, LineSpec, PinsSpec
-from motord_hal.pwm.pins import open_pins, places_of
+from motord_hal.pwm.pins import open_pins, places_of, split_for_rest
 from motord_hal.pwm.sysfs import _why, find_chip, open_channel
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi5-bts7960.toml").read_text("utf-8")
 BTS = (Path(__file__).resolve().parents[2] / "config/drives/bts7960.toml").read_text("utf-8")
+FORWARD = '[bridge.forward]\nrpwm = "duty"\nlpwm = "low"\n'
+OFF, DUTY = (0.0, 0.0), (0.0, 1.0)
+BRAKE = '[bridge.brake]\nrpwm = "low"\nlpwm = "low"\n'
 LEFT = 'pins = { rpwm = "pwm0", lpwm = "pwm1", r_en = "GPIO5", l_en = "GPIO6" }'
 
 RS485 = """[line.rs485]
@@ -33,6 +36,14 @@ direction_gpio_line = "GPIO24"
 
 def joint(drive, **pins):
     return JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=pins)
+
+
+def line_of(robot_joint):
+    return LineSpec(
+        index=0, name="pins", kind="pwm", port="", baudrate=115200, parity="none", stop_bits=1,
+        cycle_hz=200.0, gap_s=None, engine="auto", joints=(robot_joint,), watchdog_s=0.5,
+        pins=PinsSpec(pwm_chip="no-such.pwm"),
+    )  # fmt: skip
 
 
 def pwm_tree(tmp_path, *devices):
@@ -82,6 +93,20 @@ def test_enable_pins_that_are_wired_high_may_be_left_out():
     assert len(places_of(0, joint("tb6612fng", pwm="pwm0", in1="1", in2="2"))) == 3
 
 
+@pytest.mark.parametrize(
+    ("driven", "alone", "together"),
+    [(set(), ["in1", "in2", "stby", "pump"], []), ({0}, ["stby", "pump"], [["in1", "in2"]])],
+)
+def test_lines_rest_one_by_one_where_that_cannot_send_a_driven_motor_another_way(
+    driven, alone, together
+):
+    bridge = joint("tb6612fng", pwm="pwm0", in1="1", in2="2", stby="3", pump="4")
+    lines = [place for place in places_of(0, bridge) if place.channel is None]
+    first, groups = split_for_rest(line_of(bridge), lines, driven)
+    assert [place.pin for place in first] == alone
+    assert [[place.pin for place in group] for group in groups] == together
+
+
 # --------------------------------------------------------------------------------------- the chips
 def test_a_pwm_chip_is_found_by_its_device_whatever_its_number(tmp_path):
     root = pwm_tree(tmp_path, "soc/fan.pwm", "soc/1f00098000.pwm")
@@ -98,12 +123,7 @@ def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
 
 
 def test_a_chip_that_is_not_there_is_said_with_joint_pin_and_step():
-    robot_joint = joint("drv8871", in1="pwm0", in2="pwm1")
-    spec = LineSpec(
-        index=0, name="pins", kind="pwm", port="", baudrate=115200, parity="none", stop_bits=1,
-        cycle_hz=200.0, gap_s=None, engine="auto", joints=(robot_joint,), watchdog_s=0.5,
-        pins=PinsSpec(pwm_chip="no-such.pwm"),
-    )  # fmt: skip
+    spec = line_of(joint("drv8871", in1="pwm0", in2="pwm1"))
     with pytest.raises(PortError) as caught:
         asyncio.run(open_pins(spec))
     assert str(caught.value).startswith('joint left, pin in1: no PWM chip "no-such.pwm"; there: ')
@@ -157,6 +177,16 @@ def test_an_absent_gpio_chip_is_said(tmp_path):
         ('[bridge.brake]\nrpwm = "low"\n', "[bridge.brake]\n", 'pin "rpwm" has no level in brake'),
         ("pwm_hz = 20000", "pwm_hz = 90000", "not within pwm_min_hz and pwm_max_hz"),
         ('protocol = "pwm"', 'protocol = "ascii"', "if and only if"),
+        (
+            FORWARD,
+            FORWARD.replace('"low"', '"inverse"'),
+            r"bridge\.forward.* written one after the",
+        ),
+        (
+            BRAKE,
+            BRAKE.replace('"low"', '"high"'),
+            r'bridge\.brake.*"rpwm" and "lpwm" are both above',
+        ),
     ],
 )
 def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
@@ -165,6 +195,12 @@ def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
     path.write_text(BTS.replace(right, wrong, 1), encoding="utf-8")
     with pytest.raises(ProfileError, match=words):
         load_profile(path)
+
+
+def test_of_a_bridge_with_a_pwm_pin_for_each_way_one_write_that_fails_gives_no_power():
+    levels = find_profile("drv8871").bridge.levels
+    assert levels["in1"] == {**dict.fromkeys(("coast", "brake", "reverse"), OFF), "forward": DUTY}
+    assert levels["in2"] == {**dict.fromkeys(("coast", "brake", "forward"), OFF), "reverse": DUTY}
 
 
 # -------------------------------------------------------------------------------------- robot files

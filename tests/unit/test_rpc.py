@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from motord import rpc
+from motord.client import Client, ClientError
 from motord.rpc import Method, Params, Refused, SocketInUse, listening, serve, socket_path
 
 DEADLINE_S = 20.0
@@ -44,6 +45,8 @@ class Host:
             "no": Method(self.refuse),
             "big": Method(lambda caller, _: "x" * 100_000),
             "move": Method(lambda caller, _: "moved"),
+            "nan": Method(lambda caller, _: float("nan")),
+            "estop": Method(lambda caller, _: {"state": "estop"}),
         }
 
     def who(self, caller, _):
@@ -272,6 +275,31 @@ async def test_who_has_been_silent_longest_makes_room(path):
         assert len(set(host.closed)) == 1
         for peer in (first, second, late, *crowd):
             peer.close()
+
+
+async def test_what_ends_motion_gets_through_though_the_connection_made_room(path):
+    async with hosted(path):
+        panel = await asyncio.to_thread(Client, path)
+        crowd = [await Peer.at(path) for _ in range(rpc.CONNECTIONS_MAX)]
+        for peer in crowd:
+            await peer.call("add", a=1)
+        await until(lambda: not panel.connected)
+        with pytest.raises(ClientError):
+            await asyncio.to_thread(panel.call, "add", a=1)
+        assert await asyncio.to_thread(panel.estop) == "estop"
+        panel.close()
+        for peer in crowd:
+            peer.close()
+
+
+async def test_an_answer_that_is_no_json_is_an_error_and_not_the_servers_end(path, caplog):
+    async with hosted(path):
+        peer = await Peer.at(path)
+        answer = await peer.call("nan")
+        assert answer["error"]["code"] == rpc.INTERNAL_ERROR
+        assert (await peer.call("add", a=1))["result"] == 1
+        peer.close()
+    assert "an answer to process" in caplog.text
 
 
 async def test_without_a_free_file_descriptor_it_tries_again(path, caplog):

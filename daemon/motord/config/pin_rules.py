@@ -13,7 +13,8 @@ from motord.config.pin_owners import pins_have_one_owner
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.gpio.lines import why_no_pull
+from motord_hal.ports import EdgesEncoder, JointSpec, LineSpec
 from motord_hal.pwm.pins import Place, bridge_of, places_of
 
 
@@ -105,9 +106,24 @@ def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
             yield Finding((at, ("joint", other, "encoder")), text)
 
 
+def _pulls(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Where a chip is named by its label; by its device file only the daemon gets to know it."""
+    estop = robot.safety.estop
+    if estop is not None and estop.pull and (text := why_no_pull(estop.gpio_chip)):
+        yield Finding((("safety", "estop", "pull"), ("safety", "estop", "gpio_chip")), text)
+    for spec in line_specs(robot, profiles):
+        for joint in spec.joints:
+            encoder, at = joint.encoder, ("joint", joint.name, "encoder")
+            if not isinstance(encoder, EdgesEncoder) or encoder.pull == "none":
+                continue
+            if text := why_no_pull(encoder.gpio_chip):
+                yield Finding((at,), text)
+
+
 PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _pins,
     _encoders,
     _boards,
+    _pulls,
     pins_have_one_owner,
 )

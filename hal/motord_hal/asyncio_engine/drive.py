@@ -49,6 +49,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self.was_enabled = False
         """Set-points were enabled since it was armed: the next disable takes its power."""
+        self.enabled_count = 0
+        """How often set-points had become enabled when it was armed: those of a short while no look
+        may see."""
         self.told_motion = False
         """It was sent set-points that are not zero, and has not been sent zero since, as far as
         its wire can tell."""
@@ -175,6 +178,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return job
 
     def _submit_power_off(self) -> Job:
+        self._drop_quick_stop()
         return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
     def configure(self, why: str) -> None:
@@ -186,6 +190,11 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     def _drop(self, job: Job) -> None:
         if job in self.jobs:
             self.jobs.remove(job)
+
+    def _drop_all(self, name: str, why: str) -> None:
+        for job in [job for job in self.jobs if job.name == name]:
+            self._drop(job)
+            job.fail(HalError(why))
 
     def _finished(self, job: Job) -> None:
         if job.name == "configure":
@@ -234,6 +243,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     def _powerless(self) -> None:
         """It is told to have no power, whether it was stopping or not."""
         self._disarmed()
+        self._drop_quick_stop()
         self._power_off_by_s = None
 
     def stand_down(self) -> Job:
@@ -245,6 +255,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """From now on every set-point of this drive is zero."""
         if self.state is DriveState.ARMED:
             self.state = DriveState.READY
-        for job in [job for job in self.jobs if job.name == "arm"]:
-            self._drop(job)
-            job.fail(HalError(f"{self}: stopped while it was being armed"))
+        self._drop_all("arm", f"{self}: stopped while it was being armed")
+
+    def _drop_quick_stop(self) -> None:
+        """After the power-off it would give the power back, where it is zero speed."""
+        self._drop_all("quick_stop", f"{self}: its power is taken")

@@ -127,6 +127,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         armed = [drive for drive in self._drives if drive.state is DriveState.ARMED]
         if not armed:
             return
+        count = self._exchange.enabled_count(self.spec.index)
         newest = self._exchange.take_setpoints(self.spec.index)
         good = fresh(newest.stamp_ns)
         for drive in armed:
@@ -134,7 +135,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await drive.quick_stop()
             elif newest.enabled:
                 drive.was_enabled = True
-            elif drive.was_enabled:
+            elif drive.was_enabled or drive.enabled_count != count:
                 await drive.power_off()
 
     async def _shut_down(self) -> None:
@@ -174,6 +175,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
         return self._exchange.take_setpoints(self.spec.index).stamp_ns
 
     async def _arm(self, drives: Sequence[AnyDrive]) -> None:
+        for drive in drives:
+            drive.enabled_count = self._exchange.enabled_count(self.spec.index)
         await self._finish([drive.submit(drive.arming()) for drive in drives])
 
     async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:

@@ -58,13 +58,17 @@ class CanBus:
         identifiers: Iterable[tuple[int, bool]],
         take: Taker,
         warn: Callable[[str], None] = _log.warning,
+        own: Iterable[tuple[int, bool]] = (),
     ) -> None:
+        """`own`: identifiers of frames of ours that are to be taken in, too, when they have left;
+        only `hears_own` kinds can."""
         self.address = address
         self.errors: Counter[str] = Counter()
         self.trouble: PortError | None = None
         self._arguments = bus_arguments(address, bitrate, data_bitrate)
-        if split_address(address)[0] == "socketcan":  # elsewhere they are no cheaper than a look-up
-            self._arguments["can_filters"] = [_filter(*one) for one in identifiers]
+        if hears_own(address):  # filters: elsewhere they are no cheaper than a look-up
+            self._arguments["can_filters"] = [_filter(*one) for one in (*identifiers, *own)]
+            self._arguments["receive_own_messages"] = bool(own)
         self._take = take
         self._warn = warn
         self._warnings = BusWarnings()
@@ -204,6 +208,11 @@ class CanBus:
             raise self.trouble
         if self._bus is None:
             raise PortError(f"{self.address} is closed")
+
+
+def hears_own(address: str) -> bool:
+    """Whether its kind says when a frame of ours has left: SocketCAN does."""
+    return split_address(address)[0] == "socketcan"
 
 
 def came_ns(message: can.Message) -> int:

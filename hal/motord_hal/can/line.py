@@ -13,11 +13,13 @@ from collections.abc import Sequence
 import can
 
 from motord_hal.asyncio_engine.line import STOPPING_CYCLE_S, AsyncioLine
-from motord_hal.can.bus import CanBus
+from motord_hal.can.bus import CanBus, hears_own
 from motord_hal.can.drive import CanDrive
-from motord_hal.can.plan import CanPlan
+from motord_hal.can.motion_gate import MotionGate
+from motord_hal.can.plan import CanPlan, Sent
 from motord_hal.clock import now_s
 from motord_hal.engine.job import Job
+from motord_hal.engine.plan import Wanted
 from motord_hal.engine.units import joints_by_unit
 from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.rt import Exchange
@@ -36,13 +38,14 @@ class CanLine(AsyncioLine[CanDrive]):
         plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
         identifiers = [one for plan in plans for one in plan.identifiers]
         self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
-        self._bus = CanBus(
-            spec.port, spec.baudrate, spec.data_baudrate, identifiers, self._take_frame, self._warn
-        )
+        own = [one for plan in plans for one in plan.setpoint_identifiers]
+        wire = (spec.port, spec.baudrate, spec.data_baudrate)
+        self._bus = CanBus(*wire, identifiers, self._take_frame, self._warn, own)
+        self._gate = MotionGate(1.0 / spec.cycle_hz, hears_own=hears_own(spec.port))
         self._drives = [
             CanDrive(
                 plan,
-                self._bus.send,
+                self._send,
                 exchange,
                 cycle_hz=spec.cycle_hz,
                 watchdog_s=spec.watchdog_s,
@@ -76,6 +79,7 @@ class CanLine(AsyncioLine[CanDrive]):
 
     async def _open_wire(self) -> None:
         await self._bus.open()
+        self._gate.opened()
         self._opened_s = now_s()
 
     def _close_medium(self) -> None:
@@ -84,6 +88,8 @@ class CanLine(AsyncioLine[CanDrive]):
     def _take_frame(self, message: can.Message, stamp_ns: int) -> None:
         drive = self._by_identifier.get((message.arbitration_id, message.is_extended_id))
         if drive is None:
+            if not message.is_rx:
+                self._gate.left()
             return
         found = drive.plan.parse(
             message.arbitration_id, bytes(message.data), extended=message.is_extended_id
@@ -99,10 +105,22 @@ class CanLine(AsyncioLine[CanDrive]):
         self._bus.catch_up()
         self._bus.check()
 
+    def _send(self, sent: Sent) -> bool:
+        taken = self._bus.send(sent)
+        self._gate.handed(taken=taken)
+        return taken
+
+    def _wanted(self, drive: CanDrive) -> Wanted:
+        """As AsyncioLine._wanted."""
+        return {} if self._gate.is_shut(now_s()) else super()._wanted(drive)
+
     async def _cycle(self) -> None:
+        if self._gate.is_shut(now_s()):
+            self._bus.errors["tx_full"] += 1
         for drive in self._drives:
             drive.cycle(self._wanted(drive))
         self._synchronise()
+        self._gate.cycle_ended(now_s(), moving=any(drive.told_motion for drive in self._drives))
         if now_s() > self._opened_s + STEADY_S:
             self._backoff.reset()
 

@@ -186,6 +186,12 @@ class CanPlan(Plan):
         """What this node may send: identifier, and whether it is extended."""
         return tuple(self._by_identifier)
 
+    @property
+    def setpoint_identifiers(self) -> tuple[tuple[int, bool], ...]:
+        """As `identifiers`, of the frames that tell it its set-points."""
+        frames = self.setpoint_frames
+        return tuple((one.identifier(self.node), one.is_extended(self.node)) for one in frames)
+
     # ------------------------------------------------------------------------------------- sending
     def write(self, frame: Frame, raw: Mapping[str, int]) -> Sent:
         """The frame with these signals in it."""

@@ -31,9 +31,29 @@ def read_bridge(root: Table) -> Bridge:
         missing = [mode for mode in BRIDGE_MODES if mode not in modes]
         if missing:
             root.complain("bridge", f'pin "{pin}" has no level in {", ".join(missing)}')
+    _check_alone(root, bridge)
     if not bridge.pwm_min_hz <= bridge.pwm_hz <= bridge.pwm_max_hz:
         root.complain("bridge", "pwm_hz is not within pwm_min_hz and pwm_max_hz")
     return bridge
+
+
+def _check_alone(root: Table, bridge: Bridge) -> None:
+    """Two channels cannot be written at once, and a write can fail: of those that give no power
+    when they are low, none may count on another one to take its power back."""
+    pins = [
+        pin
+        for pin, modes in bridge.levels.items()
+        if bridge.needs_pwm(pin) and modes.get("coast") == (0.0, 0.0)
+    ]
+    for mode in BRIDGE_MODES:
+        levels = {pin: bridge.levels[pin].get(mode, (0.0, 0.0)) for pin in pins}
+        up = [pin for pin, (base, slope) in levels.items() if max(base, base + slope) > 0.0]
+        if len(up) > 1:
+            root.complain(
+                f"bridge.{mode}",
+                f'PWM pins "{up[0]}" and "{up[1]}" are both above low: they are written one after '
+                "the other, and with one of them alone the motor may have full power one way",
+            )
 
 
 def _level(pins: Table, pin: str) -> tuple[float, float]:

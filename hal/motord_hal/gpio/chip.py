@@ -50,15 +50,13 @@ class Chip:
     lines: int
 
     def find(self, wanted: str) -> int:
-        """The offset of a line by name or number. Raises OSError, LookupError."""
+        """The offset of a line by name or number. Raises OSError, and LookupError for a name that
+        no line has, or more than one."""
         if wanted.isdecimal():
             if int(wanted) >= self.lines:
                 raise LookupError(f"no GPIO line {wanted} (0 to {self.lines - 1})")
             return int(wanted)
-        names = [self.info(offset)[0] for offset in range(self.lines)]
-        if wanted not in names:
-            raise LookupError(f'no GPIO line "{wanted}" on this chip')
-        return names.index(wanted)
+        return _only_line([self.info(offset)[0] for offset in range(self.lines)], wanted)
 
     def info(self, offset: int) -> tuple[str, str]:
         """A line's name, and who uses it: empty where nobody does. Raises OSError."""
@@ -80,6 +78,16 @@ class Chip:
         asked = pack_request(offsets, consumer, outputs, flags, events)
         fd: int = _LINE_REQUEST.unpack(fcntl.ioctl(self.fd, _GET_LINE, asked))[-1]
         return fd
+
+
+def _only_line(names: Sequence[str], wanted: str) -> int:
+    found = [offset for offset, name in enumerate(names) if name == wanted]
+    if not found:
+        raise LookupError(f'no GPIO line "{wanted}" on this chip')
+    if len(found) > 1:
+        numbers = ", ".join(map(str, found))
+        raise LookupError(f'lines {numbers} of this chip are "{wanted}": name one by its number')
+    return found[0]
 
 
 def pack_request(
@@ -118,14 +126,15 @@ def _open(path: Path) -> Chip:
 
 
 def open_chip(wanted: str, dev: Path = Path("/dev")) -> Chip:
-    """The chip with that label, or the device file. Raises PortError."""
+    """The chip with that label, or the device file. Raises PortError, also where several have that
+    label."""
     if wanted.startswith(("/", "gpiochip")):
         path = Path(wanted) if wanted.startswith("/") else dev / wanted
         try:
             return _open(path)
         except OSError as error:
             raise PortError(f"GPIO chip {path} cannot be opened: {why(error)}") from error
-    seen = []
+    seen, found = [], []
     for path in sorted(dev.glob("gpiochip*")):
         try:
             chip = _open(path)
@@ -133,10 +142,24 @@ def open_chip(wanted: str, dev: Path = Path("/dev")) -> Chip:
             seen.append(f"{path.name} ({why(error)})")
             continue
         if chip.label == wanted:
-            return chip
-        os.close(chip.fd)
-        seen.append(f'{path.name} "{chip.label}"')
-    raise PortError(f'no GPIO chip "{wanted}"; there: {", ".join(seen) or "none"}')
+            found.append(chip)
+        else:
+            os.close(chip.fd)
+            seen.append(f'{path.name} "{chip.label}"')
+    if not found:
+        raise PortError(f'no GPIO chip "{wanted}"; there: {", ".join(seen) or "none"}')
+    return _only_chip(found)
+
+
+def _only_chip(found: Sequence[Chip]) -> Chip:
+    """Closes them where they are more than one."""
+    if len(found) > 1:
+        for chip in found:
+            os.close(chip.fd)
+        paths = ", ".join(str(chip.path) for chip in found)
+        text = f'{len(found)} GPIO chips are "{found[0].label}": {paths}'
+        raise PortError(f"{text}: name one by its device file (a udev rule keeps its name)")
+    return found[0]
 
 
 def why(error: OSError) -> str:

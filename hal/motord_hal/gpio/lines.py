@@ -45,6 +45,23 @@ class Pull(enum.IntEnum):
     DOWN = FLAG_PULL_DOWN
 
 
+_WITHOUT_PULLS = "tegra"
+"""How the labels of the chips of all Jetsons begin. Their driver knows no bias, and the kernel
+takes that for no error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
+
+
+def why_no_pull(label: str) -> str:
+    """Why a line of that chip cannot be pulled, and what to do; empty where nothing is known
+    against it."""
+    if not label.startswith(_WITHOUT_PULLS):
+        return ""
+    return (
+        f'the chip "{label}" has no pulls that Linux can switch on, and Linux does not say so: an '
+        "open line would float, and an open contact be no stop. Put a resistor outside (pull up: "
+        'from the line to 3.3 V; down: to ground), and say pull = false (of an encoder: "none")'
+    )
+
+
 def request_outputs(
     chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
 ) -> int:
@@ -108,14 +125,27 @@ def _request(
         raise PortError(f"{len(wanted)} GPIO lines, at most {LINES_MAX}")
     opened = open_chip(chip, dev)
     try:
-        offsets = [_offset(opened, line) for line in wanted]
-        _check_twice(offsets, wanted)
-        try:
-            return opened.request(offsets, consumer, outputs, flags, events), offsets
-        except OSError as error:
-            raise PortError(_refusal(opened, wanted, offsets, error)) from error
+        return _request_of(opened, wanted, consumer, outputs, flags, events)
     finally:
         os.close(opened.fd)
+
+
+def _request_of(
+    chip: Chip,
+    wanted: Sequence[Wanted],
+    consumer: str,
+    outputs: int | None,
+    flags: int = 0,
+    events: int = 0,
+) -> tuple[int, list[int]]:
+    if flags & (Pull.UP | Pull.DOWN) and (problem := why_no_pull(chip.label)):
+        raise PortError(f"{wanted[0].purpose}: {problem}")
+    offsets = [_offset(chip, line) for line in wanted]
+    _check_twice(offsets, wanted)
+    try:
+        return chip.request(offsets, consumer, outputs, flags, events), offsets
+    except OSError as error:
+        raise PortError(_refusal(chip, wanted, offsets, error)) from error
 
 
 def _offset(chip: Chip, line: Wanted) -> int:

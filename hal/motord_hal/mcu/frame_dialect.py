@@ -19,6 +19,7 @@ from motord_hal.mcu.frames import (
     build,
     heard_in,
     imu_in,
+    newer,
     parse,
     pick,
     setpoints_payload,
@@ -81,6 +82,9 @@ class FrameDialect:
         sent_ns = self._sent_ns.get(heard.sequence)
         stamp_ns = self._clock.stamp_ns(frame.time_us, now_ns)
         trip_s = -math.inf if sent_ns is None else (now_ns - sent_ns) * 1e-9 - heard.held_s
+        if not newer(self._sequence + 1, heard.sequence):  # the board would not take ours
+            self._sequence = heard.sequence
+            self._sent_ns.clear()
         if sent_ns is None or trip_s < -HELD_TOLERANCE_S:
             return Said(values, stamp_ns, 0, None)
         return Said(values, stamp_ns, sent_ns, trip_s)

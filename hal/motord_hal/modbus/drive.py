@@ -57,6 +57,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         """When it got the newest request that it has answered."""
         self._left_alone = False
         """Its watchdog has bitten since it was armed."""
+        self._power_off_left: Sequence[Step] = ()
+        """What is left of a power-off that is told once at a time."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
@@ -305,6 +307,14 @@ class Drive(AsyncioDrive[DrivePlan]):
         super()._disarmed()
         self._ways.clear()
         self._forget_enabled()
+
+    async def tell_power_off(self) -> bool:
+        """As AsyncioDrive.tell_power_off: to its first failure. The next time it begins behind that
+        one: the drive may hear us though we do not hear it."""
+        self._powerless()
+        left = await self._write_now(self._power_off_left or self.plan.profile.disarm)
+        self._power_off_left = (*left[1:], *left[:1])
+        return not left
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
         """As AsyncioDrive._write_now: from the one on that was not answered."""

@@ -52,7 +52,8 @@ class PwmLine(LineTask):
         self._names = tuple(joint.name for joint in spec.joints)
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
-        self._seen = BridgeReport()
+        self._was_armed = False
+        """By `arm`, and nothing has been said of its end yet."""
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
         self._stats = LineStats()
         self._epoch = 0
@@ -130,10 +131,10 @@ class PwmLine(LineTask):
         try:
             self._thread.start(self._config(pins))
         except HalError:
-            pins.close()
+            self._say_not_resting(pins.close())
             raise
         self._pins, self._started_s = pins, now_s()
-        self._seen = BridgeReport()
+        self._was_armed = False
 
     def _config(self, pins: OpenPins) -> BridgeConfig:
         joints = [
@@ -173,16 +174,17 @@ class PwmLine(LineTask):
         raise PortError(self._what_failed(report))
 
     def _what_failed(self, report: BridgeReport) -> str:
+        return f"{self.spec.name}: {self._at(report.error_output)}: {os.strerror(report.error)}"
+
+    def _at(self, output: int) -> str:
         names = self._pins.names if self._pins else []
-        at = report.error_output
-        where = names[at] if 0 <= at < len(names) else "the GPIO lines"
-        if at <= AT_ENCODER:
-            where = f"the encoder of {self._names[AT_ENCODER - at]}"
-        return f"{self.spec.name}: {where}: {os.strerror(report.error)}"
+        if output <= AT_ENCODER:
+            return f"the encoder of {self._names[AT_ENCODER - output]}"
+        return names[output] if 0 <= output < len(names) else "the GPIO lines"
 
     def _note(self, report: BridgeReport) -> None:
-        before, self._seen = self._seen, report
-        if report.demoted and report.demoted != before.demoted and not report.armed:
+        if report.demoted and not report.armed and self._was_armed:
+            self._was_armed = False
             why = ", ".join(str(flag.name).lower().replace("_", " ") for flag in report.demoted)
             text = f"{', '.join(self._names)}: stopped: set-points {why}"
             self._say_all(EventKind.DRIVE_WARNING, text)
@@ -197,8 +199,18 @@ class PwmLine(LineTask):
     def _close_medium(self) -> None:
         if self._pins is not None:
             self._thread.stop()
-            self._pins.close()
+            report = self._thread.report()
+            problems = self._pins.close()
+            if report.rest_error:
+                what = f"{self._at(report.rest_output)}: {os.strerror(report.rest_error)}"
+                problems.insert(0, what)
             self._pins = None
+            self._say_not_resting(problems)
+
+    def _say_not_resting(self, problems: list[str]) -> None:
+        if problems:
+            text = f"{self.spec.name}: not brought to rest: {'; '.join(problems)}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
 
     async def _shut_down(self) -> None:
         """Brake, then no power; the thread's last words are those in any case."""
@@ -217,14 +229,14 @@ class PwmLine(LineTask):
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
-        self._check_fresh(self._exchange.take_setpoints(self.spec.index).stamp_ns)
         armed = False
         try:
             armed = (await self._obeyed(Wish.ARMED)).armed
         finally:
+            self._was_armed = armed
             if not armed:
                 self._thread.wish(Wish.OFF)
-        if not armed:
+        if not armed:  # the thread alone reads set-points: their mailbox has one reader
             raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
 
     async def disarm(self) -> None:
@@ -241,6 +253,8 @@ class PwmLine(LineTask):
                     await asyncio.sleep(LOOK_EVERY_S)
         except TimeoutError:
             raise NoReply(f"{self.spec.name}: the thread of the pins does not answer") from None
+        if not report.running:
+            raise PortError(self._what_failed(report))
         return report
 
     async def clear_faults(self) -> None:

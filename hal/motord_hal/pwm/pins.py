@@ -4,9 +4,11 @@ joint, the pin and what helps."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -136,16 +138,21 @@ class OpenPins:
     doubt: str = ""
     """Why pulses may not reach the pins, in a sentence; empty: there is no reason."""
 
-    def close(self) -> None:
-        """The thread has let them rest."""
-        for channel in self.channels:
-            channel.close()
+    def close(self) -> list[str]:
+        """The thread has let them rest. Returns which pulses could not be ended, in words."""
+        problems = []
+        for name, channel in zip(self.names, self.channels, strict=False):  # lines come after them
+            try:
+                channel.close()
+            except PortError as error:
+                problems.append(f"{name}: {error}")
         for fd in (self.outputs_fd, self.inputs_fd):
             if fd >= 0:
                 os.close(fd)
         for encoder in self.encoders:
             if encoder is not None and encoder.fd >= 0:
                 os.close(encoder.fd)
+        return problems
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
@@ -153,9 +160,11 @@ async def open_pins(spec: LineSpec) -> OpenPins:
     dead program left it: what can be brought to rest is, also where something else is missing."""
     try:
         return await _open_all(spec)
-    except PortError:
-        await rest_pins(spec)
-        raise
+    except PortError as error:
+        more = [text for text in await rest_pins(spec) if text != str(error)]
+        if not more:
+            raise
+        raise PortError(f"{error}; not brought to rest: {'; '.join(more)}") from error
 
 
 async def _open_all(spec: LineSpec) -> OpenPins:
@@ -272,22 +281,42 @@ def _allow_software(spec: LineSpec, places: list[Place]) -> None:
 
 
 async def rest_pins(spec: LineSpec) -> list[str]:
-    """Every pin to no power, whatever another one says; then they are let go. Returns what could
-    not be done, in words. A motor whose pulses go on is not turned: lines that only say its way
-    stay as they are. Raises ProfileError."""
+    """Every pin to no power, whatever another one says; then they are let go. Channels first, all
+    at once; the lines also where nobody waits for the channels any more. Returns what could not be
+    done, in words. A motor whose pulses go on is not turned: lines that only say its way stay as
+    they are. Raises ProfileError."""
+    places = _places(spec)
+    channels = [place for place in places if place.channel is not None]
     problems: list[str] = []
-    driven: set[int] = set()
-    chip: Path | None = None
-    for place in [place for place in _places(spec) if place.channel is not None]:
-        try:
-            chip = chip or _find_chip(spec)
-            (await _open_channel(spec, chip, place)).close()
-        except PortError as error:
-            driven.add(place.joint)
-            problems.append(str(error))
+    driven = set(channels)
+    try:
+        if channels:
+            chip = _find_chip(spec)
+            rests = [_rest_channel(spec, chip, place, driven) for place in channels]
+            for failed in filter(None, await asyncio.gather(*rests, return_exceptions=True)):
+                if not isinstance(failed, PortError):
+                    raise failed
+                problems.append(str(failed))
+    except PortError as error:
+        problems.append(str(error))
+    finally:
+        problems += _rest_lines(spec, places, {place.joint for place in driven})
+    return problems
+
+
+async def _rest_channel(spec: LineSpec, chip: Path, place: Place, driven: set[Place]) -> None:
+    channel = await _open_channel(spec, chip, place)
+    with _saying(place):
+        channel.close()
+    driven.discard(place)
+
+
+def _rest_lines(spec: LineSpec, places: list[Place], driven: set[int]) -> list[str]:
+    """All at once; where one is busy or missing, those that can be had. `driven`: joints whose
+    pulses may go on."""
     lines = [
         place
-        for place in _places(spec)
+        for place in places
         if place.channel is None
         and place.pin != FAULT
         and (
@@ -296,14 +325,49 @@ async def rest_pins(spec: LineSpec) -> list[str]:
             or lines_take_power(spec.joints[place.joint])
         )
     ]
+    try:
+        _set_at_rest(spec, lines)
+        return []
+    except PortError as error:
+        if len(lines) == 1:
+            return [str(error)]
+    problems: list[str] = []
+    stuck: set[int] = set()
+    alone, together = split_for_rest(spec, lines, driven)
+    for group in [*([place] for place in alone), *together]:
+        try:
+            if group[0] in alone or group[0].joint not in stuck:
+                _set_at_rest(spec, group)
+        except PortError as error:
+            stuck.add(group[0].joint)
+            problems.append(str(error))
+    return list(dict.fromkeys(problems))
+
+
+def split_for_rest(
+    spec: LineSpec, lines: list[Place], driven: set[int]
+) -> tuple[list[Place], list[list[Place]]]:
+    """Lines that may rest one by one, then those that may only together, when the ones before have.
+    The latter are of a joint that is driven: two lines that hold it braked would be a way on the
+    way, and one that says the way would turn it."""
+    alone = [place for place in lines if place.joint not in driven or _takes_power(spec, place)]
+    others = ([p for p in lines if p.joint == joint and p not in alone] for joint in sorted(driven))
+    return alone, [group for group in others if group]
+
+
+def _takes_power(spec: LineSpec, place: Place) -> bool:
+    """Whether the line ends motion by itself: at COAST it is as neither way has it."""
+    levels = {mode: base >= 0.5 for mode, (base, _) in _levels(spec, place).items()}
+    return place.pin == PUMP or levels["coast"] not in (levels["forward"], levels["reverse"])
+
+
+def _set_at_rest(spec: LineSpec, lines: list[Place]) -> None:
+    """Raises PortError."""
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     try:
         _open_outputs(spec, opened, lines)
-    except PortError as error:
-        problems.append(str(error))
     finally:
         opened.close()
-    return problems
 
 
 def period_ns(spec: LineSpec, place: Place) -> int:
@@ -316,7 +380,14 @@ async def _open_channel(spec: LineSpec, chip: Path, place: Place) -> Channel:
     high_ns = round(base * period)
     rest_ns = period - high_ns if place.inverted else high_ns
     assert place.channel is not None  # a PWM pin
-    try:
+    with _saying(place):
         return await open_channel(chip, place.channel, period, rest_ns)
+
+
+@contextlib.contextmanager
+def _saying(place: Place) -> Iterator[None]:
+    """Errors name the pin."""
+    try:
+        yield
     except PortError as error:
         raise PortError(f"{place.purpose}: {error}") from error

@@ -40,12 +40,14 @@ class Channel:
 
     def close(self) -> None:
         """No pulses, then let it go. What the channel was told last is the caller's care. One that
-        rests high stays enabled: disabled it would be low, and an active-low pin have power."""
+        rests high stays enabled: disabled it would be low, and an active-low pin have power. Raises
+        PortError where pulses may go on; also then it is let go."""
         try:
             if self.rests_low:
                 (self.folder / "enable").write_text("0")
-        except OSError:
-            return  # the chip is gone, and its pulses with it
+        except OSError as error:
+            if error.errno not in (errno.ENODEV, errno.ENOENT):  # gone, and its pulses with it
+                raise PortError(f"{self.folder}: enable: {error.strerror}") from error
         finally:
             os.close(self.duty_fd)
 

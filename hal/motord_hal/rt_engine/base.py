@@ -146,8 +146,9 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         return self._take_report().setpoints_ns
 
     async def _arm(self, drives: Sequence[AnyDrive]) -> None:
-        await all_of([drive.enable() for drive in drives])
-        await all_of([drive.go() for drive in drives])
+        began = [(drive, drive.stops) for drive in drives]
+        await all_of([drive.enable(stops) for drive, stops in began])
+        await all_of([drive.go(stops) for drive, stops in began])
 
     async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
         stopping = [asyncio.shield(drive.stand_down()) for drive in drives]

@@ -56,8 +56,8 @@ class BoardRtDrive(RtDrive):
         """Every frame says zero until it is armed: there is nothing to write before."""
         return self.jobs.profile.arm
 
-    async def enable(self) -> None:
+    async def enable(self, began: int) -> None:
         """As RtDrive.enable, after a power-off that is under way."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
-        await super().enable()
+        await super().enable(began)

@@ -86,11 +86,11 @@ class CanRtDrive(RtDrive):
         rest = (Step(register=name, value=raw) for name, raw in zeros)
         return (*rest, *self.jobs.profile.arm)
 
-    async def enable(self) -> None:
+    async def enable(self, began: int) -> None:
         """As RtDrive.enable, after a power-off that is under way."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
-        await super().enable()
+        await super().enable(began)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:
         """As RtDrive.write_register: what the drive has read back."""

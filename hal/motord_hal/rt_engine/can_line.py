@@ -86,7 +86,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ------------------------------------------------------------------------------- its own medium
     async def _start(self) -> tuple[str, ...]:
-        identifiers = [one for plan in self._plans for one in plan.identifiers]
+        identifiers = [
+            one for plan in self._plans for one in (*plan.identifiers, *plan.setpoint_identifiers)
+        ]
         fd_frames = self.spec.data_baudrate is not None
         await make_ready(self.spec.port, self._errors, fd_frames=fd_frames)
         self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)

@@ -18,6 +18,8 @@ _FILTER = struct.Struct("=II")
 """struct can_filter: identifier, mask."""
 _CAN_RAW_ERR_FILTER = 2
 """linux/can/raw.h"""
+_CAN_RAW_RECV_OWN_MSGS = 4
+"""linux/can/raw.h"""
 _ERRORS_ALL = 0x1FFF_FFFF
 """linux/can/error.h, CAN_ERR_MASK"""
 
@@ -25,7 +27,8 @@ _ERRORS_ALL = 0x1FFF_FFFF
 def open_socket(
     address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
 ) -> socket.socket:
-    """Not blocking, heard by who is on the bus from now on. Raises PortError."""
+    """Not blocking, heard by who is on the bus from now on; SocketCAN's hears frames of its own,
+    too, when they have left. Raises PortError."""
     interface, channel = split_address(address)
     try:
         if interface == "unix":
@@ -55,6 +58,7 @@ def _bound(
         filters = b"".join(_filter(*one) for one in identifiers)
         bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERRORS_ALL)
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, 1)
         if fd_frames:
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         bus.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)

@@ -109,7 +109,7 @@ class RtDrive(abc.ABC):
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
         self._said_quiet = False
-        self._stops = 0
+        self.stops = 0
         """How often it was told to stand down: an arming that began before is over."""
         self._standing_down = 0
         """The wish by which it was told so last."""
@@ -158,7 +158,7 @@ class RtDrive(abc.ABC):
         """The line is gone: nothing is known of the drive."""
         self._report = None
         self._failed_setup = False
-        self._stops += 1
+        self.stops += 1
         self._powered_off(error)
 
     def update(self, report: DriveSays, fault_words: Sequence[int]) -> None:
@@ -246,7 +246,7 @@ class RtDrive(abc.ABC):
     def stand_down(self) -> asyncio.Future[None]:
         """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
         for it shields it."""
-        self._stops += 1
+        self.stops += 1
         self._standing_down = self._thread.wish(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)
         if self._powering_off is None:
@@ -254,25 +254,30 @@ class RtDrive(abc.ABC):
             self._news.poke()
         return self._powering_off
 
-    async def enable(self) -> None:
+    def _check_arming(self, began: int, mode: Mode) -> None:
+        if self.stops != began or self.mode is not mode:
+            raise HalError(f"{self}: stopped while it was being armed")
+
+    async def enable(self, began: int) -> None:
         """The first half of arming: zero in its set-point registers, its set-up still there, the
-        profile's own steps, and it says that it is enabled. Raises HalError."""
-        began = self._stops
+        profile's own steps, and it says that it is enabled. `began`: its stops when the arming
+        began. Raises HalError."""
 
         def check() -> None:
-            if self._stops != began or self.mode is not Mode.READY:
-                raise HalError(f"{self}: stopped while it was being armed")
+            self._check_arming(began, Mode.READY)
             limit_ns = round(2 * self._jobs.request_limit_s * NS_PER_S)
             self._thread.allow_arming(self._index, now_ns() + limit_ns)
 
         await self._jobs.run("arm", self._arming_steps(), check=check)
         check()
 
-    async def go(self) -> None:
+    async def go(self, began: int) -> None:
         """The second half: from now on it is told the core's set-points. Raises HalError."""
+        self._check_arming(began, Mode.READY)
         await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+        self._check_arming(began, Mode.ARMED)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:
         """Steps that write it and read it back; what is in force then. Raises HalError."""

@@ -13,9 +13,10 @@ CONFIG = Path("/sys/kernel/config/gpio-sim")
 
 
 @contextlib.contextmanager
-def gpio_chip(label, *names):
-    """A chip with these lines; yields a function: a line's name → the level that is on it."""
-    chip = CONFIG / label
+def gpio_chip(label, *names, folder=None):
+    """A chip with these lines; yields a function: a line's name → the level that is on it. Chips
+    with one label need folders of their own."""
+    chip = CONFIG / (folder or label)
     bank = chip / "bank0"
     bank.mkdir(parents=True)
     (bank / "num_lines").write_text(str(len(names)))

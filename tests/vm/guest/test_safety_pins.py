@@ -5,6 +5,7 @@ import contextlib
 import os
 
 import pytest
+from gpio_chip import gpio_chip
 from pin_rig import wait_until
 from safety_rig import CONTACT, LABEL, PUMP, chip, looped, reset
 
@@ -91,6 +92,24 @@ def test_the_watchdogs_pin_is_low_when_the_loop_has_ended():
             loop.beat()
             wait_until(lambda: loop.status().watchdog_edges > 3, "edges")
         assert lines.level(PUMP) == 0.0
+
+
+def test_a_pull_is_refused_on_a_chip_whose_driver_would_ignore_it():
+    wanted = Wanted(line=CONTACT, purpose="safety.estop")
+    with gpio_chip("tegra234-gpio", CONTACT):
+        with pytest.raises(PortError, match=r'safety.estop: the chip "tegra234-gpio" has no pulls'):
+            request_edges("tegra234-gpio", wanted, "motord", Pull.UP, rising=True)
+        os.close(request_edges("tegra234-gpio", wanted, "motord", Pull.AS_IT_IS, rising=True))
+
+
+def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
+    wanted = Wanted(line="A", purpose="safety.estop")
+    twice = gpio_chip("motord-twice", "A", "B", "A")
+    with twice, pytest.raises(PortError, match=r'safety\.estop: lines 0, 2 of this chip are "A"'):
+        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
+    one, other = gpio_chip("motord-twice", "A"), gpio_chip("motord-twice", "A", folder="other")
+    with one, other, pytest.raises(PortError, match=r'2 GPIO chips are "motord-twice": /dev/gpioc'):
+        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
 
 
 def test_a_line_that_somebody_has_is_named_with_its_owner():

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much motion may wait in the kernel for a CAN bus that may be dead.
+
+A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in
+again, whoever lives then: so little motion waits there, and zero behind it.
+"""
+
+from __future__ import annotations
+
+LEAVES_WITHIN_S = 0.005
+"""Adapters on USB take milliseconds to say that a frame has left."""
+
+
+class MotionGate:
+    """Of one bus. Times are those of clock.now_s."""
+
+    def __init__(self, cycle_s: float, *, hears_own: bool) -> None:
+        """`hears_own`: the bus says when a set-point frame of ours has left; otherwise the gate is
+        always open."""
+        self.hears_own = hears_own
+        self._limit_s = max(cycle_s, LEAVES_WITHIN_S)
+        self.opened()
+
+    def opened(self) -> None:
+        """The bus is new: nothing waits."""
+        self._since_s: float | None = None
+        self._taken = self._refused = self._clogged = False
+
+    def handed(self, *, taken: bool) -> None:
+        """A frame was handed to the bus, which took it or not."""
+        self._taken |= taken
+        self._refused |= not taken
+        self._clogged &= not taken
+
+    def cycle_ended(self, now_s: float, *, moving: bool) -> None:
+        """`moving`: set-points that are not zero were handed over."""
+        self._clogged |= self._refused and not self._taken
+        self._taken = self._refused = False
+        if moving and self._since_s is None:
+            self._since_s = now_s
+
+    def left(self) -> None:
+        """A set-point frame of ours has left."""
+        self._since_s = None
+
+    def is_shut(self, now_s: float) -> bool:
+        """Set-points are to be zero: the bus took nothing in a whole cycle, nor since, or motion
+        waits for longer than a cycle."""
+        waits = self._since_s is not None and now_s - self._since_s > self._limit_s
+        return self.hears_own and (self._clogged or waits)

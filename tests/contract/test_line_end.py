@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serial lines that end while a drive is disturbed: it is told until the end, or it is named."""
+
+import pytest
+from loop_side import running, until
+from scripted_slave import ScriptedSlave, Unit
+from test_line_adversary import mute
+from test_modbus_line import ENGINES, registers_of, spec_of
+
+from motord_hal.drives.load import find_profile
+from motord_hal.ports import DriveState, EventKind, JointSpec
+
+TARGET, ENABLE, STATUS = 0x0200, 0x0201, 0x0202
+ON, OFF = 1, 0
+WHEEL = JointSpec(index=0, name="wheel", profile=find_profile("speed-register"), unit=1)
+
+
+@pytest.fixture(params=ENGINES)
+async def peer(tmp_path, request):
+    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
+    unit = peer.units[1] = Unit(registers_of("speed-register"))
+
+    def switch(address, value):
+        if address == ENABLE:
+            unit.registers[STATUS] = value
+
+    unit.on_write = switch
+    yield peer
+    peer.pull()
+
+
+async def set_off(rig, unit):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 20.0}
+    await until(lambda: unit.registers[TARGET] > 0)
+    assert unit.registers[ENABLE] == ON
+
+
+@pytest.mark.parametrize("lost", [3, 4, 6])
+async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_off(peer, lost):
+    unit = peer.units[1]
+    async with running(spec_of(peer, [WHEEL])) as rig:
+        await set_off(rig, unit)
+        unit.loses = lost
+    assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
+    assert EventKind.DRIVE_WARNING not in rig.kinds()
+
+
+async def test_a_quiet_drive_that_is_reached_during_the_end_is_switched_off(peer):
+    unit = peer.units[1]
+    async with running(spec_of(peer, [WHEEL])) as rig:
+        await set_off(rig, unit)
+        unit.silent = True
+        await until(lambda: rig.states() == {DriveState.QUIET})
+        unit.silent, unit.loses = False, 4
+    assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
+
+
+async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
+    unit = peer.units[1]
+    async with running(spec_of(peer, [WHEEL])) as rig:
+        await set_off(rig, unit)
+        unit.silent = True
+    assert rig.kinds()[-1] is EventKind.DRIVE_WARNING
+    assert "wheel not switched off at the end" in rig.events[-1].text
+
+
+async def test_a_drive_that_hears_but_is_not_heard_is_switched_off_at_the_end(peer):
+    unit = peer.units[1]
+    async with running(spec_of(peer, [WHEEL])) as rig:
+        await set_off(rig, unit)
+        mute(peer)
+    assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
+    assert "wheel not switched off at the end" in rig.events[-1].text

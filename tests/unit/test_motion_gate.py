@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much motion waits in the kernel for a CAN bus that may be dead."""
+
+import pytest
+
+from motord_hal.can.motion_gate import MotionGate
+
+CYCLE_S = 0.01
+
+
+@pytest.fixture
+def gate():
+    return MotionGate(CYCLE_S, hears_own=True)
+
+
+def cycle(gate, at_s, handed, moving=True):
+    """Frames that the bus took, +, or not, -."""
+    for one in handed:
+        gate.handed(taken=one == "+")
+    gate.cycle_ended(at_s, moving=moving)
+
+
+def test_motion_that_does_not_leave_shuts_it_after_a_cycle_until_something_leaves(gate):
+    cycle(gate, 1.0, "+")
+    assert not gate.is_shut(1.0 + 0.9 * CYCLE_S)
+    cycle(gate, 1.009, "+")
+    assert gate.is_shut(1.0 + 1.1 * CYCLE_S)
+    gate.left()
+    assert not gate.is_shut(1.0 + 1.1 * CYCLE_S)
+
+
+def test_a_bus_that_takes_nothing_for_a_cycle_shuts_it_until_it_takes_a_frame(gate):
+    cycle(gate, 1.0, "-+-", moving=False)
+    assert not gate.is_shut(1.0)
+    cycle(gate, 1.01, "--", moving=False)
+    assert gate.is_shut(1.01)
+    cycle(gate, 1.02, "", moving=False)
+    assert gate.is_shut(1.02)
+    gate.handed(taken=True)
+    assert not gate.is_shut(1.02)
+
+
+def test_zero_may_wait_as_long_as_it_likes(gate):
+    cycle(gate, 1.0, "+", moving=False)
+    assert not gate.is_shut(9.0)
+
+
+def test_a_fast_line_waits_for_a_slow_adapter():
+    gate = MotionGate(0.001, hears_own=True)
+    cycle(gate, 1.0, "+")
+    assert not gate.is_shut(1.004)
+    assert gate.is_shut(1.006)
+
+
+def test_a_bus_that_was_opened_again_begins_anew(gate):
+    cycle(gate, 1.0, "+")
+    cycle(gate, 1.01, "-")
+    gate.opened()
+    assert not gate.is_shut(9.0)
+
+
+def test_where_nothing_says_what_has_left_it_is_open():
+    gate = MotionGate(CYCLE_S, hears_own=False)
+    cycle(gate, 1.0, "+")
+    cycle(gate, 1.01, "-")
+    assert not gate.is_shut(9.0)
