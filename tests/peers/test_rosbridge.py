@@ -18,8 +18,12 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from motord.bus import rosbridge
+from motord.bus.station import Station
 from motord.client import Refused
+from motord.config import RosbridgeInput, load_robot
 
+DEMO = ROOT / "config/robots/demo.toml"
 CLIENT = Path(__file__).with_name("ros_client.py")
 ROSLIBJS = ROOT / "build/node/node_modules/roslib/dist/RosLib.js"
 
@@ -124,6 +128,33 @@ async def test_who_has_no_token_does_not_even_connect(stage, ports, query):
     with pytest.raises(InvalidStatus, match="401"):
         async with connect(f"ws://127.0.0.1:{ports[0]}/{query}"):
             pass
+
+
+async def test_strangers_who_say_nothing_make_room_for_who_has_the_token(tmp_path, monkeypatch):
+    monkeypatch.setattr(rosbridge, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
+    port, count = free_port(), 3 * rosbridge.STRANGERS_MAX
+    section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
+    station = Station(load_robot(DEMO), tmp_path / "no.sock")
+    adapter = rosbridge.RosbridgeAdapter("web", section, station)
+    async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+        serving = tasks.create_task(adapter.run())
+        async with connect_again(f"ws://127.0.0.1:{port}/?token={TOKEN}", None) as client:
+            readers, writers = zip(*[await stranger(port) for _ in range(count)], strict=True)
+            for reader in readers[: count - rosbridge.STRANGERS_MAX]:
+                with contextlib.suppress(ConnectionError):
+                    assert await reader.read() == b""
+            await client.send(json.dumps({"op": "fragment"}))
+            assert "not served" in await client.recv()
+            async with connect(f"ws://127.0.0.1:{port}/?token={TOKEN}") as another:
+                await another.send(json.dumps({"op": "fragment"}))
+                assert "not served" in await another.recv()
+            for writer in writers:
+                writer.close()
+        serving.cancel()
+
+
+async def stranger(port):
+    return await asyncio.open_connection("127.0.0.1", port)
 
 
 async def test_the_token_may_stand_in_the_header(stage, ports):

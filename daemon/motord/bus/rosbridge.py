@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from motord.bus.station import Station
 
 CLIENTS_MAX = 32
+STRANGERS_MAX = 32
+"""Connections that have not shown what they want yet. One more, and the oldest has to go: each
+costs a descriptor, and may be silent for ANSWER_WITHIN_S."""
 MESSAGE_BYTES_MAX = 65536
 PING_EVERY_S = 5.0
 ANSWER_WITHIN_S = 5.0
@@ -49,6 +52,7 @@ class RosbridgeAdapter:
             self._where if self._desk else name, section.rates_hz(), json_encoder
         )
         self._clients: set[RosbridgeClient] = set()
+        self._strangers: dict[ServerConnection, None] = {}
         self._tls = _tls_context(section, station)
 
     async def run(self) -> None:
@@ -78,6 +82,7 @@ class RosbridgeAdapter:
             self._section.port,
             ssl=self._tls,
             process_request=self._admit,
+            create_connection=_counting(self._strangers),
             compression=None,
             max_size=MESSAGE_BYTES_MAX,
             open_timeout=ANSWER_WITHIN_S,
@@ -98,6 +103,7 @@ class RosbridgeAdapter:
         return None
 
     async def _attend(self, connection: ServerConnection) -> None:
+        self._strangers.pop(connection, None)
         client = RosbridgeClient(connection, self._section.rates_hz(), self._desk)
         self._clients.add(client)
         try:
@@ -116,6 +122,25 @@ class RosbridgeAdapter:
                 self._feed.dropped += sum(
                     client.offer(sample.topic.name, text) for client in wanting
                 )
+
+
+def _counting(strangers: dict[ServerConnection, None]) -> type[ServerConnection]:
+    """Connections that are in it, the oldest first, until they are attended to or lost."""
+
+    class Counted(ServerConnection):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            strangers[self] = None
+            if len(strangers) > STRANGERS_MAX:
+                oldest = next(iter(strangers))
+                del strangers[oldest]
+                oldest.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            strangers.pop(self, None)
+            super().connection_lost(exc)
+
+    return Counted
 
 
 def _published(topic: str, message: bytes) -> str:
