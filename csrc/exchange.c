@@ -91,9 +91,8 @@ int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)
     }
     setpoints_box *to = &x->setpoints[line];
     bool enabled = value->enabled != 0;
-    if (enabled && !x->enabled_before[line]) {
-        (void)atomic_fetch_add_explicit(&x->enabled_count[line], 1, memory_order_release);
-    }
+    /* in every tick, so that the first time touches no new memory */
+    (void)atomic_fetch_add_explicit(&x->enabled_count[line], enabled && !x->enabled_before[line], memory_order_release);
     x->enabled_before[line] = enabled;
     mailbox_put(&to->box, to->slot, value, sizeof *value);
     return 0;
