@@ -61,6 +61,13 @@ def chip(tmp_path):
     return Chip(tmp_path / "chip")
 
 
+async def half_forward(rig, chip):
+    """Armed, and the left motor driven."""
+    await armed(rig)
+    rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+    await until(lambda: chip.duties()[0] == 25_000)
+
+
 def spec_of(chip, drive="bts7960", **changes):
     profile = find_profile(drive)
     joints = (
@@ -115,9 +122,7 @@ async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(c
 
 async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chip):
     async with running(spec_of(chip)) as rig:
-        await armed(rig)
-        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
-        await until(lambda: chip.duties()[0] == 25_000)
+        await half_forward(rig, chip)
         rig.loop.running = False
         await until(lambda: chip.duties() == REST)
         await until(lambda: rig.states() == {DriveState.READY})
@@ -139,9 +144,7 @@ async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off
 
 async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
     async with running(spec_of(chip)) as rig:
-        await armed(rig)
-        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
-        await until(lambda: chip.duties()[0] == 25_000)
+        await half_forward(rig, chip)
         rig.loop.enabled = False
         await until(lambda: rig.states() == {DriveState.READY})
         await until(lambda: chip.duties() == REST)
@@ -199,9 +202,7 @@ def broken(chip, number):
 
 async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
     async with running(spec_of(chip)) as rig:
-        await armed(rig)
-        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
-        await until(lambda: chip.duties()[0] == 25_000)
+        await half_forward(rig, chip)
         kept = broken(chip, 0)
         try:
             with pytest.raises(PortError):
@@ -216,9 +217,7 @@ async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
 
 async def test_a_line_that_ends_and_leaves_a_pin_its_duty_says_so(chip):
     async with running(spec_of(chip)) as rig:
-        await armed(rig)
-        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
-        await until(lambda: chip.duties()[0] == 25_000)
+        await half_forward(rig, chip)
         kept = broken(chip, 0)
     os.close(kept)
     said = [event for event in rig.events if "not brought to rest" in event.text]
@@ -328,9 +327,7 @@ async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
 
 async def test_a_channel_that_somebody_drives_is_left_alone_and_its_owner_named(chip):
     async with running(spec_of(chip)) as rig:
-        await armed(rig)
-        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
-        await until(lambda: chip.duties()[0] == 25_000)
+        await half_forward(rig, chip)
         problems = await halt_line(spec_of(chip))
         assert chip.duties()[0] == 25_000
         assert [chip.read(number, "enable") for number in range(4)] == [1] * 4
