@@ -18,5 +18,6 @@ RUN apt-get update && apt-get install -y --no-install-recommends python3 && rm -
 COPY --from=build /opt/motord /opt/motord
 USER motord
 STOPSIGNAL SIGTERM
+ENV PATH=/opt/motord/bin:$PATH
 ENTRYPOINT ["/opt/motord/bin/motord"]
 CMD ["run", "/etc/motord/robot.toml"]

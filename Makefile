@@ -15,10 +15,10 @@ help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
 	@echo "make test      all tests                       make test ARGS=\"tests/unit -k wrap\"" >&2
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
-	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick)" >&2
+	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
-	@echo "make fuzz      rtu.c, the line, the CAN bus  RUNS=10000000" >&2
-	@echo "make mutants   are the tests of rtu.c good?    make mutants FILE=line_drive.c" >&2
+	@echo "make fuzz      C, guard, socket, robot files   make fuzz RUNS=1000000 SEED=7" >&2
+	@echo "make mutants   are the C tests good?           make mutants FILE=\"arbiter.c page.c\" SAMPLE=50" >&2
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
 	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2
 	@echo "make arm64     unit, rt and C tests on aarch64 (root, Debian 12)" >&2
@@ -29,7 +29,7 @@ $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 	@echo "making $(VENV) ..." >&2
 	@python=$$(./bootstrap.sh) && $$python -m venv --clear $(VENV) >&2
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check "setuptools>=77" "cffi>=2.0" >&2
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable . >&2
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[plot]' >&2
 	@touch $@
 
 $(VENV)/built: $(VENV)/made $(wildcard csrc/*.c csrc/*.h csrc/*.py)
@@ -86,9 +86,11 @@ bench: $(VENV)/built $(VENV)/bench
 soak: $(VENV)/built $(VENV)/test
 	@$(PYTHON) tests/soak/soak.py $(ARGS)
 
-# From gcc alone, with ASan and UBSan.
-fuzz:
-	@$(MAKE) -C tests/c fuzz >&2
+# C from gcc alone, with ASan and UBSan; then what is written in Python, with a thousandth of the runs.
+RUNS ?= 10000000
+fuzz: $(VENV)/built $(VENV)/test
+	@$(MAKE) -C tests/c fuzz RUNS=$(RUNS) >&2
+	@$(PYTHON) tests/fuzz/fuzz.py --runs $$(( $(RUNS) / 1000 )) $(if $(SEED),--seed $(SEED)) $(ARGS) >&2
 
 mutants: $(VENV)/made
 	@$(MAKE) -C tests/c mutants PYTHON=$(abspath $(PYTHON)) >&2

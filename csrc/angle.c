@@ -4,16 +4,8 @@
  */
 #include "core.h"
 
-#include <math.h>
-
-static const double PI = 3.14159265358979323846;
 static const double HALF_PI = 1.57079632679489661923;
 static const double HALF_PI_REST = 6.123233995736766036e-17; /* pi/2 - HALF_PI */
-
-double angle_wrap(double angle_rad)
-{
-    return fabs(angle_rad) <= PI ? angle_rad : remainder(angle_rad, 2.0 * PI);
-}
 
 /* Taylor's series; at pi/4 the first term left out is below 1e-18 (sine) and 3e-18 (cosine). */
 static double sine_near_zero(double x)
@@ -44,7 +36,7 @@ static double cosine_near_zero(double x)
     return 1.0 + sum * q;
 }
 
-void angle_sine_cosine(double angle_rad, double *sine, double *cosine)
+direction angle_direction(double angle_rad)
 {
     double turns = angle_rad / HALF_PI;
     int quarter = (int)(turns < 0.0 ? turns - 0.5 : turns + 0.5);
@@ -52,9 +44,9 @@ void angle_sine_cosine(double angle_rad, double *sine, double *cosine)
     double s = sine_near_zero(rest);
     double c = cosine_near_zero(rest);
     switch ((unsigned)quarter & 3U) {
-    case 0: *sine = s; *cosine = c; break;
-    case 1: *sine = c; *cosine = -s; break;
-    case 2: *sine = -s; *cosine = -c; break;
-    default: *sine = -c; *cosine = s; break;
+    case 0: return (direction){s, c};
+    case 1: return (direction){c, -s};
+    case 2: return (direction){-s, -c};
+    default: return (direction){-c, s};
     }
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; the gyro is in api_imu.h, commands in api_command.h, serial lines in api_line.h.
+ * api.h: the border between Python and C; the gyro is in api_imu.h, what a joint's feedback comes to in api_feedback.h,
+ * commands in api_command.h, serial lines in api_line.h.
  * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
  * prototypes, and no preprocessor line.
  *
@@ -9,7 +10,7 @@
  * `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
  */
 
-enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 18, FIELD_NAME_BYTES = 64 };
+enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------------------ reasons
  * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
@@ -44,7 +45,15 @@ enum {
     FAULT_EXTERNAL        = 1 << 6,   /* control.fault: raised by the daemon (a line lost, a check failed) */
     FAULT_STATE           = 1 << 7,   /* a value inside the core was not finite: never expected, always rest */
     FAULT_OVERSPEED       = 1 << 8,   /* a wheel that a torque turns is far beyond its limit: a wrong sign, a slope */
+    FAULT_DIRECTION       = 1 << 9,   /* a wheel turns against its set-point */
+    FAULT_STALL           = 1 << 10,  /* a wheel does not turn */
+    FAULT_FOLLOWING_ERROR = 1 << 11,  /* a wheel is much slower than its set-point and comes no nearer */
+    FAULT_RUNAWAY         = 1 << 12,  /* a wheel is much faster than its set-point: the power goes off at once */
+    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13,   /* a counter jumps, or its speed is not the one that the drive reports */
+    FAULT_SUSPENDED       = 1 << 14,  /* the computer was suspended: set-points are zero at once */
 };
+/* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
+enum { FAULTS_OF_FEEDBACK = 0x3E00 };
 
 /* ------------------------------------------------------------------------------------------ configuration */
 typedef enum { STOP_RAMP = 0, STOP_BRAKE = 1, STOP_HOLD = 2, STOP_COAST = 3 } stop_action;
@@ -91,6 +100,7 @@ typedef struct {
     uint32_t line;              /* 0..LINES_MAX-1: who carries this joint */
     pwm_config pwm;
     speed_loop_config speed_loop;
+    plausible_config plausible;
 } joint_config;
 
 typedef struct {
@@ -157,6 +167,8 @@ typedef struct {
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
     imu_sample imu;
+    uint32_t suspended;         /* 1: the computer was suspended since the tick before */
+    uint32_t reserved;
 } core_input;
 
 /* ------------------------------------------------------------------------------------------------ outputs */
@@ -222,22 +234,22 @@ typedef struct {
     double twist_covariance[3]; /* vv, vw, ww */
     joint_state joint[JOINTS_MAX];
     imu_state imu;
+    feedback_doubt doubt;       /* the first of FAULTS_OF_FEEDBACK, until the reset */
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
+enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXES = 2 };
+
 typedef struct {
     double velocity_u_s;
     double acceleration_u_s2;   /* of the last step */
 } limit_state;
 
-typedef struct {
-    double velocity_u_s;
-    uint32_t reasons;           /* the linear REASON bits; core.c shifts them for the angular axis */
-} limited;
-
-/* One step from state towards want_u_s. Never overshoots want; NaN and infinity in want: 0.
- * urgent: leave out the jerk limit (faults). dt_s > 0. */
-limited limit_step(limit_state *state, const axis_limits *limits, double want_u_s, double dt_s, bool urgent);
+/* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON bit of the limit that
+ * bound it, 0 when it has arrived. The goal is within the limits of velocity; one that is not finite counts as zero.
+ * slewed: the base whose duty slews bind too, or NULL. urgent: leave out the jerk limits (faults). dt_s > 0. */
+uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
+                   double dt_s, bool urgent);
 
 /* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
@@ -267,18 +279,6 @@ double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
 typedef struct {
-    uint64_t count;             /* last sample's */
-    int64_t stamp_ns;
-    uint32_t epoch;
-    uint32_t seeded;
-    uint32_t fresh;             /* a sample came since the last integration */
-    uint32_t jumps;
-    double pending_rad;         /* travelled since the last integration */
-    double position_rad;
-    double velocity_rad_s;
-} joint_odometry;
-
-typedef struct {
     joint_odometry joint[JOINTS_MAX];
     int64_t stamp_ns;           /* of the last integration */
     uint32_t degraded;
@@ -300,10 +300,10 @@ typedef struct {
 void odometry_init(odometry_state *state, const core_config *config);
 /* Pose to the origin; what was pending is thrown away; position_rad of the joints stays. */
 void odometry_reset(odometry_state *state, const core_config *config);
-/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint_rad_s: for joints that
+/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
  * measure nothing. */
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
-                   const uint32_t *stale, const double *setpoint_rad_s);
+                   const uint32_t *stale, const joint_setpoint *setpoint);
 
 /* What follows from a command under the limits in force; kept, because commands are rarer than ticks. */
 typedef struct {
@@ -337,17 +337,14 @@ typedef struct {
     uint64_t command_window_ns; /* timeouts, from the farthest stamp in the future that is taken */
     uint64_t feedback_window_ns;
     uint64_t heartbeat_window_ns;
-    double unsaturated_m_s;     /* no wheel is at its limit when no side is faster than this */
     core_goal goal;
     core_wheels wheels;
-    limit_state linear;
-    limit_state angular;
+    limit_state axis[AXES];     /* of the twist that the wheels are told */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
+    plausible_state plausible[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
-    int64_t oldest_ns;          /* stamps of the feedback that is in use */
-    int64_t newest_ns;
     uint64_t tick;
     uint32_t armed;
     uint32_t armed_seen;        /* control.armed of the tick before: arming wants an edge */
@@ -359,6 +356,8 @@ typedef struct {
     uint32_t silent;            /* a joint is stale */
     uint32_t slow;              /* no wheel that is heard turned faster than rest_velocity_rad_s */
     uint32_t at_rest;           /* after the last tick */
+    uint32_t slewed;            /* 1: a joint has a duty slew */
+    uint32_t torques;           /* 1: a joint's drive takes a torque */
     int64_t armed_ns;           /* the tick that armed */
     int64_t zero_since_ns;      /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;
@@ -369,7 +368,8 @@ const char *core_config_check(const core_config *config, char *name);
 const char *base_limits_check(const base_limits *limits, char *name);
 /* 0 or -EINVAL. State is then disarmed, at rest, with no fault. */
 int core_init(core_state *state, const core_config *config);
-/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. */
+/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. snapshot: a copy of
+ * state->snapshot; NULL: the caller reads it there. */
 void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot);
 
 /* ---------------------------------------------------------------------------------------------- histogram
@@ -448,6 +448,7 @@ typedef struct {
     int32_t command_fd;         /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
                                    most, each with itself as data.fd: one for each lease, or who floods would keep others
                                    from being heard; -1: none */
+    int32_t stop_fd;            /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
     uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;
@@ -489,4 +490,3 @@ void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
 int loop_histogram_clear(void);                        /* asked for; done by the loop at its next tick */
 int loop_state_read(robot_state *out);                 /* as page_read, on the loop's own page */
-int64_t clock_now_ns(void);                            /* CLOCK_MONOTONIC */

@@ -92,6 +92,7 @@ typedef struct {
     int64_t period_ns;          /* of the cycle: > 0 */
     int64_t silence_ns;         /* so long without a word, and it is quiet: > 0 */
     int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
+    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
     int64_t watchdog_ns;        /* told nothing for so long while armed: it has stopped; 0: never */
     uint8_t payload[BOARD_PAYLOAD_MAX];     /* before anything is written to it */
     board_setpoint setpoint[BOARD_SETPOINTS_MAX];

@@ -54,7 +54,8 @@ typedef struct {
 
 typedef struct {
     uint32_t wish;              /* PWM_OFF, PWM_STOP, PWM_ARMED */
-    uint32_t number;            /* another one than before: a new wish. ARMED is obeyed once a number */
+    uint32_t number;            /* another one than before: a new wish. ARMED is obeyed once a number.
+                                 * A number that was passed over may have been a stop: then it takes the power */
 } bridge_control;
 
 typedef struct {

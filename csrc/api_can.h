@@ -126,6 +126,7 @@ typedef struct {
     can_packet sync[CAN_SYNCS_MAX];
     int64_t period_ns;          /* of the cycle: > 0 */
     int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
+    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
     can_drive drive[CAN_DRIVES_MAX];
 } can_table;
 

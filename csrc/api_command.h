@@ -18,7 +18,7 @@ typedef struct {
     uint16_t version;           /* COMMAND_VERSION */
     uint16_t kind;              /* command_kind */
     uint8_t token[TOKEN_BYTES]; /* of the lease */
-    uint64_t sequence;          /* greater than the one before, modulo 2^64 */
+    uint64_t sequence;          /* greater than the one before, modulo 2^64; never 0 */
     int64_t stamp_ns;           /* CLOCK_MONOTONIC when it was given */
     uint32_t lifetime_ms;       /* 0: the lease's; more than it: refused */
     uint32_t reserved;
@@ -56,13 +56,14 @@ typedef struct {
 typedef enum {
     REFUSED_FORM = 0,           /* length, magic, version, kind */
     REFUSED_TOKEN = 1,
-    REFUSED_SEQUENCE = 2,       /* not greater than the last one's */
+    REFUSED_SEQUENCE = 2,       /* 0, or not greater than the last one's */
     REFUSED_AGE = 3,            /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5,     /* and the lease commands zero */
     REFUSED_JOINTS = 6,         /* another number of them, or nothing that the base can do: it commands zero, too */
     REFUSED_RATE = 7,           /* more often than the lease allows; the one before goes on */
-    REFUSAL_KINDS = 8
+    REFUSED_OUT_OF_RANGE = 8,   /* more than ten times the limit: it commands zero, too */
+    REFUSAL_KINDS = 9
 } command_refusal;
 
 /* What a lease has come to. */
@@ -94,18 +95,22 @@ typedef struct {
 typedef struct {
     lease_grants grants;
     const core_config *base;    /* whose joints are commanded; none: no command of joints is obeyed */
+    const base_limits *limits;  /* in force now, beside those of `base`; none: those of `base` alone */
     uint64_t comers;            /* leases that have come alive so far */
     int64_t last_stamp_ns;      /* of the command before */
+    int64_t resumed_ns;         /* a command from before is refused; 0: the computer was never suspended */
     command_report report;
 } arbiter;
 
-/* `base` may be none, and else stays the caller's for as long as the arbiter is used. */
-void arbiter_init(arbiter *a, const core_config *base);
+/* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is used. */
+void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits);
 /* New leases begin, those that are not named any more end; the others go on. */
 void arbiter_grant(arbiter *a, const lease_grants *grants);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
 /* Once a tick, after what came was submitted: who commands, and what. */
+/* The computer was suspended: no command from before lives on. */
+void arbiter_resume(arbiter *a, int64_t resumed_ns);
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
 
 /* The twist that wheel speeds are. False: they are none, for wheels of one side want different ways. A speed that is
@@ -117,3 +122,30 @@ void exchange_put_grants(exchange *x, const lease_grants *grants);       /* asyn
 int exchange_take_grants(exchange *x, lease_grants *out);
 void exchange_put_commands(exchange *x, const command_report *report);   /* loop → asyncio */
 int exchange_take_commands(exchange *x, command_report *out);
+
+/* ------------------------------------------------------------------------------------------- stop requests
+ * Datagrams on a socket that takes nothing else, read by the loop itself. docs/commands.md. They can only take motion away.
+ * Each is in force from the tick that reads it until asyncio has acknowledged it. */
+enum { STOP_REQUEST_MAGIC = 0x5153544D, STOP_REQUEST_VERSION = 1, STOP_REQUEST_BYTES = 8, STOP_REQUEST_KINDS = 3 };
+typedef enum {
+    STOP_REQUEST_STOP = 0,      /* come to rest, stay armed */
+    STOP_REQUEST_ESTOP = 1,
+    STOP_REQUEST_DISARM = 2     /* come to rest, then disarm */
+} stop_request_kind;
+
+typedef struct {
+    uint32_t magic;             /* STOP_REQUEST_MAGIC: "MTSQ" */
+    uint16_t version;           /* STOP_REQUEST_VERSION */
+    uint16_t kind;              /* stop_request_kind */
+} stop_request;
+
+typedef struct {
+    uint64_t count[STOP_REQUEST_KINDS];   /* received since the loop started */
+    uint64_t refused;           /* another length, magic, version or kind */
+    int32_t pid;                /* sender of the newest; 0: not known */
+    uint32_t reserved;
+} stop_request_report;
+
+/* Any thread. Acknowledge after exchange_put_control with levels that hold what was requested: up to these counts. */
+void loop_stop_requests(stop_request_report *out);
+void loop_acknowledge_stops(const uint64_t *count);    /* STOP_REQUEST_KINDS of them */

@@ -166,6 +166,7 @@ typedef struct {
     double character_ns;        /* one byte on the wire, with start, parity and stop bits */
     int64_t gap_ns;             /* silence before a request */
     int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
+    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
     uint32_t broadcast_stop_count;   /* frames that stop all drives at once, before each one's own; 0: none */
     uint32_t reserved;
     line_frame broadcast_stop[DRIVE_STOP_MAX];
@@ -220,7 +221,8 @@ typedef struct {
 typedef enum {
     ANSWER_OK = 0, ANSWER_NO_REPLY = 1, ANSWER_BAD_REPLY = 2, ANSWER_REFUSED = 3,   /* REFUSED: see exception */
     ANSWER_EXPIRED = 4,         /* not sent */
-    ANSWER_PORT = 5             /* the port is gone */
+    ANSWER_PORT = 5,            /* the port is gone */
+    ANSWER_NEVER_SILENT = 6     /* of a drive's turn: other bytes kept the line busy */
 } answer_kind;
 
 typedef struct {
@@ -253,6 +255,7 @@ typedef struct {
     uint64_t no_reply;
     uint64_t bad_reply;
     uint64_t refused;
+    uint64_t late;              /* replies that came after their time: nobody was told what they said */
     uint64_t quiet;             /* how often it became QUIET */
     int64_t heard_ns;           /* last good reply */
     int64_t turnaround_ns;      /* smoothed */
@@ -275,7 +278,8 @@ typedef struct {
     uint32_t echo;              /* as found: 0, 1; 2: not known yet */
     uint32_t shut_down;         /* 1: done */
     uint64_t exchanges;
-    uint64_t noise_bytes;       /* bytes that belonged to no answer */
+    uint64_t answers;           /* good replies and refusals */
+    uint64_t noise_bytes;       /* bytes that were no frame: no answer, no late reply, no echo */
     int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];

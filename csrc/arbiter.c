@@ -6,22 +6,32 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "fresh.h"
 #include "rt.h"
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
 _Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md promises this layout");
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
 
-static const int64_t FUTURE_NS = 10000000;   /* the sender's clock is this machine's: more is a mistake */
 static const int64_t NS_PER_MS = 1000000;
 enum { BURST = 4, SMOOTH = 8 };   /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
 /* What is shorter would lapse between two commands, and the hold of who is held with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
+static const double OUT_OF_RANGE = 10.0;   /* times the limit: a wrong unit or a broken program, nothing to be scaled down */
 
-void arbiter_init(arbiter *a, const core_config *base)
+void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
     memset(a, 0, sizeof *a);
     a->base = base;
+    a->limits = limits;
+}
+
+void arbiter_resume(arbiter *a, int64_t resumed_ns)
+{
+    a->resumed_ns = resumed_ns;
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        a->report.lease[i].expires_ns = 0;
+    }
 }
 
 static bool alive(const lease_state *lease, int64_t now_ns)
@@ -89,9 +99,10 @@ static int64_t lifetime_ns(const lease_grant *grant, const command_datagram *com
     return asked_ns >= LIFETIME_LEAST_NS && asked_ns <= grant->lifetime_ns ? asked_ns : 0;
 }
 
+/* 0 is never a command's: in a lease it means that none came. */
 static bool is_new(const lease_state *lease, uint64_t sequence)
 {
-    return lease->sequence == 0 ? sequence != 0 : (int64_t)(sequence - lease->sequence) > 0;
+    return sequence != 0 && (lease->sequence == 0 || (int64_t)(sequence - lease->sequence) > 0);
 }
 
 /* The generic cell rate algorithm, ITU-T I.371: as many as are due, and some of them early. */
@@ -118,6 +129,25 @@ static void measure_interval(lease_state *lease, int64_t now_ns)
     lease->taken_ns = now_ns;
 }
 
+/* Of two limits, which are numbers. Not fmax: its code is a page that the loop's first command would have to fetch. */
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+/* Of the robot file's limit and the one in force the greater counts: who slows the robot down by a limit stops nobody. */
+static bool in_range(const arbiter *a, const command_datagram *command)
+{
+    if (a->base == NULL) {
+        return true;
+    }
+    const base_limits *file = &a->base->limits, *now = a->limits != NULL ? a->limits : file;
+    double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
+    double angular_rad_s = larger(file->angular.velocity_u_s, now->angular.velocity_u_s);
+    return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s &&
+           fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s;
+}
+
 /* `possible`: the base can do it, if it is finite. */
 static int take(arbiter *a, uint32_t place, const command_datagram *command, bool possible, int64_t now_ns, bool may_move)
 {
@@ -130,11 +160,12 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     if (life_ns == 0) {
         return refuse(a, REFUSED_LIFETIME);
     }
-    if (command->stamp_ns <= 0 || command->stamp_ns > now_ns + FUTURE_NS || now_ns - command->stamp_ns >= life_ns) {
+    /* of the future, too: the sender's clock is this machine's */
+    if (!fresh_stamp(now_ns, stamp_since(command->stamp_ns, a->resumed_ns), life_ns - 1)) {
         return refuse(a, REFUSED_AGE);
     }
     bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
-    bool good = finite && possible;
+    bool good = finite && possible && in_range(a, command);
     bool motion = good && (command->linear_m_s != 0.0 || command->angular_rad_s != 0.0);
     if (motion && too_often(grant, lease, now_ns)) {
         return refuse(a, REFUSED_RATE);
@@ -152,7 +183,7 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     lease->held = wants_motion(lease) && (!may_move || barred);
     if (!good) {
         lease->held = barred;   /* that was no zero */
-        return refuse(a, finite ? REFUSED_JOINTS : REFUSED_NOT_FINITE);
+        return refuse(a, !finite ? REFUSED_NOT_FINITE : !possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
     return 0;

@@ -1,14 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
  * board_drive.c: what a board is told to be, whether it is there, and when it has to stop. */
 #include "board_machine.h"
+#include "fresh.h"
 
 static const int64_t STOPPING_NS = 1000 * BOARD_MS;
-static const int64_t FUTURE_NS = 10 * BOARD_MS;
 
 static bool fresh(const board_machine *m, int64_t now_ns)
 {
-    int64_t stamp_ns = m->newest.stamp_ns;
-    return stamp_ns > 0 && stamp_ns <= now_ns + FUTURE_NS && now_ns - stamp_ns <= m->table.setpoint_timeout_ns;
+    return fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns);
 }
 
 static bool is_cyclic(const board_machine *m)
@@ -147,12 +146,13 @@ void board_guard(board_machine *m, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- wishes */
+/* A stop that is pending stays so, whatever is requested after it. */
 static void set_up(board_machine *m, int64_t now_ns)
 {
     m->mode = DRIVE_READY;
     m->epoch++;
     m->demoted = m->still_enabled = 0;
-    m->stopping = m->back = false;
+    m->back = false;
     m->heard_ns = now_ns;   /* who was set up has just spoken, or cannot */
     board_forget(m);
 }
@@ -186,8 +186,12 @@ void board_obey_wish(board_machine *m, int64_t now_ns)
     if (wish->count == m->wish_seen) {
         return;
     }
+    bool overtaken = wish->count - m->wish_seen > 1;   /* one that was never seen may have been a stop */
     m->wish_seen = wish->count;
     m->news = true;
+    if (overtaken && is_cyclic(m)) {
+        stand_down(m, now_ns);
+    }
     if (wish->mode == DRIVE_OFF) {
         board_power_off(m, now_ns);
         m->mode = DRIVE_OFF;

@@ -106,7 +106,7 @@ void board_forget(board_machine *m)
 bool board_at_rest(const board_machine *m)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if ((m->joints >> j & 1) != 0 && !feedback_at_rest(&m->joint[j].feedback)) {
+        if ((m->joints >> j & 1) != 0 && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

@@ -4,12 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "fresh.h"
 #include "rt.h"
-
-static bool is_fresh(const bridge_config *config, const setpoints *newest, int64_t now_ns)
-{
-    return newest->stamp_ns > 0 && now_ns - newest->stamp_ns <= config->setpoint_timeout_ns;
-}
 
 static void demote(bridge_state *state, uint32_t why, int64_t stop_until_ns)
 {
@@ -23,8 +19,14 @@ static void obey_wish(bridge_state *state, const bridge_config *config, const br
     if (control->number == state->number) {
         return;
     }
+    bool overtaken = control->number - state->number > 1;   /* one that was never seen may have been a stop */
+    bool powered = state->armed != 0 || state->stop_until_ns != 0;
     state->number = control->number;
-    if (control->wish == PWM_ARMED && fresh) {
+    if (overtaken && powered && control->wish == PWM_ARMED) {
+        state->armed = 0;
+        state->demoted = 0;
+        state->stop_until_ns = 0;
+    } else if (control->wish == PWM_ARMED && fresh) {
         state->armed = 1;
         state->was_enabled = state->demoted = 0;
         state->enabled_count_armed = state->enabled_count;
@@ -75,7 +77,7 @@ static uint32_t mode_of(const bridge_state *state, const bridge_joint *joint, bo
 void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
                  int64_t now_ns, double *level)
 {
-    bool fresh = is_fresh(config, newest, now_ns);
+    bool fresh = fresh_stamp(now_ns, newest->stamp_ns, config->setpoint_timeout_ns);
     obey_wish(state, config, control, fresh, now_ns);
     look_at_setpoints(state, config, newest, fresh, now_ns);
     if (state->stop_until_ns != 0 && now_ns >= state->stop_until_ns) {

@@ -3,16 +3,15 @@
 #include <string.h>
 
 #include "can_machine.h"
+#include "fresh.h"
 
 static const int64_t STOPPING_NS = 1000 * CAN_MS;
-static const int64_t FUTURE_NS = 10 * CAN_MS;
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
 static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS;   /* until it is set up */
 
 static bool fresh(const can_machine *m, int64_t now_ns)
 {
-    int64_t stamp_ns = m->newest.stamp_ns;
-    return stamp_ns > 0 && stamp_ns <= now_ns + FUTURE_NS && now_ns - stamp_ns <= m->table.setpoint_timeout_ns;
+    return fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns);
 }
 
 /* --------------------------------------------------------------------------------------------------- sending */
@@ -264,14 +263,15 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- wishes */
+/* A stop that is pending stays so, whatever is requested after it. */
 static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive->mode = DRIVE_READY;
     drive->epoch++;
     drive->demoted = drive->still_enabled = 0;
-    drive->stopping = drive->back = drive->off_next_cycle = false;
-    drive->may_turn = drive->told_motion;   /* a stop that the bus has not taken waits still */
+    drive->back = false;
+    drive->may_turn = drive->told_motion || drive->stopping;
     drive->slow_cycles = 0;
     drive->told_ns = now_ns;
     can_forget(m, number);
@@ -303,12 +303,20 @@ void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
     if (wish->count == drive->wish_seen) {
         return;
     }
+    bool overtaken = wish->count - drive->wish_seen > 1;   /* one that was never seen may have been a stop */
+    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_next_cycle;
     drive->wish_seen = wish->count;
     m->news = true;
+    if ((overtaken || wish->mode == DRIVE_OFF) && powered) {
+        drive->off_next_cycle = false;
+        power_off(m, number);
+    }
+    drive->stops += overtaken;
+    if (overtaken && drive->mode == DRIVE_ARMED) {
+        drive->mode = DRIVE_READY;
+        drive->enabled = 2;
+    }
     if (wish->mode == DRIVE_OFF) {
-        if (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion) {
-            power_off(m, number);
-        }
         drive->mode = DRIVE_OFF;
         drive->back = false;
     } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {

@@ -26,11 +26,19 @@ static void check_place(finding *f, const can_place *place, uint32_t bytes)
     need(f, place->start_bit < 8 * CAN_BYTES_MAX && place->start_bit + place->length <= 8 * bytes, "place.start_bit");
 }
 
+/* Beyond what the place holds, a number would go out as another one, even the other way round. */
 static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t bytes)
 {
-    double most = setpoint->place.form == CAN_FLOAT ? (double)FLT_MAX : 4294967296.0;
-    check_place(f, &setpoint->place, bytes);
-    check_scale(f, &setpoint->scale, SETPOINT_TORQUE, -most, most);
+    const can_place *place = &setpoint->place;
+    check_place(f, place, bytes);
+    if (!f->bad) {
+        double span = ldexp(1.0, (int)place->length);
+        double least = place->form == CAN_SIGNED ? -span / 2.0 : 0.0;
+        double most = place->form == CAN_SIGNED ? span / 2.0 - 1.0 : span - 1.0;
+        bool is_float = place->form == CAN_FLOAT;
+        check_scale(f, &setpoint->scale, SETPOINT_TORQUE, is_float ? -(double)FLT_MAX : least,
+                    is_float ? (double)FLT_MAX : most);
+    }
 }
 
 static void check_output(finding *f, const can_output *output)
@@ -132,6 +140,7 @@ const char *can_table_check(const can_table *table, char *name)
     need(&f, table->drive_count >= 1 && table->drive_count <= CAN_DRIVES_MAX, "drive_count");
     need(&f, table->period_ns > 0 && table->period_ns <= PERIOD_MAX_NS, "period_ns");
     need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
+    need(&f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0, "rest_velocity_rad_s");
     need(&f, table->sync_count <= CAN_SYNCS_MAX, "sync_count");
     for (uint32_t i = 0; !f.bad && i < table->sync_count; i++) {
         check_packet(&f, &table->sync[i]);

@@ -185,7 +185,7 @@ void can_forget(can_machine *m, uint32_t drive)
 bool can_at_rest(const can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback)) {
+        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

@@ -69,6 +69,17 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, speed_loop.gain_n_m_s_per_rad, 0.0, MOST),
     RULE(joint_config, speed_loop.integral_n_m_per_rad, 0.0, MOST),
     RULE(joint_config, speed_loop.torque_max_n_m, 0.0, MOST),
+    RULE(joint_config, plausible.setpoint_min_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.slow_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.short_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.beyond_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.apart_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.progress_rad_s, 0.0, MOST),
+    RULE(joint_config, plausible.direction_s, 0.0, MOST),
+    RULE(joint_config, plausible.stall_s, 0.0, MOST),
+    RULE(joint_config, plausible.following_s, 0.0, MOST),
+    RULE(joint_config, plausible.runaway_s, 0.0, MOST),
+    RULE(joint_config, plausible.apart_s, 0.0, MOST),
 };
 
 /* The first field out of its range; NaN is out of every range. */

@@ -20,9 +20,10 @@ static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this l
 static double setpoint_sum(const core_state *state)
 {
     double sum = 0.0;
-    const joint_setpoint *setpoint = state->wheels.joint, *end = setpoint + state->config.joint_count;
-    for (; setpoint != end; setpoint++)
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        const joint_setpoint *setpoint = &state->wheels.joint[j];
         sum += setpoint->velocity_rad_s + setpoint->duty + setpoint->torque_n_m;
+    }
     return sum;
 }
 
@@ -32,7 +33,7 @@ static void zero_at_once(core_state *state, tick *t)
     for (uint32_t j = 0; j < state->config.joint_count; j++)
         state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.0;
     state->wheels = (core_wheels){0};
-    state->linear = state->angular = (limit_state){0};
+    memset(state->axis, 0, sizeof state->axis);
     t->moving = false;
 }
 
@@ -41,7 +42,7 @@ static bool may_ramp(const core_state *state, const tick *t)
 {
     if (t->calm)
         return true;
-    if (t->dt_s == 0.0)
+    if (t->dt_s == 0.0 || t->input->suspended)
         return false;
     if (state->holding)
         return watch_fault_action(state) != STOP_BRAKE;
@@ -54,8 +55,7 @@ static double within(double want, double limit)
     return fabs(want) <= limit ? want : copysign(limit, want);
 }
 
-/* The twist to ramp to. Scaled to what the wheels can do before the ramp; else the two axes, scaled after
- * it alone, would settle at the ratio of their accelerations and not at that of the command. */
+/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
 static void set_goal(core_state *state)
 {
     core_goal *goal = &state->goal;
@@ -73,45 +73,32 @@ static void set_goal(core_state *state)
     goal->known = 1;
 }
 
-static void choose_goal(core_state *state, tick *t, double *linear_m_s, double *angular_rad_s)
+static void choose_goal(core_state *state, tick *t, double *goal_u_s)
 {
     const core_goal *goal = &state->goal;
-    *linear_m_s = *angular_rad_s = 0.0;
+    goal_u_s[AXIS_LINEAR] = goal_u_s[AXIS_ANGULAR] = 0.0;
     if (!t->go || t->command_zero)
         return;
     if (!goal->known)
         set_goal(state);
-    *linear_m_s = goal->linear_m_s;
-    *angular_rad_s = goal->angular_rad_s;
+    goal_u_s[AXIS_LINEAR] = goal->linear_m_s;
+    goal_u_s[AXIS_ANGULAR] = goal->angular_rad_s;
     t->saturation = goal->saturation;
     t->reasons |= goal->reasons;
 }
 
-/* The common factor for the twist that the ramps want. */
-static double saturation(const core_state *state)
-{
-    const core_config *config = &state->config;
-    double linear_m_s = state->linear.velocity_u_s, angular_rad_s = state->angular.velocity_u_s;
-    if (fabs(linear_m_s) + fabs(angular_rad_s) * config->track_m * 0.5 <= state->unsaturated_m_s)
-        return 1.0;
-    double wheel_rad_s[JOINTS_MAX];
-    kinematics_wheels(config, linear_m_s, angular_rad_s, wheel_rad_s);
-    return saturate_factor(wheel_rad_s, config->joint, config->joint_count);
-}
-
-/* kinematics → saturate → PWM, for a twist that is not that of the last tick */
+/* kinematics → PWM, for a twist that is not that of the last tick */
 static void set_wheels(core_state *state, tick *t, double dt_s)
 {
     core_wheels *wheels = &state->wheels;
-    double factor = saturation(state);
-    double turn_m_s = state->angular.velocity_u_s * state->config.track_m * 0.5;
-    double linear_m_s = state->linear.velocity_u_s;
+    double linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s, angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
+    double turn_m_s = angular_rad_s * state->config.track_m * 0.5;
     uint32_t count = state->config.joint_count, reasons = 0;
     double checksum = t->checksum;
     for (uint32_t j = 0; j < count; j++) {
         const joint_config *joint = &state->config.joint[j];
         joint_setpoint *setpoint = &wheels->joint[j];
-        double speed_rad_s = wheel_speed(joint, linear_m_s, turn_m_s) * factor;
+        double speed_rad_s = wheel_rounded(joint, wheel_speed(joint, linear_m_s, turn_m_s));
         checksum += setpoint->duty;
         pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
         setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
@@ -119,27 +106,23 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
         reasons |= output.reasons;
     }
     t->checksum = checksum;
-    if (factor < 1.0) {
-        /* back into the ramps, or they would wind up beyond what the wheels do */
-        state->linear.velocity_u_s *= factor;
-        state->angular.velocity_u_s *= factor;
-        t->saturation *= factor;
-        reasons |= REASON_WHEEL_SATURATED;
-    }
-    wheels->linear_m_s = state->linear.velocity_u_s;
-    wheels->angular_rad_s = state->angular.velocity_u_s;
-    wheels->moving = wheels->linear_m_s != 0.0 || wheels->angular_rad_s != 0.0;
+    wheels->linear_m_s = linear_m_s;
+    wheels->angular_rad_s = angular_rad_s;
+    wheels->moving = linear_m_s != 0.0 || angular_rad_s != 0.0;
     wheels->reasons = reasons;
-    wheels->known = factor == 1.0 && !(reasons & REASON_DUTY_SLEW);
+    wheels->known = !(reasons & REASON_DUTY_SLEW);
 }
 
 /* The goal, which is within the limits, is reached: the ramp would change nothing. */
-static bool settled(const limit_state *axis, double goal_u_s)
+static bool settled(const core_state *state, const double *goal_u_s)
 {
-    return axis->velocity_u_s == goal_u_s && axis->acceleration_u_s2 == 0.0;
+    for (int i = 0; i < AXES; i++)
+        if (state->axis[i].velocity_u_s != goal_u_s[i] || state->axis[i].acceleration_u_s2 != 0.0)
+            return false;
+    return true;
 }
 
-/* goal → limit → kinematics → saturate → PWM */
+/* goal → limit → kinematics → PWM */
 static void drive(core_state *state, tick *t)
 {
     if (!may_ramp(state, t)) {
@@ -147,16 +130,15 @@ static void drive(core_state *state, tick *t)
         return;
     }
     const core_wheels *wheels = &state->wheels;
-    const axis_limits *linear = &state->limits.linear, *angular = &state->limits.angular;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
-    double linear_m_s, angular_rad_s;
-    choose_goal(state, t, &linear_m_s, &angular_rad_s);
-    if (!settled(&state->linear, linear_m_s))
-        t->reasons |= limit_step(&state->linear, linear, linear_m_s, dt_s, state->holding != 0).reasons;
-    if (!settled(&state->angular, angular_rad_s))
-        t->reasons |= limit_step(&state->angular, angular, angular_rad_s, dt_s, state->holding != 0).reasons << 4;
-    if (state->linear.velocity_u_s != wheels->linear_m_s || state->angular.velocity_u_s != wheels->angular_rad_s
-        || !wheels->known)
+    double goal_u_s[AXES];
+    choose_goal(state, t, goal_u_s);
+    if (!settled(state, goal_u_s)) {
+        const core_config *slewed = state->slewed ? &state->config : NULL;
+        t->reasons |= ramp_step(state->axis, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+    }
+    if (state->axis[AXIS_LINEAR].velocity_u_s != wheels->linear_m_s
+        || state->axis[AXIS_ANGULAR].velocity_u_s != wheels->angular_rad_s || !wheels->known)
         set_wheels(state, t, dt_s);
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
@@ -181,18 +163,63 @@ static void take_gyro(core_state *state, const tick *t)
     gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
 }
 
+/* All of them, or none. */
+static uint32_t joints_with_power(const core_state *state)
+{
+    return state->armed | state->holding ? state->config.joint_count : 0;
+}
+
+/* Does a wheel do what it is told? */
+static void doubt(core_state *state, tick *t)
+{
+    feedback_doubt why;
+    uint32_t count = joints_with_power(state);
+    for (uint32_t j = 0; j < count; j++) {
+        plausible_state *joint = &state->plausible[j];
+        const joint_odometry *odometry = &state->odometry.joint[j];
+        if (state->stale[j] || !plausible_due(joint, odometry))
+            continue;
+        if (plausible(joint, &state->config.joint[j].plausible, odometry, t->input->feedback[j].velocity_rad_s,
+                      state->wheels.joint[j].velocity_rad_s, &why))
+            continue;
+        why.joint = j;
+        if (state->snapshot.doubt.fault == 0)
+            state->snapshot.doubt = why;
+        watch_latch(state, why.fault);
+        t->calm = false;
+        count = joints_with_power(state);
+    }
+    if (count != 0)
+        return;
+    for (uint32_t j = 0; j < state->config.joint_count; j++)
+        state->plausible[j].stamp_ns = 0;
+    if (t->moving)
+        zero_at_once(state, t);
+}
+
+/* false: a number in it is not finite */
+bool odometry_finite(const odometry_state *state, uint32_t joint_count)
+{
+    const double *p = state->pose_covariance, *q = state->twist_covariance;
+    /* a sum with an infinity or a NaN in it is one itself */
+    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
+        + state->linear_m_s + state->angular_rad_s
+        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2]
+        + state->gyro.yaw_rad + state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
+    for (uint32_t j = 0; j < joint_count; j++)
+        sum += state->joint[j].position_rad; /* pending_rad is a part of it */
+    return isfinite(sum);
+}
+
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */
 static void measure(core_state *state, tick *t)
 {
     take_gyro(state, t);
     if (!t->news)
         return;
-    double setpoint_rad_s[JOINTS_MAX];
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
-        setpoint_rad_s[j] = state->wheels.joint[j].velocity_rad_s;
-    odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, setpoint_rad_s);
+    odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, state->wheels.joint);
     if (state->odometry.blind)
-        odometry_drift(&state->odometry, &state->config, setpoint_rad_s, t->dt_s);
+        odometry_drift(&state->odometry, &state->config, state->wheels.joint, t->dt_s);
     if (!odometry_finite(&state->odometry, state->config.joint_count)) {
         uint32_t epoch = state->odometry.epoch;
         odometry_init(&state->odometry, &state->config);
@@ -200,6 +227,7 @@ static void measure(core_state *state, tick *t)
         t->checksum = NAN;
     }
     state->slow = all_slow(state);
+    doubt(state, t);
     snapshot_write_feedback(state, t->input->feedback);
 }
 
@@ -223,7 +251,7 @@ static double torque_of(core_state *state, const tick *t, uint32_t j)
         loop->overspeed = 1;
         watch_latch(state, FAULT_OVERSPEED);
     }
-    if (state->stale[j] || loop->overspeed) {
+    if (state->stale[j] || loop->overspeed || state->plausible[j].doubted) {
         loop->integral_n_m = 0.0;
         return 0.0;
     }
@@ -233,6 +261,8 @@ static double torque_of(core_state *state, const tick *t, uint32_t j)
 
 static void set_torques(core_state *state, const tick *t)
 {
+    if (!state->torques)
+        return;
     for (uint32_t j = 0; j < state->config.joint_count; j++)
         if (state->config.joint[j].speed_loop.torque_max_n_m > 0.0)
             state->wheels.joint[j].torque_n_m = torque_of(state, t, j);
@@ -250,7 +280,8 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
-/* When a fault has brought the base to rest, the power goes off. */
+/* When a fault has brought the base to rest, the power goes off. Feedback that is not trusted tells of no rest: then it is
+ * time alone that counts. */
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
@@ -263,7 +294,8 @@ static void release(core_state *state, const tick *t)
     /* unsigned: a clock that runs backwards ends the hold as well */
     uint64_t zero_ns = (uint64_t)now_ns - (uint64_t)state->zero_since_ns;
     bool overdue = !t->moving && zero_ns > (uint64_t)HOLD_AT_ZERO_NS;
-    if ((state->at_rest && !t->any_stale) || overdue)
+    bool seen_at_rest = state->at_rest && !t->any_stale && !(state->faults & FAULTS_OF_FEEDBACK);
+    if (seen_at_rest || overdue)
         state->holding = 0;
 }
 
@@ -280,16 +312,14 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
         memset(out->joint, 0, sizeof out->joint);
 }
 
-/* The slowest wheel's top speed on the ground. */
-static double slowest_m_s(const core_config *config)
+/* What only some joints have, so that a base without it need not look in every tick. */
+static void note_extras(core_state *state)
 {
-    double slowest = INFINITY;
-    for (uint32_t j = 0; j < config->joint_count; j++) {
-        const joint_config *joint = &config->joint[j];
-        double top_rad_s = fmin(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
-        slowest = fmin(slowest, top_rad_s * joint->wheel_radius_m);
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        const joint_config *joint = &state->config.joint[j];
+        state->slewed |= joint->pwm.slew_per_s < INFINITY;
+        state->torques |= joint->speed_loop.torque_max_n_m > 0.0;
     }
-    return slowest * (1.0 - 1e-12); /* beyond all rounding below the limit */
 }
 
 int core_init(core_state *state, const core_config *config)
@@ -303,7 +333,7 @@ int core_init(core_state *state, const core_config *config)
     state->command_window_ns = window_ns(config->command_timeout_s);
     state->feedback_window_ns = window_ns(config->feedback_timeout_s);
     state->heartbeat_window_ns = window_ns(config->heartbeat_timeout_s);
-    state->unsaturated_m_s = slowest_m_s(config);
+    note_extras(state);
     state->goal.zero = 1;
     state->silent = 1;
     state->slow = 1;
@@ -327,5 +357,6 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
         release(state, &t);
     write_setpoints(state, &t, out);
     snapshot_write(state, &t);
-    *snapshot = state->snapshot;
+    if (snapshot != NULL)
+        *snapshot = state->snapshot;
 }

@@ -5,19 +5,48 @@
 
 #include "rt.h"
 
+#include <math.h>
+
 #pragma GCC visibility push(hidden)
 
+/* A measure as it is, NaN for what no sensor measures (infinity). */
+static inline double measured(double value)
+{
+    return value + (value - value);
+}
+
 /* An angle in -pi..pi. */
-double angle_wrap(double angle_rad);
+static inline double angle_wrap(double angle_rad)
+{
+    const double pi = 3.14159265358979323846;
+    return fabs(angle_rad) <= pi ? angle_rad : remainder(angle_rad, 2.0 * pi);
+}
 /* Sine and cosine of an angle in -pi..pi, within 1e-15: the same bits on every machine, which the C library
  * does not promise (it picks fused multiply-add where the CPU has it) and a replay needs. */
-void angle_sine_cosine(double angle_rad, double *sine, double *cosine);
+typedef struct {
+    double sine;
+    double cosine;
+} direction;
+
+direction angle_direction(double angle_rad);
+
+/* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks that have not begun
+ * have a stamp of 0: so long ago that it is time. */
+static inline bool plausible_due(const plausible_state *state, const joint_odometry *joint)
+{
+    const int64_t least_ns = 5000000;
+    return joint->stamp_ns - state->stamp_ns >= least_ns;
+}
+/* Takes a sample that is due. false: a check was not met, and why. `reported_rad_s` is the drive's own measure. */
+bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
+               double setpoint_rad_s, feedback_doubt *why);
+
+/* Every number of it is finite; in core.c, which asks in each tick. */
+bool odometry_finite(const odometry_state *state, uint32_t joint_count);
 
 /* A side of the base is not heard: let the variance grow as if nothing were known of what the set-points
  * make the wheels do meanwhile. */
-void odometry_drift(odometry_state *state, const core_config *config, const double *setpoint_rad_s, double dt_s);
-/* false: a number in it is not finite */
-bool odometry_finite(const odometry_state *state, uint32_t joint_count);
+void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s);
 
 #pragma GCC visibility pop
 

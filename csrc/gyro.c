@@ -9,9 +9,9 @@
  */
 #include <math.h>
 
+#include "fresh.h"
 #include "rt.h"
 
-static const int64_t FUTURE_NS = 10000000;  /* a stamp may be this much ahead of the tick: it was written meanwhile */
 static const double RATE_MAX_RAD_S = 100.0; /* no base turns so fast */
 static const int64_t SETTLE_NS = 500000000; /* the wheels rest, the chassis may swing on */
 static const int64_t WINDOW_NS = 1000000000;
@@ -130,7 +130,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
     if (sample->epoch != state->sensor_epoch || sample->saturated != 0)
         break_integral(state);
     state->sensor_epoch = sample->epoch;
-    bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns - FUTURE_NS <= now_ns;
+    bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns - STAMP_AHEAD_NS <= now_ns;
     if (!in_order || sample->saturated != 0 || !is_number(sample)) {
         state->refused++;
         return;

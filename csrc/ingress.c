@@ -2,11 +2,12 @@
 #include "ingress.h"
 
 #include <poll.h>
+#include <string.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <time.h>
 
-enum { DATAGRAMS_A_SOCKET = 8 };
+enum { DATAGRAMS_A_SOCKET = 8, STOPS_A_TICK = 64 };
 
 static const int64_t NS_PER_S = 1000000000;
 
@@ -43,7 +44,56 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
     int count = in->epoll_fd < 0 ? 0 : epoll_wait(in->epoll_fd, ready, COMMAND_SOCKETS, 0);
     uint32_t taken = 0;
     for (int i = 0; i < count; i++) {
-        taken += take_from(ready[i].data.fd, a, may_move);
+        if (ready[i].data.fd != in->stop_fd) {
+            taken += take_from(ready[i].data.fd, a, may_move);
+        }
+    }
+    return taken;
+}
+
+/* Who may send is decided by owner, group and mode of the socket's file, which the kernel checks for each datagram; the
+ * credentials only name the sender. There is room for them alone: descriptors that come along are dropped by the kernel. */
+static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
+{
+    union {
+        char bytes[CMSG_SPACE(sizeof(struct ucred))];
+        struct cmsghdr aligned;
+    } control;
+    struct iovec place = {.iov_base = datagram, .iov_len = bytes};
+    struct msghdr message = {.msg_iov = &place, .msg_iovlen = 1, .msg_control = control.bytes,
+                             .msg_controllen = sizeof control.bytes};
+    ssize_t received = recvmsg(fd, &message, MSG_DONTWAIT);
+    const struct cmsghdr *first = received >= 0 ? CMSG_FIRSTHDR(&message) : NULL;
+    *pid = 0;
+    if (first != NULL && first->cmsg_level == SOL_SOCKET && first->cmsg_type == SCM_CREDENTIALS) {
+        struct ucred sender;
+        memcpy(&sender, CMSG_DATA(first), sizeof sender);
+        *pid = sender.pid;
+    }
+    return received;
+}
+
+uint32_t ingress_take_stops(const ingress *in, stop_requests *stops)
+{
+    uint32_t taken = 0;
+    while (in->stop_fd >= 0 && taken < STOPS_A_TICK) {
+        stop_request request;
+        uint8_t datagram[STOP_REQUEST_BYTES + 1] = {0};   /* one more shows what is too long */
+        int32_t pid;
+        ssize_t bytes = receive(in->stop_fd, datagram, sizeof datagram, &pid);
+        if (bytes < 0) {
+            break;
+        }
+        memcpy(&request, datagram, sizeof request);
+        bool good = bytes == STOP_REQUEST_BYTES && request.magic == STOP_REQUEST_MAGIC &&
+                    request.version == STOP_REQUEST_VERSION && request.kind < STOP_REQUEST_KINDS;
+        if (good) {
+            stops->pid = pid;
+            stops->count[request.kind]++;
+        } else {
+            stops->refused++;
+        }
+        taken++;
     }
     return taken;
 }

@@ -8,8 +8,6 @@
 #include "fault_word.h"
 #include "rt.h"
 
-static const double REST_VELOCITY_RAD_S = 0.1;
-
 /* What the core wants of a joint; 0 where it says nothing of it, or no number. Whether the joint may move is not asked. */
 static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
 {
@@ -67,9 +65,9 @@ static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, do
 }
 
 /* NaN is not at rest: the time decides then. */
-static inline bool feedback_at_rest(const joint_feedback *feedback)
+static inline bool feedback_at_rest(const joint_feedback *feedback, double rest_velocity_rad_s)
 {
-    return fabs(feedback->velocity_rad_s) < REST_VELOCITY_RAD_S;
+    return fabs(feedback->velocity_rad_s) < rest_velocity_rad_s;
 }
 
 #endif

@@ -1,94 +1,172 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * limit.c: a velocity ramp under limits of velocity, acceleration, deceleration and jerk, exact in whole steps.
+ * limit.c: the ramp of a twist under limits of velocity, acceleration, deceleration and jerk, exact in whole steps.
  *
- * In one step the velocity changes by acceleration * dt and the acceleration by at most jerk * dt. The velocity
- * never leaves the way from where it is to where it shall go. Jerk is the weakest of the four limits: an
- * acceleration that a new wish makes wrong, or too long, is dropped at once, for nobody shall be run over
- * to spare the gears.
+ * The twists that the limits of base and wheels allow are a convex set. The ramp runs along the straight line from the
+ * present twist to the goal, and one number drives it: the share of the way that is left which is covered in a second.
+ * So every twist between is allowed where both ends are, nothing is scaled after the ramp, and a stop keeps its
+ * curvature. What holds in every step:
+ *
+ * Velocity: no axis leaves the way from where it is to its goal, so it passes neither the goal nor its limit. An axis
+ * beyond a limit that has been lowered comes back by its deceleration.
+ * Acceleration: each axis keeps its acceleration where its speed grows and its deceleration where it falls. A step
+ * through zero keeps both. The axis with the least room sets the pace of all.
+ * Jerk: the acceleration of an axis never grows by more than jerk * dt in a step. While goal and limits stay as they
+ * are, it never falls by more either: it is eased before the goal, and before a change of sign after which less is
+ * allowed. When a new goal or new limits turn the line, an axis drops at once what no longer fits: stopping and keeping
+ * to the line matter more than gears. `urgent` leaves the jerk out.
  */
-#include "core.h"
+#include "wheel.h"
 
 #include <float.h>
-#include <math.h>
 
-/* The largest acceleration that can still be let go, by `step` each step, before `gap` is used up; `gap` is
- * the missing velocity over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
+enum { BITS_OF_AXIS = 4 }; /* the reasons of each axis follow those of the one before */
+
+/* The share of the way a second, and what bounds it. */
+typedef struct {
+    double rate_s;
+    double sum_s;               /* of all that was looked at, none of it negative: NaN when one of it is */
+    uint32_t reason;
+} pace;
+
+static inline void bind(pace *least, double rate_s, uint32_t reason)
+{
+    least->sum_s += rate_s;
+    if (rate_s < least->rate_s) {
+        least->rate_s = rate_s;
+        least->reason = reason;
+    }
+}
+
+/* The largest rate that can still be let go, by `step` each step, before `gap` is used up; `gap` is
+ * the way that is left over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
  * that reach zero are the smallest n with gap <= step n (n + 1) / 2. */
-static double easing(double gap_u_s2, double step_u_s2)
+static double easing(double gap_s, double step_s)
 {
-    if (gap_u_s2 <= step_u_s2)
-        return gap_u_s2;
-    double steps = ceil((sqrt(1.0 + 8.0 * gap_u_s2 / step_u_s2) - 1.0) * 0.5);
-    return gap_u_s2 / steps + 0.5 * step_u_s2 * (steps - 1.0);
+    double steps = ceil((sqrt(1.0 + 8.0 * gap_s / step_s) - 1.0) * 0.5);
+    return gap_s / steps + 0.5 * step_s * (steps - 1.0);
 }
 
-static limited rest(limit_state *state)
+/* The largest rate from which `step` each step still leads to `after` or less in the step that covers `gap`. Falling from
+ * a, n steps before it: n a - step n (n - 1) / 2 <= gap and a - step n <= after, with the largest such n. */
+static double turning(double gap_s, double after_s, double step_s)
 {
-    *state = (limit_state){0};
-    return (limited){0};
+    if (!(gap_s > after_s))
+        return after_s;
+    if (step_s == INFINITY)
+        return gap_s;
+    double half_s = after_s - 0.5 * step_s;
+    double steps = floor((sqrt(half_s * half_s + 2.0 * step_s * gap_s) - half_s) / step_s);
+    if (steps < 1.0)
+        return after_s;
+    double by_after_s = after_s + steps * step_s;
+    double by_gap_s = gap_s / steps + 0.5 * step_s * (steps - 1.0);
+    return by_after_s < by_gap_s ? by_after_s : by_gap_s;
 }
 
-/* One step towards `goal`, which lies on the same side of zero as the velocity, or at zero. */
-static uint32_t approach(limit_state *state, const axis_limits *limits, double goal_u_s, double dt_s, bool urgent)
+/* A speed that changes its sign on the way, and may gain less after it than it may lose before. */
+static inline bool turns(double from, double goal, double gains, double loses)
 {
-    double from_u_s = state->velocity_u_s;
-    double away_u_s = goal_u_s - from_u_s;
-    bool rising = fabs(goal_u_s) > fabs(from_u_s);
+    return from * goal < 0.0 && gains < loses;
+}
+
+/* What the limits of one axis leave: of its acceleration, and of the growth of it. */
+static inline void keep_axis(pace *least, pace *step, const limit_state *axis, const axis_limits *limits, double goal_u_s,
+                             double dt_s, bool urgent, uint32_t shift)
+{
+    double from_u_s = axis->velocity_u_s, way_u_s = goal_u_s - from_u_s, size_u_s = fabs(way_u_s);
+    if (size_u_s == 0.0)
+        return;
+    bool rising = fabs(goal_u_s) > fabs(from_u_s) && from_u_s * goal_u_s >= 0.0;
     double bound_u_s2 = rising ? limits->acceleration_u_s2 : limits->deceleration_u_s2;
     uint32_t reason = rising ? REASON_LINEAR_ACCELERATION : REASON_LINEAR_DECELERATION;
-    double sign = away_u_s < 0.0 ? -1.0 : 1.0;
-    double gap_u_s2 = fabs(away_u_s) / dt_s;
-
     if (!urgent) {
         double step_u_s2 = limits->jerk_u_s3 * dt_s;
-        double along_u_s2 = sign * state->acceleration_u_s2;
+        double along_u_s2 = way_u_s < 0.0 ? -axis->acceleration_u_s2 : axis->acceleration_u_s2;
         double soft_u_s2 = (along_u_s2 > 0.0 ? along_u_s2 : 0.0) + step_u_s2;
-        double ease_u_s2 = easing(gap_u_s2, step_u_s2);
-        if (ease_u_s2 < soft_u_s2)
-            soft_u_s2 = ease_u_s2;
+        bind(step, step_u_s2 / size_u_s, (uint32_t)REASON_LINEAR_JERK << shift);
         if (soft_u_s2 < bound_u_s2) {
             bound_u_s2 = soft_u_s2;
             reason = REASON_LINEAR_JERK;
         }
     }
-    if (gap_u_s2 <= bound_u_s2) {
-        state->acceleration_u_s2 = sign * gap_u_s2;
-        state->velocity_u_s = goal_u_s;
-        return 0;
-    }
-    double next_u_s = from_u_s + sign * bound_u_s2 * dt_s;
-    /* away is rounded, so a last step could pass the goal by a rounding */
-    if ((goal_u_s - next_u_s) * sign < 0.0)
-        next_u_s = goal_u_s;
-    state->acceleration_u_s2 = sign * bound_u_s2;
-    state->velocity_u_s = next_u_s;
-    return reason;
+    bind(least, bound_u_s2 / size_u_s, reason << shift);
 }
 
-limited limit_step(limit_state *state, const axis_limits *limits, double want_u_s, double dt_s, bool urgent)
+/* Eased by `step` each step, a speed meets its change of sign with no more than it may gain after it. */
+static void keep_turn(pace *least, double from, double goal, double gains, double step_s, double dt_s, uint32_t reason)
 {
-    double from_u_s = state->velocity_u_s;
-    if (!(fabs(from_u_s) + fabs(state->acceleration_u_s2) <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX))
-        return rest(state);
-    uint32_t reasons = 0;
-    double target_u_s = want_u_s + 0.0; /* no negative zero */
-    if (!(fabs(target_u_s) <= limits->velocity_u_s)) {
-        if (!isfinite(want_u_s) || isnan(limits->velocity_u_s)) {
-            target_u_s = 0.0;
-        } else {
-            target_u_s = copysign(limits->velocity_u_s, want_u_s);
-            reasons = REASON_LINEAR_VELOCITY;
-        }
+    double way = fabs(goal - from);
+    bind(least, turning(fabs(from) / (way * dt_s), gains / way, step_s), reason);
+}
+
+/* Duty slews bound how fast a wheel's speed grows. */
+static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s,
+                        double step_s, double dt_s)
+{
+    double half_track_m = base->track_m * 0.5;
+    double turn_m_s = axis[AXIS_ANGULAR].velocity_u_s * half_track_m, goal_m_s = goal_u_s[AXIS_ANGULAR] * half_track_m;
+    for (uint32_t j = 0; j < base->joint_count; j++) {
+        const joint_config *joint = &base->joint[j];
+        double from_rad_s = wheel_speed(joint, axis[AXIS_LINEAR].velocity_u_s, turn_m_s);
+        double goal_rad_s = wheel_speed(joint, goal_u_s[AXIS_LINEAR], goal_m_s);
+        double gains_rad_s2 = wheel_acceleration(&joint->pwm);
+        if (turns(from_rad_s, goal_rad_s, gains_rad_s2, INFINITY))
+            keep_turn(least, from_rad_s, goal_rad_s, gains_rad_s2, step_s, dt_s, REASON_DUTY_SLEW);
+        else if (fabs(goal_rad_s) > fabs(from_rad_s))
+            bind(least, gains_rad_s2 / fabs(goal_rad_s - from_rad_s), REASON_DUTY_SLEW);
     }
-    if (from_u_s * target_u_s < 0.0) {
-        /* through zero: stop with the deceleration, then start with the acceleration */
-        uint32_t reason = approach(state, limits, 0.0, dt_s, urgent);
-        reasons |= reason != 0 ? reason : (uint32_t)REASON_LINEAR_DECELERATION;
-    } else {
-        reasons |= approach(state, limits, target_u_s, dt_s, urgent);
+}
+
+static uint32_t rest(limit_state *axis)
+{
+    for (int i = 0; i < AXES; i++)
+        axis[i] = (limit_state){0};
+    return 0;
+}
+
+static void move(limit_state *axis, const double *goal_u_s, double rate_s, bool arrives, double dt_s)
+{
+    for (int i = 0; i < AXES; i++) {
+        double from_u_s = axis[i].velocity_u_s, way_u_s = goal_u_s[i] - from_u_s;
+        double next_u_s = from_u_s + way_u_s * rate_s * dt_s;
+        /* the way is rounded, so a last step could pass the goal by a rounding */
+        if (arrives || (goal_u_s[i] - next_u_s) * way_u_s < 0.0)
+            next_u_s = goal_u_s[i];
+        axis[i] = (limit_state){next_u_s, way_u_s * rate_s};
     }
-    if (!(fabs(state->velocity_u_s) <= DBL_MAX))
-        return rest(state);
-    return (limited){state->velocity_u_s, reasons};
+}
+
+uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
+                   double dt_s, bool urgent)
+{
+    const axis_limits *of[AXES] = {&limits->linear, &limits->angular};
+    double goal[AXES] = {goal_u_s[AXIS_LINEAR] + 0.0, goal_u_s[AXIS_ANGULAR] + 0.0}; /* no negative zero */
+    double sum = 0.0, goals = 0.0;
+    for (int i = 0; i < AXES; i++) {
+        sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
+        goals += fabs(goal[i]);
+    }
+    if (!(sum <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX))
+        return rest(axis);
+    if (!(goals <= DBL_MAX))
+        goal[AXIS_LINEAR] = goal[AXIS_ANGULAR] = 0.0;
+
+    pace whole = {1.0 / dt_s, 0.0, 0}, least = whole, step = {INFINITY, 0.0, 0};
+    for (uint32_t i = 0; i < AXES; i++)
+        keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, BITS_OF_AXIS * i);
+    if (step.rate_s < whole.rate_s)
+        bind(&least, easing(whole.rate_s, step.rate_s), step.reason);
+    for (uint32_t i = 0; i < AXES; i++)
+        if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, of[i]->deceleration_u_s2))
+            keep_turn(&least, axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, step.rate_s, dt_s,
+                      (uint32_t)REASON_LINEAR_ACCELERATION << BITS_OF_AXIS * i);
+    if (slewed != NULL)
+        keep_duties(&least, slewed, axis, goal, step.rate_s, dt_s);
+
+    move(axis, goal, least.rate_s, least.reason == 0, dt_s);
+    sum = 0.0;
+    for (int i = 0; i < AXES; i++)
+        sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
+    return sum <= DBL_MAX && !isnan(least.sum_s + step.sum_s) ? least.reason : rest(axis);
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_asks.c: requests from outside the cycle: their queue, their end. */
+ * line_asks.c: requests from outside the cycle that wait for the wire. The one on the wire has left this queue. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -26,9 +26,9 @@ void line_drop_ask(line_machine *m, uint32_t place)
     memmove(&m->ask[place], &m->ask[place + 1], (m->ask_count - place) * sizeof m->ask[0]);
 }
 
-void line_answer_ask(line_machine *m, const line_ask *ask, uint32_t kind, int64_t now_ns)
+void line_answer_ask(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns)
 {
-    m->answer = (line_answer){.id = ask->id, .kind = kind, .done_ns = now_ns, .stamp_ns = now_ns};
+    m->answer = (line_answer){.id = id, .kind = kind, .done_ns = now_ns, .stamp_ns = now_ns};
     m->answered = true;
 }
 
@@ -36,23 +36,28 @@ void line_answer_ask(line_machine *m, const line_ask *ask, uint32_t kind, int64_
 void line_expire_ask(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->ask_count && !m->answered; i++) {
-        bool under_way = m->work == WORK_ASK && i == 0;
-        if (!under_way && (m->ask[i].expires_ns <= now_ns || m->shut != 0)) {
-            line_answer_ask(m, &m->ask[i], ANSWER_EXPIRED, now_ns);
+        if (m->ask[i].expires_ns <= now_ns || m->shut != 0) {
+            line_answer_ask(m, m->ask[i].id, ANSWER_EXPIRED, now_ns);
             line_drop_ask(m, i);
         }
     }
 }
 
-bool line_pick_ask(line_machine *m, int64_t now_ns)
+static bool may_be_sent(const line_machine *m, const line_ask *ask, int64_t now_ns)
 {
-    for (uint32_t i = 0; i < m->ask_count; i++) {
-        line_ask ask = m->ask[i];
-        if (ask.drive >= m->table.drive_count || m->drive[ask.drive].quiet_until_ns <= now_ns) {
-            memmove(&m->ask[1], &m->ask[0], i * sizeof m->ask[0]);
-            m->ask[0] = ask;
-            return true;
-        }
+    if (ask->drive >= m->table.drive_count) {
+        return true;
     }
-    return false;
+    const line_drive_state *drive = &m->drive[ask->drive];
+    bool in_doubt = drive->held_until_ns > now_ns || line_may_be_late(m, ask->drive, &ask->frame, now_ns);
+    return drive->quiet_until_ns <= now_ns && (ask->urgent != 0 || !in_doubt);
+}
+
+uint32_t line_pick_ask(const line_machine *m, int64_t now_ns)
+{
+    uint32_t place = 0;
+    while (place < m->ask_count && !may_be_sent(m, &m->ask[place], now_ns)) {
+        place++;
+    }
+    return place < m->ask_count ? place : LINE_ASKS_MAX;
 }

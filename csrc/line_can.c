@@ -17,8 +17,6 @@ enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct ti
 static const int64_t NS_PER_S = 1000000000;
 /* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more than many frames. */
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
-/* A stamp that says that the frame is older, or of the future, is more likely to be wrong: the wall clock was set. */
-static const int64_t AGE_MAX_NS = 1000000000;
 
 /* What belongs to a message, side by side: after a sleep the caches are cold. */
 typedef struct {
@@ -42,6 +40,7 @@ typedef struct {
     can_order order_place[CAN_ORDERS_MAX];
     can_received heard_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
+    int64_t emptied_ns;   /* before the newest look that left nothing in the socket: what is read now has come since */
     can_report out;
     uint32_t outputs[CAN_DRIVES_MAX];   /* of each drive, for who puts orders; 0: no such drive */
     int send_error;
@@ -86,15 +85,16 @@ static void prepare_inbox(can_inbox *inbox)
     }
 }
 
-/* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it. */
-static int64_t stamp_of(struct msghdr *message, int64_t now_ns, int64_t wall_ns)
+/* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it. That clock may be set
+ * while the frame is on its way: no frame is of the future, and none is older than the look that found the socket empty. */
+static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
     for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL; one = CMSG_NXTHDR(message, one)) {
         if (one->cmsg_level == SOL_SOCKET && one->cmsg_type == SCM_TIMESTAMPNS) {
             struct timespec stamp;
             memcpy(&stamp, CMSG_DATA(one), sizeof stamp);
             int64_t age_ns = wall_ns - (stamp.tv_sec * NS_PER_S + stamp.tv_nsec);
-            return age_ns >= 0 && age_ns <= AGE_MAX_NS ? now_ns - age_ns : now_ns;
+            return age_ns <= 0 ? now_ns : age_ns < now_ns - emptied_ns ? now_ns - age_ns : emptied_ns;
         }
     }
     return now_ns;
@@ -121,8 +121,10 @@ static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
     struct timespec wall;
+    int64_t looked_ns = clock_now_ns();
     int count = recvmmsg(t->life.at.fd, inbox->message, BATCH, MSG_DONTWAIT, NULL);
     if (count < 0) {
+        t->emptied_ns = errno == EAGAIN ? looked_ns : t->emptied_ns;
         return errno == EAGAIN || errno == EINTR ? 0 : -errno;
     }
     (void)clock_gettime(CLOCK_REALTIME, &wall);
@@ -131,7 +133,7 @@ static int receive_batch(can_thread *t)
         if (inbox->message[i].msg_len == 0) {
             return -ENODEV;   /* a socket pair's other end has gone */
         }
-        int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, now_ns, wall_ns);
+        int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, t->emptied_ns, now_ns, wall_ns);
         inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;   /* the kernel has written how much it used */
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
             can_machine_left(&t->machine);   /* linux Documentation/networking/can.rst: sent by this socket */
@@ -139,6 +141,7 @@ static int receive_batch(can_thread *t)
         }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
     }
+    t->emptied_ns = count < BATCH ? looked_ns : t->emptied_ns;
     return count;
 }
 
@@ -253,6 +256,7 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
         return error;
     }
     t->machine.hears_own = hears_own(config->at.fd);
+    t->emptied_ns = clock_now_ns();
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;
     }

@@ -3,16 +3,13 @@
 #include <string.h>
 
 #include "line_machine.h"
+#include "fresh.h"
 
 static const int64_t STOPPING_NS = 1000 * LINE_MS;
-static const int64_t FUTURE_NS = 10 * LINE_MS;
-/* RFC 6298 with a host's scheduling in place of the clock's granularity */
-static const int64_t DEADLINE_LEAST_NS = 10 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
 
 bool line_fresh(const line_machine *m, int64_t now_ns)
 {
-    int64_t stamp_ns = m->newest.stamp_ns;
-    return stamp_ns > 0 && stamp_ns <= now_ns + FUTURE_NS && now_ns - stamp_ns <= m->table.setpoint_timeout_ns;
+    return fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns);
 }
 
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame)
@@ -27,6 +24,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     drive->stop = kind;
     drive->stop_place = drive->stop_done = 0;
     drive->stop_failures = 0;
+    drive->stop_refused = false;
     drive->stage = STAGE_IDLE;
     memset(drive->way_told, 0, sizeof drive->way_told);
     if (m->current == number) {
@@ -99,14 +97,17 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- wishes */
+/* A stop that is pending stays so, whatever is requested after it. */
 static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
+    bool stops = drive->stop != STOP_NOTHING || drive->stopping;
     drive->mode = DRIVE_READY;
     drive->epoch++;
     drive->demoted = drive->failures = drive->still_enabled = 0;
-    drive->stop = STOP_NOTHING;
-    drive->may_turn = drive->told_motion = drive->stopping = drive->back = false;
+    drive->may_turn &= stops;
+    drive->told_motion &= stops;
+    drive->back = false;
     drive->cycle_count = 0;
     drive->extra_next = 0;
     drive->due_ns = now_ns;
@@ -140,12 +141,17 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
     if (wish->count == drive->wish_seen) {
         return;
     }
+    bool overtaken = wish->count - drive->wish_seen > 1;   /* one that was never seen may have been a stop */
     drive->wish_seen = wish->count;
     m->news = true;
+    if ((overtaken || wish->mode == DRIVE_OFF) && (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion)) {
+        power_off(m, number);
+    }
+    if (overtaken && drive->mode == DRIVE_ARMED) {
+        drive->mode = DRIVE_READY;
+        drive->enabled = 2;
+    }
     if (wish->mode == DRIVE_OFF) {
-        if (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion) {
-            power_off(m, number);
-        }
         drive->mode = DRIVE_OFF;
         drive->back = false;
         drive->stage = STAGE_IDLE;
@@ -327,26 +333,6 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
 }
 
 /* --------------------------------------------------------------------------------------------------- outcomes */
-static void learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
-{
-    line_drive_state *drive = &m->drive[number];
-    int64_t sample_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
-    sample_ns = sample_ns > 0 ? sample_ns : 0;
-    if (drive->smoothed_ns == 0) {
-        drive->smoothed_ns = sample_ns + 1;
-        drive->variation_ns = sample_ns / 2;
-    } else {
-        int64_t off_ns = drive->smoothed_ns > sample_ns ? drive->smoothed_ns - sample_ns : sample_ns - drive->smoothed_ns;
-        drive->variation_ns += (off_ns - drive->variation_ns) / 4;
-        drive->smoothed_ns += (sample_ns - drive->smoothed_ns) / 8;
-    }
-    int64_t spread_ns = 4 * drive->variation_ns > GRANULARITY_NS ? 4 * drive->variation_ns : GRANULARITY_NS;
-    int64_t deadline_ns = drive->smoothed_ns + spread_ns;
-    int64_t bound_ns = m->table.drive[number].turnaround_ns;
-    deadline_ns = deadline_ns < DEADLINE_LEAST_NS ? DEADLINE_LEAST_NS : deadline_ns;
-    drive->deadline_ns = deadline_ns < bound_ns ? deadline_ns : bound_ns;
-}
-
 static void way_acknowledged(line_drive_state *drive, const line_machine *m, uint32_t number)
 {
     uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)WAY_REST : line_way_wanted(m, number, drive->place);
@@ -371,6 +357,14 @@ static bool reads_on(const line_drive *table, uint32_t place)
     return false;
 }
 
+/* `stamp_ns` 0: when the values were taken is not known. */
+static void read_reply(line_machine *m, uint32_t number, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns)
+{
+    if (stamp_ns > 0) {
+        line_read(m, number, turn, reply, stamp_ns);
+    }
+}
+
 static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -381,11 +375,11 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     if (drive->stage == STAGE_REST || drive->stage == STAGE_WAYS) {
         way_acknowledged(drive, m, number);
     } else if (drive->stage == STAGE_EXTRA) {
-        line_read(m, number, &table->extra[drive->extra_next], reply, stamp_ns);
+        read_reply(m, number, &table->extra[drive->extra_next], reply, stamp_ns);
         drive->extra_next = (drive->extra_next + 1) % table->extra_count;
         drive->place = 1;
     } else {
-        line_read(m, number, &table->cyclic[drive->place], reply, stamp_ns);
+        read_reply(m, number, &table->cyclic[drive->place], reply, stamp_ns);
         drive->place++;
         if (!reads_on(table, drive->place)) {
             line_publish(m, number);   /* the core need not wait until the line is free again */
@@ -419,6 +413,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
     line_drive_state *drive = &m->drive[number];
     drive->stop_failures++;
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
+        drive->stop_refused |= is_of_newest_stop(m, number);
         stop_frame_done(m, number);   /* it is there and will not: the next frame may do */
     } else if (m->shut != 0 && is_of_newest_stop(m, number)) {
         drive->stop_place++;
@@ -428,17 +423,21 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
 void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    int64_t stamp_ns = m->start_ns + (now_ns - m->start_ns) / 2;
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
+    line_settle(m, number, now_ns);
+    int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
+    int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
     if (drive->mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     }
-    drive->failures = 0;
+    if (drive->owed_count == 0) {   /* else it may be the answer to one that counted as failed: it is late, not well */
+        drive->failures = 0;
+    }
     drive->answered_ns = m->end_ns;
     drive->count.exchanges++;
     drive->count.heard_ns = now_ns;
     if (m->transaction.frame.reply_bytes > 0) {
-        learn_turnaround(m, number, now_ns);
+        line_learn_turnaround(m, number, now_ns);
     }
     if (m->work == WORK_CYCLE) {
         cycle_answered(m, number, reply, stamp_ns);
@@ -450,21 +449,27 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     }
 }
 
+static void count_failure(line_drive_state *drive, uint32_t failure, uint32_t exception)
+{
+    drive->failures++;
+    drive->last_failure = failure;
+    drive->last_exception = exception;
+    drive->count.no_reply += failure == ANSWER_NO_REPLY;
+    drive->count.bad_reply += failure == ANSWER_BAD_REPLY || failure == ANSWER_NEVER_SILENT;
+    drive->count.refused += failure == ANSWER_REFUSED;
+}
+
 void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint32_t exception, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
-    drive->failures++;
-    drive->last_failure = failure;
-    drive->last_exception = exception;
+    count_failure(drive, failure, exception);
     drive->count.exchanges++;
-    drive->count.no_reply += failure == ANSWER_NO_REPLY;
-    drive->count.bad_reply += failure == ANSWER_BAD_REPLY;
-    drive->count.refused += failure == ANSWER_REFUSED;
     if (failure != ANSWER_REFUSED) {
         int64_t doubled_ns = 2 * drive->deadline_ns;
         drive->deadline_ns = doubled_ns < table->turnaround_ns ? doubled_ns : table->turnaround_ns;
         drive->quiet_until_ns = m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
+        line_owe(m, number);
     }
     drive->stage = STAGE_IDLE;
     if (m->current == number) {
@@ -475,6 +480,16 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     }
     bool counts = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED || drive->stop != STOP_NOTHING;
     if (counts && drive->failures >= table->tries) {
+        line_go_quiet(m, number, now_ns);
+    }
+}
+
+void line_drive_not_reached(line_machine *m, uint32_t number, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    count_failure(drive, ANSWER_NEVER_SILENT, 0);
+    drive->due_ns = now_ns;
+    if (drive->failures >= m->table.drive[number].tries) {
         line_go_quiet(m, number, now_ns);
     }
 }

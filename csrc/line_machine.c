@@ -2,12 +2,11 @@
  * line_machine.c: whose turn it is, and what came of it. */
 #include "line_machine.h"
 
-#include <errno.h>
 #include <string.h>
 
 static const int64_t LOOK_MOVING_NS = 10 * LINE_MS, LOOK_RESTING_NS = 50 * LINE_MS;
-/* Between the reply's last byte on the wire and our hearing of it: USB frames, receive buffers, a busy machine. */
-static const int64_t HOST_NS = 20 * LINE_MS;
+/* A drive whose turn it is waits so long for silence: then there is another master, or a broken transceiver. */
+static const int64_t NEVER_SILENT_NS = 250 * LINE_MS;
 static const int64_t FAR_NS = INT64_MAX;
 
 static int64_t later(int64_t a, int64_t b)
@@ -20,73 +19,13 @@ static int64_t earlier(int64_t a, int64_t b)
     return a < b ? a : b;
 }
 
-/* --------------------------------------------------------------------------------------------------- beginning */
-static void note_joint(line_machine *m, uint32_t number, uint32_t joint)
-{
-    m->drive[number].joints |= 1U << joint;
-}
-
-static void note_joints(line_machine *m, uint32_t number, const line_exchange *turn)
-{
-    for (uint32_t i = 0; i < turn->setpoint_count; i++) {
-        note_joint(m, number, turn->setpoint[i].joint);
-    }
-    for (uint32_t i = 0; i < turn->field_count; i++) {
-        const line_field *field = &turn->field[i];
-        if (field->kind < FIELD_ENABLED) {
-            note_joint(m, number, field->joint);
-            m->joint[field->joint].counts |= field->kind == FIELD_COUNT;
-            m->joint[field->joint].measures |= field->kind == FIELD_VELOCITY;
-        }
-    }
-}
-
-static void init_drive(line_machine *m, uint32_t number, int64_t now_ns)
-{
-    line_drive *table = &m->table.drive[number];
-    line_drive_state *drive = &m->drive[number];
-    table->turnaround_ns += HOST_NS;
-    drive->deadline_ns = table->turnaround_ns;
-    drive->due_ns = now_ns;
-    drive->enabled = 2;
-    for (uint32_t i = 0; i < table->cyclic_count; i++) {
-        note_joints(m, number, &table->cyclic[i]);
-    }
-    for (uint32_t i = 0; i < table->extra_count; i++) {
-        note_joints(m, number, &table->extra[i]);
-    }
-    m->slot_period_ns = earlier(m->slot_period_ns, table->period_ns);
-    line_forget(m, number);
-}
-
-int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns)
-{
-    char name[FIELD_NAME_BYTES];
-    if (line_table_check(table, name) != NULL) {
-        return -EINVAL;
-    }
-    memset(m, 0, sizeof *m);
-    m->table = *table;
-    m->echo = table->echo;
-    m->worker = m->current = LINE_DRIVES_MAX;
-    m->slot_period_ns = FAR_NS;
-    m->slot_due_ns = now_ns;
-    m->free_ns = now_ns + table->gap_ns;
-    for (uint32_t i = 0; i < table->drive_count; i++) {
-        init_drive(m, i, now_ns);
-        if ((may_turn >> i & 1) != 0) {
-            line_stop_unheard(m, i, now_ns);
-        }
-    }
-    return 0;
-}
-
 /* ---------------------------------------------------------------------------------------------- sending, hearing */
 static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_frame *frame, line_output *out)
 {
     m->work = work;
     m->worker = worker;
     m->sent = false;
+    m->urgent_by_ns = 0;
     m->transaction.frame = *frame;
     m->transaction.heard_bytes = 0;
     out->send = m->transaction.frame.request;
@@ -96,12 +35,12 @@ static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_fr
 static int64_t wait_for_ns(const line_machine *m)
 {
     if (m->work == WORK_ASK) {
-        return m->ask[0].turnaround_ns + HOST_NS;
+        return m->transaction.ask_turnaround_ns + LINE_HOST_NS;
     }
     if (m->worker >= m->table.drive_count) {
         int64_t longest_ns = 0;
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            longest_ns = later(longest_ns, m->table.drive[i].turnaround_ns - HOST_NS);
+            longest_ns = later(longest_ns, m->table.drive[i].turnaround_ns - LINE_HOST_NS);
         }
         return longest_ns;
     }
@@ -112,6 +51,25 @@ static int64_t wait_for_ns(const line_machine *m)
     return m->work == WORK_CYCLE ? m->drive[m->worker].deadline_ns : table->turnaround_ns;
 }
 
+/* Whether another drive waits for its stop, or the line ends. */
+static bool stops_wait(const line_machine *m)
+{
+    bool waits = m->shut != 0;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        waits |= m->drive[i].stop != STOP_NOTHING && i != m->worker;
+    }
+    return waits;
+}
+
+/* Then nobody is waited for longer than is usual. */
+static void shorten_wait(line_machine *m, int64_t now_ns)
+{
+    if (m->sent && m->worker < m->table.drive_count && stops_wait(m)) {
+        int64_t until_ns = m->end_ns + line_expected_turnaround_ns(m, m->worker) + line_reply_ns(m, &m->transaction.frame);
+        m->until_ns = earlier(m->until_ns, later(until_ns, now_ns + 1));
+    }
+}
+
 void line_machine_sent(line_machine *m, int64_t now_ns)
 {
     const line_frame *frame = &m->transaction.frame;
@@ -120,14 +78,15 @@ void line_machine_sent(line_machine *m, int64_t now_ns)
     m->end_ns = now_ns + (int64_t)((double)frame->request_bytes * m->table.character_ns);
     m->bound_ns = wait_for_ns(m);
     m->until_ns = m->end_ns + m->bound_ns + line_reply_ns(m, frame);
-    m->free_ns = m->end_ns + m->table.gap_ns;
+    m->ours_ns = m->free_ns = m->end_ns + m->table.gap_ns;
     m->exchanges++;
+    shorten_wait(m, now_ns);
 }
 
 static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
 {
     const line_frame *frame = &m->transaction.frame;
-    line_answer_ask(m, &m->ask[0], kind, now_ns);
+    line_answer_ask(m, m->transaction.ask_id, kind, now_ns);
     m->answer.sent_ns = m->start_ns;
     m->answer.stamp_ns = m->start_ns + (now_ns - m->start_ns) / 2;
     m->answer.exception = verdict->exception;
@@ -136,7 +95,6 @@ static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int
         m->answer.reply_bytes = frame->reply_bytes;
         memcpy(m->answer.reply, m->transaction.heard + verdict->offset, frame->reply_bytes);
     }
-    line_drop_ask(m, 0);
 }
 
 /* Nobody is understood: an adapter that was found to hear itself may not do so any more. */
@@ -149,28 +107,40 @@ static void doubt_echo(line_machine *m)
     m->echo = understood ? m->echo : m->table.echo;
 }
 
+static void drive_ended(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
+{
+    uint32_t worker = m->worker;
+    if (kind == ANSWER_OK) {
+        line_drive_answered(m, worker, m->transaction.heard + verdict->offset, now_ns);
+        return;
+    }
+    line_drive_failed(m, worker, kind, verdict->exception, now_ns);
+    if (m->transaction.frame.exact != 0) {
+        m->ours_ns = later(m->ours_ns, now_ns + m->bound_ns);
+        m->free_ns = later(m->free_ns, m->ours_ns);
+    }
+    m->slot_due_ns = later(m->slot_due_ns, now_ns);   /* who had to wait goes before a probe, which may take as long */
+    doubt_echo(m);
+}
+
 static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
 {
-    uint32_t work = m->work, worker = m->worker;
-    const uint8_t *reply = m->transaction.heard + verdict->offset;
+    uint32_t work = m->work;
+    line_sort_heard(m, verdict, now_ns);
+    m->answers += verdict->bytes > 0;
+    m->ours_ns = later(m->ours_ns, now_ns + m->table.gap_ns);
     if (kind == ANSWER_OK && m->transaction.frame.reply_bytes > 0) {
         m->round_trip_ns = now_ns - m->start_ns;
-        m->noise_bytes += m->transaction.heard_bytes - m->transaction.frame.reply_bytes -
-                          (verdict->echoed ? m->transaction.frame.request_bytes : 0);
         if (m->echo == ECHO_UNKNOWN && m->transaction.frame.echo_bytes == 0) {
             m->echo = verdict->echoed ? ECHO_FIRST : ECHO_NONE;
             m->news = true;
         }
-    } else {
-        m->noise_bytes += m->transaction.heard_bytes;
     }
-    if (worker < m->table.drive_count && kind == ANSWER_OK) {
-        line_drive_answered(m, worker, reply, now_ns);
-    } else if (worker < m->table.drive_count) {
-        line_drive_failed(m, worker, kind, verdict->exception, now_ns);
-        m->free_ns = m->transaction.frame.exact != 0 ? later(m->free_ns, now_ns + m->bound_ns) : m->free_ns;
-        m->slot_due_ns = later(m->slot_due_ns, now_ns);   /* who had to wait goes before a probe, which may take as long */
-        doubt_echo(m);
+    if (m->worker < m->table.drive_count && kind == ANSWER_OK && line_is_doubtful(m, m->worker, now_ns)) {
+        line_doubt(m, m->worker, now_ns);
+        kind = ANSWER_NO_REPLY;
+    } else if (m->worker < m->table.drive_count) {
+        drive_ended(m, kind, verdict, now_ns);
     }
     if (work == WORK_ASK) {
         finish_ask(m, kind, verdict, now_ns);
@@ -179,6 +149,16 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
     }
     m->work = WORK_NONE;
     m->worker = LINE_DRIVES_MAX;
+}
+
+/* Nothing but late replies, or the copy of the request, is as if nothing had come. */
+static void end_in_vain(line_machine *m, const heard *verdict, int64_t now_ns)
+{
+    uint64_t noise_bytes = m->noise_bytes;
+    line_sort_heard(m, verdict, now_ns);
+    m->transaction.heard_bytes = 0;
+    bool noise = m->noise_bytes != noise_bytes || verdict->kind == HEARD_BAD;
+    end_exchange(m, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, verdict, now_ns);
 }
 
 /* A quiet drive that can be read: an echo shall not make it seem to be back. */
@@ -218,22 +198,22 @@ static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t
         m->free_ns = later(m->free_ns, now_ns + m->table.gap_ns);
     }
     if (m->work == WORK_NONE || !m->sent) {
-        m->noise_bytes += count;
+        line_stray(m, bytes, count, now_ns);
         return;
     }
     if (answers && count > 0) {
         verdict = listen(m, bytes, count);
-    } else {
-        m->noise_bytes += count;   /* the echo of a broadcast */
+    } else if (m->echo == ECHO_NONE) {
+        line_stray(m, bytes, count, now_ns);
     }
     if (verdict.kind == HEARD_ANSWER) {
         end_exchange(m, ANSWER_OK, &verdict, now_ns);
     } else if (verdict.kind == HEARD_REFUSED) {
         end_exchange(m, ANSWER_REFUSED, &verdict, now_ns);
-    } else if (verdict.kind == HEARD_BAD || (now_ns >= m->until_ns && m->transaction.heard_bytes > 0)) {
-        end_exchange(m, ANSWER_BAD_REPLY, &verdict, now_ns);
+    } else if (verdict.kind == HEARD_BAD || (now_ns >= m->until_ns && answers)) {
+        end_in_vain(m, &verdict, now_ns);
     } else if (now_ns >= m->until_ns) {
-        end_exchange(m, answers ? ANSWER_NO_REPLY : ANSWER_OK, &verdict, now_ns);
+        end_exchange(m, ANSWER_OK, &verdict, now_ns);
     }
 }
 
@@ -280,7 +260,8 @@ static bool is_cyclic(const line_machine *m, uint32_t number)
 
 static int64_t due_of(const line_machine *m, uint32_t number)
 {
-    return is_cyclic(m, number) ? later(m->drive[number].due_ns, m->drive[number].quiet_until_ns) : FAR_NS;
+    const line_drive_state *drive = &m->drive[number];
+    return is_cyclic(m, number) ? later(drive->due_ns, later(drive->quiet_until_ns, drive->held_until_ns)) : FAR_NS;
 }
 
 /* Earliest deadline first; among equals the first one. */
@@ -293,17 +274,6 @@ static uint32_t most_due(const line_machine *m)
         }
     }
     return best;
-}
-
-static uint32_t due_probe(const line_machine *m, int64_t now_ns)
-{
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        const line_drive_state *drive = &m->drive[i];
-        if (drive->mode == DRIVE_QUIET && drive->probe_at_ns <= now_ns && drive->quiet_until_ns <= now_ns) {
-            return i;
-        }
-    }
-    return LINE_DRIVES_MAX;
 }
 
 /* What fits before the next one is due; at the worst it takes this long. */
@@ -320,22 +290,38 @@ static void spend_slot(line_machine *m, int64_t now_ns)
     m->slot_due_ns = later(m->slot_due_ns + m->slot_period_ns, now_ns);
 }
 
+/* From now on no insertion and no expiry in the queue touches it. */
+static void begin_ask(line_machine *m, uint32_t place, line_output *out)
+{
+    const line_ask *ask = &m->ask[place];
+    m->transaction.ask_id = ask->id;
+    m->transaction.ask_turnaround_ns = ask->turnaround_ns;
+    begin(m, WORK_ASK, ask->drive, &ask->frame, out);
+    line_drop_ask(m, place);
+}
+
+static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_output *out)
+{
+    line_frame frame;
+    line_next_probe(m, number, now_ns, &frame);
+    begin(m, WORK_PROBE, number, &frame, out);
+}
+
 /* The acyclic slot: an urgent ask, else asks and probes by turns. `next_ns`: when the next drive is due. */
 static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_output *out)
 {
-    line_frame frame;
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
-    uint32_t quiet = due_probe(m, now_ns);
-    bool asked = line_pick_ask(m, now_ns);
-    bool probe_first = quiet < LINE_DRIVES_MAX && (!asked || (m->ask[0].urgent == 0 && m->slot_turn % 2 != 0));
+    uint32_t quiet = line_due_probe(m, false, now_ns);
+    uint32_t place = line_pick_ask(m, now_ns);
+    const line_ask *ask = place < LINE_ASKS_MAX ? &m->ask[place] : NULL;
+    bool probe_first = quiet < LINE_DRIVES_MAX && (ask == NULL || (ask->urgent == 0 && m->slot_turn % 2 != 0));
     if (probe_first && mine) {
-        line_next_probe(m, quiet, now_ns, &frame);
-        begin(m, WORK_PROBE, quiet, &frame, out);
+        begin_probe(m, quiet, now_ns, out);
         spend_slot(m, now_ns);
         return true;
     }
-    if (asked && (mine || fits(m, &m->ask[0].frame, m->ask[0].turnaround_ns, now_ns, next_ns))) {
-        begin(m, WORK_ASK, m->ask[0].drive, &m->ask[0].frame, out);
+    if (ask != NULL && (mine || fits(m, &ask->frame, ask->turnaround_ns, now_ns, next_ns))) {
+        begin_ask(m, place, out);
         spend_slot(m, now_ns);
         return true;
     }
@@ -370,13 +356,51 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 }
 
 /* ------------------------------------------------------------------------------------------------------ the step */
+/* Behind the stops, on a line that is never silent. */
+static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
+{
+    uint32_t place = line_pick_ask(m, now_ns);
+    uint32_t quiet = line_due_probe(m, true, now_ns);
+    if (place < LINE_ASKS_MAX && m->ask[place].urgent != 0) {
+        begin_ask(m, place, out);
+    } else if (quiet < LINE_DRIVES_MAX) {
+        begin_probe(m, quiet, now_ns, out);
+    }
+}
+
+static void never_silent(line_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        int64_t since_ns = later(due_of(m, i), m->noisy ? m->silent_ns : m->ours_ns);
+        if (due_of(m, i) != FAR_NS && now_ns - since_ns >= NEVER_SILENT_NS) {
+            line_drive_not_reached(m, i, now_ns);
+        }
+    }
+}
+
 static void decide(line_machine *m, int64_t now_ns, line_output *out)
 {
     line_shut_down(m, now_ns);
-    if (m->shut == 3 || m->work != WORK_NONE || now_ns < m->free_ns || take_stop(m, out)) {
+    if (m->shut == 3) {
         return;
     }
-    if (m->shut < 2) {
+    if (m->work != WORK_NONE) {
+        shorten_wait(m, now_ns);
+        return;
+    }
+    bool silent = now_ns >= m->free_ns;
+    m->silent_ns = silent ? now_ns : m->silent_ns;
+    m->noisy &= !silent;
+    if (!silent && !line_ends_patience(m, now_ns)) {
+        never_silent(m, now_ns);
+        return;
+    }
+    if (take_stop(m, out)) {
+        return;
+    }
+    if (!silent) {
+        take_urgent(m, now_ns, out);
+    } else if (m->shut < 2) {
         (void)take_cycle(m, now_ns, out);
     } else {
         line_shut_down(m, now_ns);   /* all are told: that was it */
@@ -409,7 +433,8 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     if (m->ask_count > 0) {
         wake_ns = earlier(wake_ns, later(m->slot_due_ns, now_ns + LINE_MS / 4));
     }
-    return later(wake_ns, m->free_ns);
+    wake_ns = later(wake_ns, m->free_ns);
+    return m->urgent_by_ns > now_ns ? earlier(wake_ns, m->urgent_by_ns) : wake_ns;
 }
 
 void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out)
@@ -446,36 +471,5 @@ void line_machine_kick(line_machine *m, int64_t now_ns)
             }
             drive->frozen = before;
         }
-    }
-}
-
-void line_machine_report(const line_machine *m, line_report *report)
-{
-    report->echo = m->echo;
-    report->shut_down = m->shut == 3;
-    report->exchanges = m->exchanges;
-    report->noise_bytes = m->noise_bytes;
-    report->setpoints_ns = m->newest.stamp_ns;
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        report->fault_word[j] = m->joint[j].fault_word;
-    }
-    for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
-        const line_drive_state *drive = &m->drive[i];
-        drive_report *to = &report->drive[i];
-        *to = drive->count;
-        to->mode = drive->mode;
-        to->demoted = drive->demoted;
-        to->wish_seen = drive->wish_seen;
-        to->enabled = drive->enabled;
-        to->stopping = drive->stopping;
-        to->told_motion = drive->told_motion;
-        to->may_turn = drive->may_turn;
-        to->stop_waits = drive->stop != STOP_NOTHING;
-        to->failures = drive->failures;
-        to->last_failure = drive->last_failure;
-        to->last_exception = drive->last_exception;
-        to->turnaround_ns = drive->smoothed_ns;
-        to->deadline_ns = drive->deadline_ns;
-        to->cycle_ns = drive->cycle_ns;
     }
 }

@@ -3,11 +3,14 @@
  * file descriptor, so the same inputs give the same outputs.
  *
  * line_table.c    is a table good?
+ * line_begin.c    before the first step
  * line_values.c   set-points into requests, replies into feedback
  * line_drive.c    one drive: its cycle, its failures, its stops
- * line_quiet.c    a drive that does not answer
+ * line_late.c     replies that come late, and how long a drive takes
+ * line_quiet.c    a drive that does not answer, a line that is never silent
  * line_end.c      how a line is shut down
  * line_asks.c     requests from outside the cycle
+ * line_report.c   what the line tells of itself
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
 #ifndef MOTORD_LINE_MACHINE_H
@@ -16,14 +19,34 @@
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
+/* Between the reply's last byte on the wire and our hearing of it: USB frames, receive buffers, a busy machine. */
+static const int64_t LINE_HOST_NS = 20 * LINE_MS;
 
-enum { HEARD_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64 };
+enum { HEARD_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64, OWED_MAX = 4 };
+
+/* What tells one reply from another. */
+typedef struct {
+    uint32_t reply_bytes;
+    uint32_t reply_seal;
+    uint32_t head_bytes;
+    bool repeats;               /* it says nothing but its request again */
+    uint8_t head[FRAME_MATCH_MAX];
+} line_look;
+
+/* Replies that look alike, of requests that failed: they may still come. */
+typedef struct {
+    line_look look;
+    uint32_t count;
+    int64_t until_ns;
+} line_owed;
 
 typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
 /* One request under way, and all that was heard since it was sent. */
 typedef struct {
     line_frame frame;           /* request as it goes out */
+    uint64_t ask_id;            /* WORK_ASK: whose it is, and how long its drive may take */
+    int64_t ask_turnaround_ns;
     uint32_t heard_bytes;
     uint8_t heard[HEARD_BYTES_MAX];
 } line_transaction;
@@ -56,6 +79,7 @@ typedef struct {
     uint32_t stop_place;        /* the frame that is told next, or has been told */
     uint32_t stop_done;         /* bit n: frame n was acknowledged, or is refused for good */
     uint32_t stop_failures;
+    bool stop_refused;          /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
     uint32_t probes_at_once;
     uint32_t way_told[DRIVE_WAYS_MAX];
@@ -73,12 +97,18 @@ typedef struct {
     int64_t off_by_ns;          /* stopping: power off then, at rest or not */
     int64_t due_ns;
     int64_t quiet_until_ns;     /* a late answer may come till then: it is not asked again before */
+    int64_t held_until_ns;      /* a reply was doubtful: silence but for stops and urgent requests */
+    int64_t failed_ns;          /* the newest request that it did not answer in time; 0: none */
+    int64_t least_ns;           /* turn-around: the shortest that is certain; 0: not known */
+    uint32_t owed_count;
+    line_owed owed[OWED_MAX];   /* in the order of their newest requests */
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
     int64_t answered_ns;        /* when the newest request that it answered had been sent */
     int64_t smoothed_ns;        /* RFC 6298: SRTT, RTTVAR, RTO of the turn-around */
     int64_t variation_ns;
-    int64_t deadline_ns;
+    int64_t usual_ns;           /* the longest turn-around that is usual; 0: not known */
+    int64_t deadline_ns;        /* the same, and longer after failures */
     int64_t cycle_start_ns;
     int64_t cycle_ns;
     uint64_t cycle_count;       /* since it was set up */
@@ -104,7 +134,7 @@ typedef struct line_machine {
     setpoints newest;           /* the core's */
     uint64_t enabled_count;     /* how often they have become enabled */
     line_control control;
-    line_ask ask[LINE_ASKS_MAX];
+    line_ask ask[LINE_ASKS_MAX];    /* those that wait; the urgent ones first */
     uint32_t ask_count;
     uint32_t echo;              /* line_echo */
     uint32_t work;              /* line_work under way; NONE: the line is ours */
@@ -117,7 +147,11 @@ typedef struct line_machine {
     uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
-    int64_t free_ns;            /* earliest time of the next request */
+    int64_t ours_ns;            /* earliest time of the next request on a line where nobody else sends */
+    int64_t free_ns;            /* the same, after the newest byte that was heard */
+    int64_t silent_ns;          /* when the line was seen silent last */
+    bool noisy;                 /* what was urgent has gone out since then all the same */
+    int64_t urgent_by_ns;       /* an urgent request goes out then, silence or not; 0: none waits */
     int64_t start_ns;           /* of the request under way */
     int64_t end_ns;             /* its last byte */
     int64_t until_ns;           /* its deadline */
@@ -127,7 +161,10 @@ typedef struct line_machine {
     uint32_t slot_turn;
     uint32_t feedback_mask;
     uint64_t exchanges;
+    uint64_t answers;           /* good replies and refusals */
     uint64_t noise_bytes;
+    uint32_t stray_bytes;
+    uint8_t stray[FRAME_BYTES_MAX];     /* the newest bytes that belong to no answer */
     int64_t round_trip_ns;      /* of the exchange that ended in this step; 0: none did */
     line_transaction transaction;
     line_answer answer;
@@ -144,7 +181,7 @@ typedef struct {
     int64_t wake_ns;            /* step again then, or when bytes, asks or a wake come */
 } line_output;
 
-/* 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */
+/* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */
 int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
 /* false: no room */
 bool line_machine_ask(line_machine *m, const line_ask *ask);
@@ -160,10 +197,10 @@ bool line_frame_is_good(const line_frame *frame);
 
 /* ------------------------------------------------------------------------- line_asks.c */
 void line_drop_ask(line_machine *m, uint32_t place);
-void line_answer_ask(line_machine *m, const line_ask *ask, uint32_t kind, int64_t now_ns);
+void line_answer_ask(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns);
 void line_expire_ask(line_machine *m, int64_t now_ns);
-/* The first whose drive may be asked now goes to the front; false: there is none. */
-bool line_pick_ask(line_machine *m, int64_t now_ns);
+/* Place of the first that may be sent now; LINE_ASKS_MAX: there is none. */
+uint32_t line_pick_ask(const line_machine *m, int64_t now_ns);
 
 /* ----------------------------------------------------------------------- line_values.c */
 /* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */
@@ -200,11 +237,36 @@ void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
 /* How the exchange for a drive ended. */
 void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);
 void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception, int64_t now_ns);
+/* Its turn has come, but the line was not silent for so long that it counts as a failure. */
+void line_drive_not_reached(line_machine *m, uint32_t drive, int64_t now_ns);
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
+
+/* ------------------------------------------------------------------------- line_late.c */
+/* The request under way has failed: its reply may still come. */
+void line_owe(line_machine *m, uint32_t drive);
+/* A reply to this request, sent then, could be an older one's, and would say something else. */
+bool line_may_be_late(const line_machine *m, uint32_t drive, const line_frame *frame, int64_t sent_ns);
+/* The same of the reply that has just come, also because it came sooner than the drive can answer. */
+bool line_is_doubtful(line_machine *m, uint32_t drive, int64_t now_ns);
+/* The reply that has just come is certain, or is doubtful. */
+void line_settle(line_machine *m, uint32_t drive, int64_t now_ns);
+void line_doubt(line_machine *m, uint32_t drive, int64_t now_ns);
+/* Bytes that belong to no answer: noise, or a late reply. */
+void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
+void line_sort_heard(line_machine *m, const heard *verdict, int64_t now_ns);
+void line_learn_turnaround(line_machine *m, uint32_t drive, int64_t now_ns);
+/* From what was learned, else from its profile; never longer than its replies are waited for. */
+int64_t line_expected_turnaround_ns(const line_machine *m, uint32_t drive);
+/* When the values of the reply that has just come were taken. */
+int64_t line_stamp(const line_machine *m, uint32_t drive, int64_t now_ns);
 
 /* ------------------------------------------------------------------------ line_quiet.c */
 void line_go_quiet(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
+/* The first quiet drive that may be asked now, of those that may turn or of all; LINE_DRIVES_MAX: none. */
+uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);
+/* The line is not silent: whether what is urgent goes out all the same. */
+bool line_ends_patience(line_machine *m, int64_t now_ns);
 
 /* -------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);

@@ -1,9 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_quiet.c: a drive that does not answer: what it is told all the same, and how often it is asked. */
+ * line_quiet.c: a drive that does not answer: what it is told all the same, and how often it is asked. A line that is never
+ * silent: how long a stop waits for silence. */
 #include <string.h>
 
 #include "line_machine.h"
 
+/* A stop that may collide is better than one that is never sent. */
+static const int64_t URGENT_NOISE_NS = 20 * LINE_MS;
 static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 
 static uint32_t zero_exchanges(const line_drive *table)
@@ -77,4 +80,41 @@ void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_fram
     }
     drive->probe_at_ns = now_ns + drive->probe_pause_ns;
     drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+}
+
+uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        const line_drive_state *drive = &m->drive[i];
+        bool due = drive->mode == DRIVE_QUIET && drive->probe_at_ns <= now_ns && drive->quiet_until_ns <= now_ns;
+        if (due && (drive->may_turn || !may_turn)) {
+            return i;
+        }
+    }
+    return LINE_DRIVES_MAX;
+}
+
+/* -------------------------------------------------------------------------------- a line that is never silent */
+static bool is_urgent(const line_machine *m, int64_t now_ns)
+{
+    uint32_t place = line_pick_ask(m, now_ns);
+    bool urgent = m->broadcasts > 0 || (place < LINE_ASKS_MAX && m->ask[place].urgent != 0);
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        urgent |= m->drive[i].stop != STOP_NOTHING;
+    }
+    return urgent || (m->shut == 0 && line_due_probe(m, true, now_ns) < LINE_DRIVES_MAX);
+}
+
+bool line_ends_patience(line_machine *m, int64_t now_ns)
+{
+    if (!is_urgent(m, now_ns)) {
+        m->urgent_by_ns = 0;
+    } else if (m->urgent_by_ns == 0) {
+        int64_t silent_ns = now_ns + m->table.gap_ns;   /* at the earliest */
+        int64_t patience_ns = (m->ours_ns > silent_ns ? m->ours_ns : silent_ns) + URGENT_NOISE_NS;
+        m->urgent_by_ns = m->noisy ? m->ours_ns : patience_ns;
+    }
+    bool ends = m->urgent_by_ns != 0 && now_ns >= m->urgent_by_ns;
+    m->noisy |= ends;
+    return ends;
 }

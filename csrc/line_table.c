@@ -37,6 +37,16 @@ bool line_frame_is_good(const line_frame *frame)
     return !f.bad;
 }
 
+/* Beyond what the form holds, a number would go out as another one, even the other way round. */
+static void check_range(finding *f, const line_setpoint *setpoint)
+{
+    bool form_has_sign = (setpoint->form & 1) != 0;
+    double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form)));
+    double least = form_has_sign ? -span / 2.0 : 0.0, most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
+    need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= least, "setpoint.raw_min");
+    need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= most, "setpoint.raw_max");
+}
+
 static void check_setpoint(finding *f, const line_setpoint *setpoint, const line_frame *frame)
 {
     uint32_t end = setpoint->byte + rtu_form_bytes(setpoint->form);
@@ -46,9 +56,9 @@ static void check_setpoint(finding *f, const line_setpoint *setpoint, const line
     need(f, setpoint->byte < FRAME_BYTES_MAX && end <= frame->request_bytes - rtu_seal_bytes(frame->request_seal),
          "setpoint.byte");
     need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
-    need(f, isfinite(setpoint->raw_min) && isfinite(setpoint->raw_max) && setpoint->raw_min <= 0.0 &&
-             setpoint->raw_max >= 0.0 && fabs(setpoint->raw_min) <= 4294967296.0 && setpoint->raw_max <= 4294967296.0,
-         "setpoint.raw_max");
+    if (!f->bad) {
+        check_range(f, setpoint);
+    }
 }
 
 static void check_field(finding *f, const line_field *field, const line_frame *frame)
@@ -129,6 +139,7 @@ const char *line_table_check(const line_table *table, char *name)
     need(&f, isfinite(table->character_ns) && table->character_ns > 0.0 && table->character_ns <= 1e8, "character_ns");
     need(&f, table->gap_ns >= 0 && table->gap_ns <= PERIOD_MAX_NS, "gap_ns");
     need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
+    need(&f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0, "rest_velocity_rad_s");
     need(&f, table->broadcast_stop_count <= DRIVE_STOP_MAX, "broadcast_stop_count");
     for (uint32_t i = 0; !f.bad && i < table->broadcast_stop_count; i++) {
         (void)snprintf(f.path, sizeof f.path, "broadcast_stop[%u].", i);

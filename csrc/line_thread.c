@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * line_thread.c: the life of a line's thread, whatever its medium. */
+#include "fresh.h"
 #include "line_thread.h"
 
 #include <errno.h>
@@ -140,6 +141,7 @@ uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out)
 {
     uint64_t enabled_count = exchange_enabled_count(t->at.exchange, t->line);
     (void)exchange_take_setpoints(t->at.exchange, t->line, out);
+    out->stamp_ns = stamp_since(out->stamp_ns, clock_resumed_ns());
     return enabled_count;
 }
 

@@ -196,7 +196,7 @@ void line_publish(line_machine *m, uint32_t drive)
 bool line_at_rest(const line_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback)) {
+        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

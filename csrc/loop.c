@@ -69,6 +69,7 @@ static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
            loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 &&
+           loop->stop_fd >= -1 &&
            guard_config_check(&loop->guard) == 0;
 }
 
@@ -211,6 +212,21 @@ void loop_status_read(loop_status *out)
         .watchdog_edges = work.guard.watchdog_edges,
         .watchdog_errno = work.guard.watchdog_errno,
     };
+}
+
+void loop_stop_requests(stop_request_report *out)
+{
+    *out = (stop_request_report){.refused = work.stops.refused, .pid = work.stops.pid};
+    for (uint32_t kind = 0; kind < STOP_REQUEST_KINDS; kind++) {
+        out->count[kind] = work.stops.count[kind];
+    }
+}
+
+void loop_acknowledge_stops(const uint64_t *count)
+{
+    for (uint32_t kind = 0; kind < STOP_REQUEST_KINDS; kind++) {
+        work.stops.acknowledged[kind] = count[kind];
+    }
 }
 
 int loop_histogram_read(uint32_t kind, histogram *out)

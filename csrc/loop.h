@@ -20,6 +20,9 @@ typedef struct {
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;
+    stop_requests stops;
+    bool disarmed;                      /* a request to disarm has brought the base to rest and is not acknowledged yet */
+    bool stop_news;                     /* a stop request came in this tick */
     guard guard;
     arbiter arbiter;
     lease_grants grants;
@@ -27,12 +30,13 @@ typedef struct {
     bool woken;                         /* the tick before had a new wish */
     bool stopping;                      /* the set-points of the last tick were none that move */
     histogram histogram[HISTOGRAM_KINDS];
-    core_state core;
+    core_state core;                    /* with the snapshot of the last tick */
     core_input input;
     setpoints out;
-    robot_state snapshot;
     robot_state notified;               /* what the reader of event_fd was last woken for */
     int64_t last_ns;                    /* the tick before; 0: none yet */
+    int64_t resumed_ns;                 /* the suspend that is known */
+    int64_t still_ns;                   /* periods in a row in which the clock has not moved */
     int64_t period_ns;
     long page_fault_base;
     _Atomic bool clear_histograms;
@@ -47,7 +51,8 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
 /* In the thread, before its first tick: runs the core on a state of its own, so that the code's pages are there. */
 void loop_rehearse(loop_work *work, core_state *scratch);
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
-/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on time. */
+/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on time. Nothing where the
+ * clock has not moved since the tick: the next one takes the datagram. */
 void loop_extra_tick(loop_work *work, int64_t now_ns);
 /* The last words: set-points zero, not enabled. */
 void loop_rest(loop_work *work, int64_t now_ns);

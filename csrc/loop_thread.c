@@ -11,7 +11,6 @@
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "loop.h"
@@ -21,13 +20,6 @@
 #endif
 
 enum { CODE_PAGE_BYTES = 4096 };   /* the smallest there is */
-
-int64_t clock_now_ns(void)
-{
-    struct timespec now;
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * INT64_C(1000000000) + now.tv_nsec;
-}
 
 /* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use for 1e-308 m/s. */
 static void flush_denormals_to_zero(void)

@@ -6,10 +6,14 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include "fresh.h"
 #include "loop.h"
 #include "schedule.h"
 
 enum { PAGE_FAULT_EVERY_TICKS = 256, REHEARSAL_TICKS = 16 };
+
+/* Ticks worth so much time may find the clock where it was; one that stands still for longer is a fault. */
+static const int64_t STILL_MAX_NS = 100000000;
 
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core)
 {
@@ -27,18 +31,22 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     }
     memset(&work->input, 0, sizeof work->input);
     memset(&work->out, 0, sizeof work->out);
-    memset(&work->snapshot, 0, sizeof work->snapshot);
     memset(&work->notified, 0, sizeof work->notified);
     work->event_fd = loop->event_fd;
     work->notify_every_ticks = loop->notify_every_ticks;
     work->period_ns = schedule_period_ns(loop->rate_hz);
-    work->ingress.epoll_fd = loop->command_fd;
+    work->ingress = (ingress){.epoll_fd = loop->command_fd, .stop_fd = loop->stop_fd};
+    memset(&work->stops, 0, sizeof work->stops);
+    work->disarmed = false;
+    work->stop_news = false;
     guard_init(&work->guard, &loop->guard);
-    arbiter_init(&work->arbiter, &work->core.config);
+    arbiter_init(&work->arbiter, &work->core.config, &work->core.limits);
     work->used_stamp_ns = 0;
     work->stopping = true;
     work->woken = false;
     work->last_ns = 0;
+    work->still_ns = 0;
+    work->resumed_ns = clock_resumed_ns();
     work->page_fault_base = 0;
     work->clear_histograms = false;
     work->ticks = 0;
@@ -69,10 +77,9 @@ void loop_rehearse(loop_work *work, core_state *scratch)
                                                      .enabled = 1};
         }
         input.imu = (imu_sample){.stamp_ns = input.now_ns, .angular_rad_s = {0.0, 0.0, 0.1}};
-        core_step(scratch, &input, (double)work->period_ns * 1e-9, &work->out, &work->snapshot);
+        core_step(scratch, &input, (double)work->period_ns * 1e-9, &work->out, NULL);
     }
     memset(&work->out, 0, sizeof work->out);
-    memset(&work->snapshot, 0, sizeof work->snapshot);
 }
 
 /* Since the first tick. A system call, so not in every one. */
@@ -130,15 +137,52 @@ static void take_commands(loop_work *work, int64_t now_ns)
     }
 }
 
+/* Stop requests that asyncio has not acknowledged are added to its levels. The acknowledgements are read before the
+ * levels: asyncio puts levels that hold the request, then acknowledges, so no tick between the two goes without. */
+static void take_control(loop_work *work)
+{
+    core_control *control = &work->input.control;
+    uint64_t acknowledged[STOP_REQUEST_KINDS];
+    bool pending[STOP_REQUEST_KINDS];
+    for (uint32_t kind = 0; kind < STOP_REQUEST_KINDS; kind++) {
+        acknowledged[kind] = work->stops.acknowledged[kind];
+    }
+    exchange_take_control(&work->exchange, control);
+    work->stop_news = ingress_take_stops(&work->ingress, &work->stops) > 0;
+    for (uint32_t kind = 0; kind < STOP_REQUEST_KINDS; kind++) {
+        pending[kind] = work->stops.count[kind] != acknowledged[kind];
+    }
+    control->estop |= pending[STOP_REQUEST_ESTOP];
+    control->estop |= guard_read_estop(&work->guard);
+    control->stop |= pending[STOP_REQUEST_STOP] || pending[STOP_REQUEST_DISARM];
+    work->disarmed = pending[STOP_REQUEST_DISARM] && (work->disarmed || work->core.at_rest);
+    control->armed = work->disarmed ? 0 : control->armed;
+}
+
+/* What is stamped before this moment is from before the computer was suspended. */
+static int64_t look_for_suspend(loop_work *work)
+{
+    int64_t resumed_ns = clock_resumed_ns();
+    work->input.suspended = resumed_ns != work->resumed_ns;
+    if (work->input.suspended != 0) {
+        work->resumed_ns = resumed_ns;
+        arbiter_resume(&work->arbiter, resumed_ns);
+    }
+    return resumed_ns;
+}
+
 static void take_inputs(loop_work *work, int64_t now_ns)
 {
     core_input *input = &work->input;
+    int64_t resumed_ns = look_for_suspend(work);
     input->now_ns = now_ns;
-    exchange_take_control(&work->exchange, &input->control);
-    input->control.estop |= guard_read_estop(&work->guard);
+    take_control(work);
+    input->control.heartbeat_ns = stamp_since(input->control.heartbeat_ns, resumed_ns);
     take_commands(work, now_ns);
     for (uint32_t joint = 0; joint < work->core.config.joint_count; joint++) {
-        exchange_take_feedback(&work->exchange, joint, &input->feedback[joint]);
+        joint_feedback *feedback = &input->feedback[joint];
+        exchange_take_feedback(&work->exchange, joint, feedback);
+        feedback->stamp_ns = stamp_since(feedback->stamp_ns, resumed_ns);
     }
     exchange_take_imu(&work->exchange, &input->imu);
 }
@@ -153,7 +197,7 @@ static bool worth_a_word(const robot_state *now, const robot_state *before)
 
 static void notify(loop_work *work, bool always)
 {
-    const robot_state *now = &work->snapshot;
+    const robot_state *now = &work->core.snapshot;
     bool due = work->notify_every_ticks != 0 && work->ticks % work->notify_every_ticks == 0;
     if (work->event_fd < 0 || !(always || due || worth_a_word(now, &work->notified))) {
         return;
@@ -171,9 +215,9 @@ static void hand_on(loop_work *work)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         exchange_put_setpoints(&work->exchange, line, &work->out);
     }
-    page_write(work->page, &work->snapshot);
+    page_write(work->page, &work->core.snapshot);
     if (work->shared_page != NULL) {
-        page_write(work->shared_page, &work->snapshot);
+        page_write(work->shared_page, &work->core.snapshot);
     }
 }
 
@@ -203,8 +247,19 @@ static bool same_wish(const twist_command *one, const twist_command *other)
            one->linear_m_s == other->linear_m_s && one->angular_rad_s == other->angular_rad_s;
 }
 
+/* A coarse clock shows the same time twice: there is nothing to compute until it moves. */
+static bool clock_may_stand_still(loop_work *work, int64_t now_ns)
+{
+    bool still = work->last_ns != 0 && now_ns == work->last_ns;
+    work->still_ns = still ? work->still_ns + work->period_ns : 0;
+    return still && work->still_ns <= STILL_MAX_NS;
+}
+
 static void work_once(loop_work *work, int64_t now_ns)
 {
+    if (clock_may_stand_still(work, now_ns)) {
+        return;
+    }
     twist_command before = work->input.command;
     clear_histograms_if_asked(work);
     take_inputs(work, now_ns);
@@ -213,10 +268,10 @@ static void work_once(loop_work *work, int64_t now_ns)
     if (work->journal != NULL) {
         journal_before(work->journal, &work->core);
     }
-    core_step(&work->core, &work->input, dt_s, &work->out, &work->snapshot);
+    core_step(&work->core, &work->input, dt_s, &work->out, NULL);
     hand_on(work);
     if (work->journal != NULL) {
-        journal_after(work->journal, &work->input, dt_s, &work->out, &work->snapshot);
+        journal_after(work->journal, &work->input, dt_s, &work->out, &work->core.snapshot);
     }
     bool stopping = moves_nothing(&work->out);
     bool new_wish = !same_wish(&work->input.command, &before);
@@ -230,7 +285,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     work->last_ns = now_ns;
     work->ticks++;
     work->tick_stamp_ns = now_ns;
-    notify(work, work->ticks == 1);
+    notify(work, work->ticks == 1 || work->stop_news);
 }
 
 /* Once a period, so that its pin moves at an even rate. */
@@ -265,7 +320,7 @@ void loop_extra_tick(loop_work *work, int64_t now_ns)
 
 void loop_rest(loop_work *work, int64_t now_ns)
 {
-    robot_state *last = &work->snapshot;
+    robot_state *last = &work->core.snapshot;
     memset(&work->out, 0, sizeof work->out);
     work->out.stamp_ns = now_ns;
     work->out.tick = ++last->tick;

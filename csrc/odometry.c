@@ -13,9 +13,13 @@
 /* A wheel may turn faster than its configured limit (downhill, pushed) without its counter being called wrong. */
 static const double JUMP_MARGIN = 1.5;
 static const double JUMP_SLACK_COUNTS = 4.0;
+/* Part of itself by which a measured velocity may be off: filtered, rounded to revolutions a minute, not quite in time. */
+static const double VELOCITY_ERROR = 0.1;
 
-/* joint_odometry.fresh: what came since the last integration; the worst of several counts. */
-enum { NOTHING = 0, TRAVEL = 1, ESTIMATE = 2, SEED = 3 };
+/* Bits of joint_odometry.fresh: what came since the last integration. */
+enum { NOTHING = 0, TRAVEL = 1 << 0, ESTIMATE = 1 << 1, SEED = 1 << 2 };
+/* joint_odometry.last */
+enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 typedef struct {
     double travel_m[2];         /* left, right: sums, then means */
@@ -34,19 +38,27 @@ typedef struct {
     double scrub_rad2;          /* of the heading alone */
 } motion;
 
+/* unused: bits of the word that are not the counter's, 0..63 */
+static inline int64_t short_way(uint64_t now, uint64_t before, uint32_t unused)
+{
+    /* the counter's sign bit becomes the word's; the shift back extends it */
+    return (int64_t)((now - before) << unused) >> unused;
+}
+
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits)
 {
-    if (bits == 0 || bits > 64)
-        return 0;
-    uint32_t shift = 64 - bits;
-    /* the counter's sign bit becomes the word's; the shift back extends it */
-    return (int64_t)((now - before) << shift) >> shift;
+    return bits == 0 || bits > 64 ? 0 : short_way(now, before, 64 - bits);
 }
 
 /* b for a NaN in a: a floor holds */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
+}
+
+static double smaller(double a, double b)
+{
+    return a < b ? a : b;
 }
 
 static void floor_covariance(odometry_state *state, const core_config *config)
@@ -65,12 +77,32 @@ static void pose_to_origin(odometry_state *state, const core_config *config)
     floor_covariance(state, config);
 }
 
+static joint_constants constants_of(const joint_config *joint, double timeout_s)
+{
+    joint_constants found = {
+        .wheel_radius_m = joint->wheel_radius_m,
+        .reach_rad_s = JUMP_MARGIN * larger(joint->velocity_max_rad_s, -joint->velocity_min_rad_s),
+        .right = joint->side > 0.0,
+    };
+    if (joint->counter_bits == 0)
+        return found;
+    double rad_per_count = fabs(joint->rad_per_count);
+    found.counter_bits_unused = 64 - joint->counter_bits;
+    found.counter_rad = joint->rad_per_count;
+    found.counter_slack_rad = JUMP_SLACK_COUNTS * rad_per_count;
+    found.counter_round_rad = ldexp(rad_per_count, (int)joint->counter_bits);
+    found.counter_unused_max_rad = smaller(found.reach_rad_s * timeout_s, 0.25 * found.counter_round_rad);
+    return found;
+}
+
 void odometry_init(odometry_state *state, const core_config *config)
 {
     *state = (odometry_state){0};
     gyro_init(&state->gyro);
     for (uint32_t j = 0; j < JOINTS_MAX; j++)
         state->joint[j].velocity_rad_s = NAN;
+    for (uint32_t j = 0; j < config->joint_count; j++)
+        state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
     pose_to_origin(state, config);
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2;
     state->twist_covariance[2] = config->twist_variance_floor_rad2_s2;
@@ -87,127 +119,208 @@ void odometry_reset(odometry_state *state, const core_config *config)
     }
 }
 
-bool odometry_finite(const odometry_state *state, uint32_t joint_count)
+/* How far the wheel went by the drive's own measure, at both ends where it measured at both, or without one by `otherwise`.
+ * After a silence the speed of now says nothing about all of it. */
+static double travel_by_velocity(double before_rad_s, double now_rad_s, double elapsed_s, double timeout_s,
+                                 double otherwise_rad_s)
 {
-    const double *p = state->pose_covariance, *q = state->twist_covariance;
-    /* a sum with an infinity or a NaN in it is one itself */
-    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
-        + state->linear_m_s + state->angular_rad_s
-        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2]
-        + state->gyro.yaw_rad + state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
-    for (uint32_t j = 0; j < joint_count; j++)
-        sum += state->joint[j].position_rad + state->joint[j].pending_rad;
-    return isfinite(sum);
+    double mean_rad_s = isfinite(before_rad_s) ? 0.5 * (before_rad_s + now_rad_s) : now_rad_s;
+    return (isfinite(mean_rad_s) ? mean_rad_s : otherwise_rad_s) * (elapsed_s < timeout_s ? elapsed_s : timeout_s);
 }
 
-/* How far the wheel went by the drive's own measure, or without one by `otherwise`. After a silence the speed of now says
- * nothing about all of it. */
-static double travel_by_velocity(const joint_feedback *sample, double elapsed_s, double timeout_s, double otherwise_rad_s)
+/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity tells. Only where the next
+ * one is three times as far from what was measured as the velocity can be off, and after no silence; else NaN. */
+static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample, double travel_rad,
+                              double elapsed_s, double timeout_s)
 {
-    double velocity_rad_s = isfinite(sample->velocity_rad_s) ? sample->velocity_rad_s : otherwise_rad_s;
-    return velocity_rad_s * (elapsed_s < timeout_s ? elapsed_s : timeout_s);
+    double mean_rad = 0.5 * (joint->velocity_rad_s + sample->velocity_rad_s) * elapsed_s;
+    double change_rad = 0.5 * fabs(sample->velocity_rad_s - joint->velocity_rad_s) * elapsed_s;
+    double whole_rad = joint->constant.counter_round_rad;
+    double found_rad = travel_rad + rint((mean_rad - travel_rad) / whole_rad) * whole_rad;
+    double sure_rad = 0.25 * whole_rad;
+    bool sure = elapsed_s <= timeout_s && change_rad + VELOCITY_ERROR * fabs(mean_rad) <= sure_rad
+        && fabs(found_rad - mean_rad) <= sure_rad;
+    return sure ? found_rad : (double)NAN;
 }
 
-/* Could the counter have gone round unseen in a silence? */
-static bool ambiguous(const joint_config *joint, double reach_rad, double elapsed_s, double timeout_s)
-{
-    return elapsed_s > timeout_s && reach_rad > fabs(joint->rad_per_count) * ldexp(0.5, (int)joint->counter_bits);
-}
-
-static void gather(joint_odometry *joint, uint32_t kind, double travel_rad)
+static inline void gather(joint_odometry *joint, uint32_t kind, double travel_rad)
 {
     joint->pending_rad += travel_rad;
     joint->position_rad += travel_rad;
-    joint->fresh = kind > joint->fresh ? kind : joint->fresh;
+    joint->fresh |= kind;
 }
 
-/* One new sample of a joint that has been seeded. */
-static void take(joint_odometry *joint, const joint_config *config, const joint_feedback *sample,
-                 double setpoint_rad_s, double timeout_s)
+/* Joints without a counter: the drive's velocity, or the set-point where it measures none. */
+static void take_velocity(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s, double elapsed_s,
+                          double timeout_s)
+{
+    double travel_rad = travel_by_velocity(NAN, sample->velocity_rad_s, elapsed_s, timeout_s, setpoint_rad_s);
+    if (!(fabs(travel_rad) <= joint->constant.reach_rad_s * elapsed_s)) {
+        joint->jumps++;
+        travel_rad = 0.0;
+    }
+    joint->velocity_rad_s = measured(sample->velocity_rad_s);
+    gather(joint, ESTIMATE, travel_rad);
+}
+
+static inline double travel_since(const joint_odometry *joint, const joint_feedback *sample, uint64_t before)
+{
+    return (double)short_way(sample->count, before, joint->constant.counter_bits_unused) * joint->constant.counter_rad;
+}
+
+static void believe(joint_odometry *joint, uint64_t count)
+{
+    joint->last = BELIEVED;
+    joint->count = count;
+    joint->since_rad = joint->credited_rad = 0.0;
+}
+
+/* From here on travel is counted from this sample. */
+static void begin(joint_odometry *joint, const joint_feedback *sample)
+{
+    joint->epoch = sample->epoch;
+    joint->unused_rad = 0.0;
+    believe(joint, sample->count);
+}
+
+/* A sample that is refused moves nothing but by estimate: the next one is believed when it agrees with the last one that
+ * was believed, or with the one that was refused. known: it tells a travel, though one that cannot be. */
+static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known, double elapsed_s, double timeout_s)
+{
+    double fresh_rad = joint->constant.reach_rad_s * elapsed_s, before_rad_s = joint->velocity_rad_s;
+    joint->velocity_rad_s = measured(sample->velocity_rad_s);
+    if (known && joint->last == REFUSED) {
+        double travel_rad = travel_since(joint, sample, joint->refused);
+        if (fabs(travel_rad) <= fresh_rad + joint->constant.counter_slack_rad) {
+            if (isnan(joint->velocity_rad_s))
+                joint->velocity_rad_s = travel_rad / elapsed_s;
+            gather(joint, TRAVEL, travel_rad);
+            begin(joint, sample);
+            return;
+        }
+    }
+    double estimate_rad = travel_by_velocity(before_rad_s, sample->velocity_rad_s, elapsed_s, timeout_s, 0.0);
+    if (!(fabs(estimate_rad) <= fresh_rad))
+        estimate_rad = 0.0;
+    gather(joint, ESTIMATE, estimate_rad);
+    if (!known) {
+        begin(joint, sample);
+        return;
+    }
+    joint->jumps++;
+    joint->last = REFUSED;
+    joint->refused = sample->count;
+    joint->credited_rad += estimate_rad;
+}
+
+/* Travel within reach_rad, of which sure_rad can have been turned since the last sample that was believed. */
+static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad, double sure_rad,
+                      double reach_rad)
+{
+    const joint_constants *constant = &joint->constant;
+    double way_rad = fabs(travel_rad);
+    joint->velocity_rad_s = measured(sample->velocity_rad_s);
+    if (isnan(joint->velocity_rad_s))
+        joint->velocity_rad_s = travel_rad * constant->reach_rad_s
+            / (way_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
+    joint->unused_rad = larger(0.0, smaller(reach_rad - way_rad, constant->counter_unused_max_rad));
+}
+
+/* A counter that is renewed more slowly than it is read catches up in steps: what reach a sample leaves unused is the next
+ * one's, for as long as feedback counts, and for a quarter of a narrow counter. A sample beyond that is refused. */
+static void take_count(joint_odometry *joint, const joint_feedback *sample, double elapsed_s, double timeout_s)
+{
+    const joint_constants *constant = &joint->constant;
+    double travel_rad = travel_since(joint, sample, joint->count);
+    double sure_rad = joint->since_rad += constant->reach_rad_s * elapsed_s;
+    double reach_rad = sure_rad + joint->unused_rad;
+    bool known = sample->epoch == joint->epoch;
+    /* could it have gone the other way round the counter? */
+    if (known && constant->counter_round_rad - fabs(travel_rad) <= sure_rad) {
+        travel_rad = travel_by_turns(joint, sample, travel_rad, elapsed_s, timeout_s);
+        known = isfinite(travel_rad) && joint->last != REFUSED;
+    }
+    if (known && fabs(travel_rad) <= reach_rad + constant->counter_slack_rad) {
+        gather(joint, TRAVEL, travel_rad - joint->credited_rad);
+        go(joint, sample, travel_rad, sure_rad, reach_rad);
+        believe(joint, sample->count);
+    } else {
+        refuse(joint, sample, known, elapsed_s, timeout_s);
+    }
+}
+
+/* A new sample of any kind. Kept out of the loop over the joints, whose common case it would slow down. */
+__attribute__((noinline))
+static void take(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s, double timeout_s)
 {
     double elapsed_s = (double)(sample->stamp_ns - joint->stamp_ns) * 1e-9;
-    double top_rad_s = larger(config->velocity_max_rad_s, -config->velocity_min_rad_s);
-    double reach_rad = JUMP_MARGIN * top_rad_s * elapsed_s;
-    double travel_rad;
-    bool known = true;
-
-    if (config->counter_bits == 0) {
-        travel_rad = travel_by_velocity(sample, elapsed_s, timeout_s, setpoint_rad_s);
+    if (joint->last == NONE) {
+        gather(joint, SEED, 0.0);
+        joint->velocity_rad_s = measured(sample->velocity_rad_s);
+        begin(joint, sample);
+    } else if (joint->constant.counter_round_rad == 0.0) {
+        take_velocity(joint, sample, setpoint_rad_s, elapsed_s, timeout_s);
     } else {
-        int64_t counts = counter_difference(sample->count, joint->count, config->counter_bits);
-        travel_rad = (double)counts * config->rad_per_count;
-        known = sample->epoch == joint->epoch && !ambiguous(config, reach_rad, elapsed_s, timeout_s);
-        reach_rad += JUMP_SLACK_COUNTS * fabs(config->rad_per_count);
+        take_count(joint, sample, elapsed_s, timeout_s);
     }
-    if (known && !(fabs(travel_rad) <= reach_rad)) {
-        joint->jumps++;
-        known = false;
-    }
-    joint->velocity_rad_s = sample->velocity_rad_s;
-    if (!isfinite(sample->velocity_rad_s))
-        joint->velocity_rad_s = known && config->counter_bits != 0 ? travel_rad / elapsed_s : NAN;
-    if (!known) {
-        travel_rad = travel_by_velocity(sample, elapsed_s, timeout_s, 0.0);
-        if (!(fabs(travel_rad) <= reach_rad))
-            travel_rad = 0.0;
-    }
-    gather(joint, known && config->counter_bits != 0 ? TRAVEL : ESTIMATE, travel_rad);
 }
 
-static void take_if_new(joint_odometry *joint, const joint_config *config, const joint_feedback *sample,
-                        double setpoint_rad_s, double timeout_s)
+/* The common case of take_count(): after a sample that was believed, one that can only mean this travel, within reach. */
+static inline bool take_next(joint_odometry *joint, const joint_feedback *sample)
 {
-    if (sample->stamp_ns <= joint->stamp_ns)
-        return;
-    if (joint->seeded) {
-        take(joint, config, sample, setpoint_rad_s, timeout_s);
-    } else {
-        gather(joint, SEED, 0.0);
-        joint->velocity_rad_s = isfinite(sample->velocity_rad_s) ? sample->velocity_rad_s : NAN;
-    }
-    joint->seeded = 1;
+    const joint_constants *constant = &joint->constant;
+    if (joint->last != BELIEVED || joint->epoch != sample->epoch)
+        return false;
+    double sure_rad = constant->reach_rad_s * ((double)(sample->stamp_ns - joint->stamp_ns) * 1e-9);
+    double reach_rad = sure_rad + joint->unused_rad;
+    double travel_rad = travel_since(joint, sample, joint->count), way_rad = fabs(travel_rad);
+    if (!(way_rad + sure_rad < constant->counter_round_rad && way_rad <= reach_rad + constant->counter_slack_rad))
+        return false;
+    gather(joint, TRAVEL, travel_rad);
+    go(joint, sample, travel_rad, sure_rad, reach_rad);
     joint->count = sample->count;
-    joint->stamp_ns = sample->stamp_ns;
-    joint->epoch = sample->epoch;
+    return true;
 }
 
 /* Empties the joints into one arc. A joint left out seeds again, for its side has gone on without it. */
 static arc collect(odometry_state *state, const core_config *config, const uint32_t *stale)
 {
     arc found = {0};
+    uint32_t seen = NOTHING;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joint_odometry *joint = &state->joint[j];
-        uint32_t right = config->joint[j].side > 0.0;
         if (stale[j]) {
-            joint->seeded = 0;
+            joint->last = NONE;
             found.degraded = 1;
-        } else if (joint->fresh == SEED) {
-            found.degraded |= joint->pending_rad != 0.0; /* only part of the way is known: thrown away */
         } else {
-            found.travel_m[right] += joint->pending_rad * config->joint[j].wheel_radius_m;
-            found.joints[right]++;
-            found.degraded |= joint->fresh == ESTIMATE;
+            if (joint->stamp_ns > found.stamp_ns)
+                found.stamp_ns = joint->stamp_ns;
+            if (joint->fresh & SEED) {
+                found.degraded |= joint->pending_rad != 0.0; /* only part of the way is known: thrown away */
+            } else {
+                uint32_t right = joint->constant.right;
+                found.travel_m[right] += joint->pending_rad * joint->constant.wheel_radius_m;
+                found.joints[right]++;
+                seen |= joint->fresh;
+            }
         }
-        if (!stale[j] && joint->stamp_ns > found.stamp_ns)
-            found.stamp_ns = joint->stamp_ns;
         joint->pending_rad = 0.0;
         joint->fresh = NOTHING;
     }
+    found.degraded |= (seen & ESTIMATE) != 0;
     for (int side = 0; side < 2; side++)
         if (found.joints[side] != 0)
             found.travel_m[side] /= found.joints[side];
     return found;
 }
 
-/* sin(h) / h, without the cancellation near zero; the first term left out is below 1e-18 */
+/* sin(h) / h, without the cancellation near zero; the first term left out is below 3e-18 */
 static double sine_over(double half_rad)
 {
     double q = half_rad * half_rad;
     if (q < 0.01)
-        return 1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0 * (1.0 - q / 110.0))));
-    double sine, cosine;
-    angle_sine_cosine(angle_wrap(half_rad), &sine, &cosine);
-    return sine / half_rad;
+        return 1.0 + q * (q * (q * (q * (1.0 / 362880.0) - 1.0 / 5040.0) + 1.0 / 120.0) - 1.0 / 6.0);
+    return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
 static motion by_wheels(const core_config *config, const arc *found)
@@ -218,7 +331,7 @@ static motion by_wheels(const core_config *config, const arc *found)
     double over_track = 1.0 / config->track_m;
     return (motion){
         .distance_m = 0.5 * (left_m + right_m),
-        .turn_rad = (right_m - left_m) / config->track_m,
+        .turn_rad = (right_m - left_m) * over_track,
         .distance_m2 = 0.25 * (right_m2 + left_m2),
         .distance_turn_m_rad = 0.5 * (right_m2 - left_m2) * over_track,
         .turn_rad2 = (right_m2 + left_m2) * over_track * over_track,
@@ -240,35 +353,31 @@ static void turn_by_gyro(odometry_state *state, const core_config *config, int64
 }
 
 /* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of way and turn are carried into the pose by the
- * Jacobians of the motion; the scrub of turning is added to the heading. */
-static void grow_pose_covariance(odometry_state *state, const core_config *config, const motion *moved,
-                                 double sine, double cosine)
+ * Jacobians of the motion; the scrub of turning is added to the heading. Half of the turn's error is there in the middle
+ * of the arc, whose direction the way has. */
+static void grow_pose_covariance(odometry_state *state, const core_config *config, const motion *moved, direction middle)
 {
-    double *p = state->pose_covariance;
-    double a = -moved->distance_m * sine, b = moved->distance_m * cosine;
-    double xx = p[0] + a * (2.0 * p[2] + a * p[5]);
-    double xy = p[1] + a * p[4] + b * p[2] + a * b * p[5];
-    double xh = p[2] + a * p[5];
-    double yy = p[3] + b * (2.0 * p[4] + b * p[5]);
-    double yh = p[4] + b * p[5];
-
-    /* half of the turn's error is there in the middle of the arc, whose direction the way has */
-    double turn_x = 0.5 * a, turn_y = 0.5 * b;
+    double *p = state->pose_covariance, sine = middle.sine, cosine = middle.cosine;
     double ss = moved->distance_m2, st = moved->distance_turn_m_rad, tt = moved->turn_rad2;
-    p[0] = xx + ss * cosine * cosine + 2.0 * st * cosine * turn_x + tt * turn_x * turn_x;
-    p[1] = xy + ss * cosine * sine + st * (cosine * turn_y + sine * turn_x) + tt * turn_x * turn_y;
-    p[2] = xh + st * cosine + tt * turn_x;
-    p[3] = yy + ss * sine * sine + 2.0 * st * sine * turn_y + tt * turn_y * turn_y;
-    p[4] = yh + st * sine + tt * turn_y;
+    /* x and y of the end, by the heading at the start */
+    double a = -moved->distance_m * sine, b = moved->distance_m * cosine;
+    double hh = p[5] + 0.25 * tt;
+    double xh = p[2] + 0.5 * st * cosine, yh = p[4] + 0.5 * st * sine;
+    double xh_end = xh + a * hh, yh_end = yh + b * hh;
+    p[0] += a * (xh + xh_end) + ss * cosine * cosine;
+    p[1] += a * yh_end + b * xh + ss * cosine * sine;
+    p[3] += b * (yh + yh_end) + ss * sine * sine;
+    p[2] = xh_end + 0.5 * st * cosine + 0.25 * tt * a;
+    p[4] = yh_end + 0.5 * st * sine + 0.25 * tt * b;
     p[5] += tt + moved->scrub_rad2;
     floor_covariance(state, config);
 }
 
 static void measure_twist(odometry_state *state, const core_config *config, const motion *moved, double elapsed_s)
 {
-    double per_s2 = 1.0 / (elapsed_s * elapsed_s);
-    state->linear_m_s = moved->distance_m / elapsed_s;
-    state->angular_rad_s = moved->turn_rad / elapsed_s;
+    double per_s = 1.0 / elapsed_s, per_s2 = per_s * per_s;
+    state->linear_m_s = moved->distance_m * per_s;
+    state->angular_rad_s = moved->turn_rad * per_s;
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + moved->distance_m2 * per_s2;
     state->twist_covariance[1] = moved->distance_turn_m_rad * per_s2;
     state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + (moved->turn_rad2 + moved->scrub_rad2) * per_s2;
@@ -293,15 +402,14 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     motion moved = by_wheels(config, &found);
     turn_by_gyro(state, config, state->stamp_ns, &moved);
     double chord_m = moved.distance_m * sine_over(0.5 * moved.turn_rad);
-    double sine, cosine;
-    angle_sine_cosine(angle_wrap(state->heading_rad + 0.5 * moved.turn_rad), &sine, &cosine);
+    direction middle = angle_direction(angle_wrap(state->heading_rad + 0.5 * moved.turn_rad));
 
-    state->x_m += chord_m * cosine;
-    state->y_m += chord_m * sine;
+    state->x_m += chord_m * middle.cosine;
+    state->y_m += chord_m * middle.sine;
     state->heading_rad = angle_wrap(state->heading_rad + moved.turn_rad);
     state->distance_m += fabs(moved.distance_m);
     state->turned_rad += fabs(moved.turn_rad);
-    grow_pose_covariance(state, config, &moved, sine, cosine);
+    grow_pose_covariance(state, config, &moved, middle);
     if (before_ns > 0 && found.stamp_ns > before_ns)
         measure_twist(state, config, &moved, (double)(found.stamp_ns - before_ns) * 1e-9);
 }
@@ -316,31 +424,34 @@ static bool both_sides_heard(const core_config *config, const uint32_t *stale)
 }
 
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
-                   const uint32_t *stale, const double *setpoint_rad_s)
+                   const uint32_t *stale, const joint_setpoint *setpoint)
 {
-    bool complete = true, any_stale = false;
+    uint32_t silent = 0, missing = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joint_odometry *joint = &state->joint[j];
         if (stale[j]) {
-            any_stale = true;
+            silent++;
             continue;
         }
-        take_if_new(joint, &config->joint[j], &feedback[j], setpoint_rad_s[j], config->feedback_timeout_s);
-        if (joint->fresh == NOTHING)
-            complete = false;
+        if (feedback[j].stamp_ns > joint->stamp_ns) {
+            if (!take_next(joint, &feedback[j]))
+                take(joint, &feedback[j], setpoint[j].velocity_rad_s, config->feedback_timeout_s);
+            joint->stamp_ns = feedback[j].stamp_ns;
+        }
+        missing += joint->fresh == NOTHING;
     }
-    if (any_stale)
+    if (silent != 0)
         state->degraded = 1;
-    state->blind = any_stale && !both_sides_heard(config, stale);
-    if (complete && !state->blind)
+    state->blind = silent != 0 && !both_sides_heard(config, stale);
+    if (missing == 0 && !state->blind)
         integrate(state, config, stale);
 }
 
-void odometry_drift(odometry_state *state, const core_config *config, const double *setpoint_rad_s, double dt_s)
+void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)
 {
     double side_m[2] = {0.0, 0.0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        double travel_m = fabs(setpoint_rad_s[j]) * config->joint[j].wheel_radius_m * dt_s;
+        double travel_m = fabs(setpoint[j].velocity_rad_s) * config->joint[j].wheel_radius_m * dt_s;
         uint32_t right = config->joint[j].side > 0.0;
         side_m[right] = larger(side_m[right], travel_m);
     }

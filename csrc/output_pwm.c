@@ -10,6 +10,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "fresh.h"
 #include "loop.h"
 
 enum { EPOCH_BITS = 16 };   /* of the encoder's own epochs, below those of openings */
@@ -296,6 +297,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     error = error != 0 ? error : read_encoders(t, now_ns);
     t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
+    t->newest.stamp_ns = stamp_since(t->newest.stamp_ns, clock_resumed_ns());
     (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
     bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);
     int wrote = error == 0 ? apply(t, level) : 0;

@@ -7,7 +7,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "api_clock.h"
 #include "api_imu.h"
+#include "api_feedback.h"
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"

@@ -156,10 +156,10 @@ static heard hunt(const line_frame *frame, const uint8_t *request, uint32_t from
     for (uint32_t at = from; at < count; at++) {
         uint32_t left = count - at;
         if (left >= frame->reply_bytes && is_answer(frame, request, bytes + at)) {
-            return (heard){.kind = HEARD_ANSWER, .offset = at};
+            return (heard){.kind = HEARD_ANSWER, .offset = at, .bytes = frame->reply_bytes};
         }
         if (left >= EXCEPTION_BYTES && is_exception(frame, request, bytes + at)) {
-            return (heard){.kind = HEARD_REFUSED, .offset = at, .exception = bytes[at + 2]};
+            return (heard){.kind = HEARD_REFUSED, .offset = at, .bytes = EXCEPTION_BYTES, .exception = bytes[at + 2]};
         }
     }
     return (heard){.kind = HEARD_MORE};
@@ -172,7 +172,7 @@ static heard whole(const line_frame *frame, const uint8_t *request, const uint8_
         return (heard){.kind = HEARD_MORE};
     }
     bool good = count == frame->reply_bytes && is_answer(frame, request, bytes);
-    return (heard){.kind = good ? HEARD_ANSWER : HEARD_BAD};
+    return (heard){.kind = good ? HEARD_ANSWER : HEARD_BAD, .bytes = good ? count : 0};
 }
 
 heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes,

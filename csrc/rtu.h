@@ -14,7 +14,8 @@ typedef enum {
 
 typedef struct {
     heard_kind kind;
-    uint32_t offset;        /* where the answer begins */
+    uint32_t offset;        /* where the answer begins, and how long it is */
+    uint32_t bytes;
     uint32_t exception;
     uint32_t echoed;        /* 1: the request came back before it */
 } heard;

@@ -30,25 +30,23 @@ typedef struct {
     bool moving;                /* a set-point is not zero */
 } tick;
 
-/* a measure as it is, NaN for what no sensor measures (infinity) */
-static inline double measured(double value)
-{
-    return value + (value - value);
-}
-
 static inline void write_joint(const core_state *state, const joint_feedback *feedback, uint32_t j, joint_state *to)
 {
     const joint_odometry *odometry = &state->odometry.joint[j];
     to->position_rad = odometry->position_rad;
     to->velocity_rad_s = odometry->velocity_rad_s;
-    bool heard = feedback->stamp_ns > 0; /* else all of it is zero, and zero volts would be a lie */
-    to->current_a = heard ? measured(feedback->current_a) : (double)NAN;
-    to->voltage_v = heard ? measured(feedback->voltage_v) : (double)NAN;
-    to->temperature_c = heard ? measured(feedback->temperature_c) : (double)NAN;
+    to->current_a = measured(feedback->current_a);
+    to->voltage_v = measured(feedback->voltage_v);
+    to->temperature_c = measured(feedback->temperature_c);
     to->drive_faults = feedback->drive_faults;
-    to->enabled = heard ? feedback->enabled : 2;
+    to->enabled = feedback->enabled;
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
+    if (feedback->stamp_ns <= 0) {
+        /* never heard: all of it is zero, and zero volts would be a lie */
+        to->current_a = to->voltage_v = to->temperature_c = (double)NAN;
+        to->enabled = 2;
+    }
 }
 
 static inline void snapshot_write_feedback(core_state *state, const joint_feedback *feedback)
@@ -125,8 +123,8 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
     to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_linear_m_s : 0.0;
     to->wanted_angular_rad_s = t->command_fresh ? state->goal.wanted_angular_rad_s : 0.0;
-    to->setpoint_linear_m_s = state->linear.velocity_u_s;
-    to->setpoint_angular_rad_s = state->angular.velocity_u_s;
+    to->setpoint_linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s;
+    to->setpoint_angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
     to->saturation = t->saturation;
     if (state->config.gyro.used)
         write_imu(state, t->input);
@@ -135,9 +133,10 @@ static inline void snapshot_write(core_state *state, const tick *t)
 /* every byte is a field, so that no padding carries what was in memory before */
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
+_Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 24, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80
-               + sizeof(imu_state),
+               + sizeof(imu_state) + sizeof(feedback_doubt),
                "padding in robot_state");
 
 #endif

@@ -6,13 +6,13 @@
 #ifndef MOTORD_WATCH_H
 #define MOTORD_WATCH_H
 
+#include "fresh.h"
 #include "snapshot.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-static const int64_t FUTURE_NS = 10000000; /* a stamp may be this much ahead of the tick: it was written meanwhile */
 static const double LEAST_WISH = 1e-9;     /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
 
 /* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
@@ -21,15 +21,9 @@ static inline double age_s(int64_t now_ns, int64_t stamp_ns)
     return stamp_ns > 0 ? (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9 : INFINITY;
 }
 
-/* The width of fresh(): from FUTURE_NS ahead of now to the timeout behind it. */
 static inline uint64_t window_ns(double timeout_s)
 {
-    return (uint64_t)((int64_t)(timeout_s * 1e9 + 0.5) + FUTURE_NS);
-}
-
-static inline bool fresh(int64_t now_ns, int64_t stamp_ns, uint64_t within_ns)
-{
-    return stamp_ns > 0 && (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)FUTURE_NS <= within_ns;
+    return fresh_window_ns((int64_t)(timeout_s * 1e9 + 0.5));
 }
 
 /* Another command than the last one. */
@@ -57,7 +51,7 @@ static inline void read_command(core_state *state, tick *t)
         take_command(goal, command);
     t->command_age_s = age_s(now_ns, command->stamp_ns);
     t->command_fresh = now_ns <= command->expires_ns
-        && fresh(now_ns, command->stamp_ns, state->command_window_ns);
+        && fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
     t->command_zero = !t->command_fresh || goal->zero;
     t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
@@ -68,16 +62,12 @@ static inline void judge_feedback(core_state *state, tick *t)
     int64_t now_ns = t->input->now_ns;
     uint64_t within_ns = state->feedback_window_ns;
     state->silent = 0;
-    state->oldest_ns = INT64_MAX;
-    state->newest_ns = 0;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         int64_t stamp_ns = t->input->feedback[j].stamp_ns;
         if (stamp_ns <= 0 || stamp_ns > now_ns)
             state->snapshot.joint[j].feedback_age_s = stamp_ns <= 0 ? INFINITY : 0.0;
-        state->stale[j] = !fresh(now_ns, stamp_ns, within_ns);
+        state->stale[j] = !fresh_within(now_ns, stamp_ns, within_ns);
         state->silent |= state->stale[j];
-        state->oldest_ns = stamp_ns < state->oldest_ns ? stamp_ns : state->oldest_ns;
-        state->newest_ns = stamp_ns > state->newest_ns ? stamp_ns : state->newest_ns;
     }
 }
 
@@ -92,6 +82,7 @@ static inline bool drive_disabled(const core_state *state, const joint_feedback 
 static inline void read_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
+    int64_t oldest_ns = INT64_MAX, newest_ns = 0;
     uint32_t faults = 0, enabled = ~0U;
     uint64_t news = state->silent;
     const joint_feedback *feedback = t->input->feedback;
@@ -101,14 +92,17 @@ static inline void read_feedback(core_state *state, tick *t)
         int64_t stamp_ns = feedback->stamp_ns;
         shown->feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
         news |= (uint64_t)stamp_ns ^ (uint64_t)used->stamp_ns;
+        oldest_ns = stamp_ns < oldest_ns ? stamp_ns : oldest_ns;
+        newest_ns = stamp_ns > newest_ns ? stamp_ns : newest_ns;
         faults |= feedback->drive_faults;
         enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
-    bool known = news == 0 && now_ns >= state->newest_ns
-        && (uint64_t)now_ns - (uint64_t)state->oldest_ns + (uint64_t)FUTURE_NS <= state->feedback_window_ns;
-    if (!known)
+    /* all of it fresh, as in the tick before: no joint needs a closer look */
+    bool heard = state->silent == 0 && now_ns >= newest_ns
+        && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
+    if (!heard)
         judge_feedback(state, t);
-    t->news = !known;
+    t->news = news != 0 || !heard;
     t->any_stale = state->silent != 0;
     t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
     t->drive_fault = faults != 0;
@@ -120,10 +114,11 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     t->input = input;
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
-    t->checksum = state->linear.velocity_u_s + state->linear.acceleration_u_s2
-        + state->angular.velocity_u_s + state->angular.acceleration_u_s2;
+    t->checksum = 0.0;
+    for (int i = 0; i < AXES; i++)
+        t->checksum += state->axis[i].velocity_u_s + state->axis[i].acceleration_u_s2;
     t->heartbeat_fresh =
-        fresh(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
+        fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
     read_command(state, t);
     read_feedback(state, t);
 }
@@ -137,6 +132,7 @@ static inline void reset(core_state *state, const tick *t)
         return;
     state->faults = 0;
     state->holding = 0;
+    state->snapshot.doubt = (feedback_doubt){0};
 }
 
 static inline void obey_counters(core_state *state, const tick *t)
@@ -167,6 +163,8 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     uint32_t found = 0;
     if (t->input->control.estop)
         found |= FAULT_ESTOP;
+    if (t->input->suspended) /* all else is its consequence */
+        return found | FAULT_SUSPENDED;
     if (t->input->control.fault)
         found |= FAULT_EXTERNAL;
     if (t->dt_s == 0.0)
@@ -184,10 +182,14 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other that is under way, and nothing replaces it. */
+/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not do what it is
+ * told: no set-point ends that, so the power goes off at once. A wheel that turns the wrong way is no better off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
 {
-    return state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
+    stop_action action = state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
+    if (state->faults & FAULT_RUNAWAY)
+        return STOP_COAST;
+    return (state->faults & FAULT_DIRECTION) && action != STOP_COAST ? STOP_BRAKE : action;
 }
 
 /* Armed no more, what is under way ends by the stop action of the robot file. */
@@ -229,11 +231,12 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
 static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    uint32_t asked = control->estop | control->fault | control->stop | (control->reset_count ^ state->reset_seen)
+    uint32_t asked = control->estop | control->fault | control->stop | t->input->suspended
+        | (control->reset_count ^ state->reset_seen)
         | (control->odometry_reset_count ^ state->odometry_reset_seen);
-    if (asked != 0 || t->any_stale || t->drive_fault || t->drive_disabled || !t->heartbeat_fresh || !t->command_fresh)
-        return false;
-    return state->armed != 0 && state->commanded != 0 && control->armed != 0 && t->dt_s != 0.0;
+    asked |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled;
+    uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
+    return asked == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
 }
 
 /* Reads the input and decides who may move: control, faults, arming. */

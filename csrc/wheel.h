@@ -14,6 +14,20 @@ static inline double wheel_speed(const joint_config *joint, double linear_m_s, d
     return (linear_m_s + joint->side * turn_m_s) / joint->wheel_radius_m;
 }
 
+/* A twist at a wheel's limit, rounded, may be beyond it by the last bit; a NaN stays one. */
+static inline double wheel_rounded(const joint_config *joint, double speed_rad_s)
+{
+    double most_rad_s = joint->velocity_max_rad_s, least_rad_s = joint->velocity_min_rad_s;
+    double below_rad_s = speed_rad_s > most_rad_s ? most_rad_s : speed_rad_s;
+    return below_rad_s < least_rad_s ? least_rad_s : below_rad_s;
+}
+
+/* How fast its speed may grow, away from zero, so that the duty keeps its slew. */
+static inline double wheel_acceleration(const pwm_config *config)
+{
+    return config->slew_per_s * config->full_duty_rad_s / (1.0 - config->dead_band);
+}
+
 static inline bool wheel_within(const joint_config *joint, double want_rad_s)
 {
     return want_rad_s <= joint->velocity_max_rad_s && want_rad_s >= joint->velocity_min_rad_s;

@@ -18,7 +18,7 @@ from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
 from motord.bus_supervisor import BusSupervisor
 from motord.config import Robot
-from motord.doors import open_doors
+from motord.doors import open_doors, open_stop_socket
 from motord.guards import open_guard
 from motord.health import Health, Heart
 from motord.imu_task import watch_imu
@@ -69,10 +69,11 @@ async def run(
         listening(path) as listener,
         running_file.kept(robot, path.parent),
         open_doors(robot, path) as doors,
+        open_stop_socket(robot, path) as stop_fd,
         open_guard(robot, {spec.name: spec.cycle_hz for spec in specs}) as guard,
         Loop(
             core_config(robot, profiles),
-            loop_settings(robot, doors.fds, guard),
+            loop_settings(robot, doors.fds, guard, stop_fd),
             name,
             journal=robot.has_journal,
         ) as loop,
@@ -85,6 +86,7 @@ async def run(
             work = [tasks.create_task(line.run()) for line in operation.lines]
             work.append(tasks.create_task(_watch(operation, feeds)))
             work.append(tasks.create_task(_beat(operation)))
+            work.append(tasks.create_task(procedures.disarm_on_request(operation)))
             work.append(tasks.create_task(watch_battery(operation)))
             work.append(tasks.create_task(watch_imu(operation)))
             work.append(tasks.create_task(_watch_health(operation, health, notifier)))
@@ -92,7 +94,9 @@ async def run(
             if bus is not None:
                 work.append(tasks.create_task(bus.run()))
             offered = methods(operation, health, feeds, doors, bus)
-            server = tasks.create_task(serve(listener, offered, operation.disconnect))
+            server = tasks.create_task(
+                serve(listener, offered, operation.disconnect, operation.leases.holds)
+            )
             _say_hello(operation, path)
             notifier.ready()
             on_ready(path)
@@ -101,10 +105,13 @@ async def run(
             notifier.stopping()
             server.cancel()
             await asyncio.wait([server])
-            await procedures.shut_down(operation, hurry)
+            problems = await procedures.shut_down(operation, hurry)
             for task in work:
                 task.cancel()
-    _log.info("ended: at rest and disarmed")
+    if problems:
+        _log.warning("ended, but not all drives are known to be without power: %s", problems[0])
+    else:
+        _log.info("ended: at rest and disarmed")
 
 
 @contextlib.contextmanager

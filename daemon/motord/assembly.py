@@ -14,15 +14,28 @@ from motord.config.wheels import (
     takes_duty,
     takes_torque,
     velocity_range_rad_s,
+    working_speed_rad_s,
 )
 from motord.config.wiring import line_specs
-from motord.rt_types import GuardConfig, SpeedLoopConfig
+from motord.rt_types import GuardConfig, PlausibleConfig, SpeedLoopConfig
 from motord_hal.drives.profile import DriveProfile
 
 __all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
 
 _NOTIFY_HZ = 50.0
 """How often asyncio looks at the state when no publisher wants more."""
+_SLOW_PART = 0.02
+"""Parts of a wheel's working speed: slower than this it does not turn,"""
+_APART_PART = 0.1
+"""counter and reported velocity may differ by this, a filter's lag and rounding,"""
+_PROGRESS_PART = 0.01
+"""and each such step nearer to the set-point shows a drive that is only slow."""
+_DUTY_THAT_TURNS = 0.4
+"""Nobody knows the dead band of a motor and its load; at this duty it has ended."""
+_UNSURE_COUNTS_PER_S = 20.0
+"""What four counts come to when speeds are smoothed over 0.2 s (csrc/plausible.c)."""
+_STALL_COUNTS = 8.0
+"""So many have to be missing before an encoder is said to stand."""
 
 
 def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
@@ -34,6 +47,7 @@ def loop_settings(
     robot: Robot,
     command_fds: tuple[int, ...] = (),
     guard: GuardConfig | None = None,
+    stop_fd: int = -1,
 ) -> rt.LoopSettings:
     """How the loop's thread is to run."""
     rates = (publish.rate_hz for publish in robot.publish.values())
@@ -45,6 +59,7 @@ def loop_settings(
         lock_memory=robot.loop.lock_memory,
         hold_dma_latency=robot.loop.hold_dma_latency,
         command_fds=command_fds,
+        stop_fd=stop_fd,
         guard=guard,
     )
 
@@ -119,6 +134,42 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
         "speed_loop": _speed_loop(joint, profile),
+        "plausible": _plausible(robot, name, profile),
+    }
+
+
+def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfig:
+    """[safety.feedback] for one wheel. A coarse encoder widens what it cannot tell apart. A duty
+    holds no speed: only a wheel that stands at much of it, or is faster than ever asked, is
+    wrong."""
+    checks, joint = robot.safety.feedback, robot.joint[name]
+    working_rad_s = working_speed_rad_s(robot, name, profile)
+    count_rad = abs(rad_per_count(joint, profile)) if counter_bits(joint, profile) else 0.0
+    unsure_rad_s = _UNSURE_COUNTS_PER_S * count_rad
+    setpoint_min_rad_s = checks.setpoint_min_part * working_rad_s
+    runaway_part, following_s = checks.runaway_part, checks.following_s
+    if takes_duty(joint, profile):
+        given = checks.model_fields_set
+        full_duty_rad_s = joint.full_duty_rad_s or working_rad_s
+        if "setpoint_min_part" not in given:
+            setpoint_min_rad_s = max(setpoint_min_rad_s, _DUTY_THAT_TURNS * full_duty_rad_s)
+        following_s = following_s if "following_s" in given else 0.0
+        runaway_part = runaway_part if "runaway_part" in given else 1.0
+    return {
+        "setpoint_min_rad_s": max(
+            setpoint_min_rad_s, _STALL_COUNTS * count_rad / (checks.stall_s or 1.0)
+        ),
+        "slow_rad_s": _SLOW_PART * working_rad_s,
+        "short_rad_s": checks.following_part * working_rad_s + unsure_rad_s,
+        "beyond_rad_s": runaway_part * working_rad_s + unsure_rad_s,
+        "apart_rad_s": _APART_PART * working_rad_s + unsure_rad_s,
+        "progress_rad_s": _PROGRESS_PART * working_rad_s,
+        "direction_s": checks.direction_s,
+        "stall_s": checks.stall_s,
+        "following_s": following_s,
+        "runaway_s": checks.runaway_s,
+        "apart_s": checks.implausible_s,
+        "jumps_max": checks.jumps_max,
     }
 
 

@@ -14,32 +14,35 @@ A lease of `drive` ends with the connection: a program that dies stops the robot
 from __future__ import annotations
 
 import contextlib
-import json
+import functools
 import os
+import re
 import socket
 import stat
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-REFUSED = -32000
-NOT_ALLOWED = -32001
+from motord import moving, stop_request
+from motord.local_rpc import ClientError, Refused, WrongParams, answer_to, request_line, result_of
+from motord.motion import Goal
+from motord.moving import Moved, MoveFailed
+from motord.status import Status
+
+__all__ = [
+    "Client", "ClientError", "MoveFailed", "Moved", "Refused", "Status", "WrongParams",
+    "find_socket", "find_sockets",
+]  # fmt: skip
+
 TIMEOUT_S = 10.0
-_ANSWER_BYTES_MAX = 1 << 20
-
-
-class ClientError(Exception):
-    """The daemon cannot be reached, or did not answer, or did not understand; says which."""
-
-
-class Refused(ClientError):
-    """The daemon understood and said no; the message is its reason, and what to do about it."""
-
-    def __init__(self, reason: str, code: int) -> None:
-        super().__init__(reason)
-        self.code = code
+STOP_WITHIN_S = 1.0
+"""For the datagram of a stop request to find room."""
+CONNECT_AGAIN_S = 0.01
+ANSWER_BYTES_MAX = 1 << 20
+_OTHERS = re.compile(r"\.(stop|cmd\.\d+)\.sock$")
+"""Sockets beside the local one that take datagrams."""
 
 
 def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = None) -> list[Path]:
@@ -55,22 +58,54 @@ def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = No
 def find_socket(
     robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
 ) -> Path:
-    """The socket of a running daemon: of `robot`, or the only one there is. `barred`: one that this
-    user may not ask counts, too; the kernel refuses before it looks whether somebody listens
-    (unix(7)), so its daemon may be dead. Raises ClientError."""
+    """The socket of a running daemon: of `robot`, or the only one there is; as `find_sockets`.
+    Raises ClientError."""
+    found = find_sockets(robot, folders, barred=barred)
+    if robot is None and len(found) > 1:
+        names = ", ".join(sorted({path.name.removesuffix(".sock") for path in found}))
+        raise ClientError(f"several robots run here: name one with --robot NAME ({names})")
+    return found[0]
+
+
+def find_sockets(
+    robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
+) -> list[Path]:
+    """The sockets of all running daemons, or of those of `robot`. `barred`: one that this user may
+    not ask counts, too; the kernel refuses before it looks whether somebody listens (unix(7)), so
+    its daemon may be dead. Raises ClientError where there is none."""
     found: list[Path] = []
     for folder in socket_folders() if folders is None else folders:
         with contextlib.suppress(OSError):
             found += [
-                path for path in sorted(folder.glob(f"{robot or '*'}.sock")) if _lives(path, barred)
+                path
+                for path in sorted(folder.glob(f"{robot or '*'}.sock"))
+                if not _OTHERS.search(path.name) and _lives(path, barred)
             ]
     if not found:
         what = f"robot {robot}" if robot else "robot"
         raise ClientError(f"no {what} runs here: motord run ROBOT.toml")
-    if robot is None and len(found) > 1:
-        names = ", ".join(str(path) for path in found)
-        raise ClientError(f"several robots run here, say which socket: {names}")
-    return found[0]
+    return found
+
+
+def why_unreachable(path: Path, error: OSError) -> str:
+    """What keeps us from a socket, and the cure."""
+    if isinstance(error, PermissionError):
+        cure = "run this with sudo"
+        with contextlib.suppress(OSError, KeyError, ImportError):
+            import grp
+
+            group = grp.getgrgid(path.stat().st_gid).gr_name
+            if group != "root":
+                cure += f", or join its group (sudo usermod -aG {group} $USER) and log in again"
+        return f"{path}: this user may not command the robot: {cure}"
+    if isinstance(error, FileNotFoundError):
+        return f"{path}: no daemon has this socket: motord run ROBOT.toml"
+    if isinstance(error, ConnectionRefusedError):
+        return (
+            f"{path}: its daemon has ended without closing it: if a wheel still turns, "
+            "motord stop-all ROBOT.toml; then motord run ROBOT.toml"
+        )
+    return f"{path}: {error.strerror or error}"
 
 
 def trusted_owners(folder: Path) -> set[int]:
@@ -92,6 +127,8 @@ def _lives(path: Path, barred: bool) -> bool:
             probe.connect(str(path))
         except PermissionError:
             return barred
+        except BlockingIOError:  # its queue of connections is full
+            return True
         except OSError:
             return False
     return True
@@ -110,11 +147,23 @@ class Client:
         self._buffer = b""
         self._socket = socket.socket(socket.AF_UNIX)
         try:
-            self._socket.settimeout(timeout_s)
-            self._socket.connect(str(self.path))
+            self._connect(time.monotonic() + timeout_s)
         except OSError as error:
             self._socket.close()
-            raise ClientError(f"{self.path}: {error.strerror or error}") from error
+            raise ClientError(why_unreachable(self.path, error)) from error
+
+    def _connect(self, end_s: float) -> None:
+        """Again while the daemon's queue of connections is full, which others may have filled."""
+        self._socket.settimeout(self.timeout_s)
+        while True:
+            try:
+                self._socket.connect(str(self.path))
+            except BlockingIOError:
+                if time.monotonic() > end_s:
+                    raise
+                time.sleep(CONNECT_AGAIN_S)
+            else:
+                return
 
     def __enter__(self) -> Self:
         return self
@@ -141,11 +190,7 @@ class Client:
         """Any method by name. Raises Refused, or ClientError for everything else."""
         end_s = time.monotonic() + self.timeout_s
         self._number += 1
-        request = {"jsonrpc": "2.0", "id": self._number, "method": method, "params": params}
-        try:
-            line = json.dumps(request, allow_nan=False).encode() + b"\n"
-        except ValueError as error:
-            raise ClientError(f"{method}: NaN and infinity cannot be sent: {params}") from error
+        line = request_line(self._number, method, params)
         try:
             self._socket.settimeout(self.timeout_s)
             self._socket.sendall(line)
@@ -159,20 +204,9 @@ class Client:
         """The result for the request in flight; answers that come too late for others are
         dropped."""
         while True:
-            line = self._line(end_s)
-            try:
-                answer = json.loads(line)
-            except ValueError as error:
-                raise ClientError(f"{self.path} does not speak JSON: {line[:80]!r}") from error
-            if not isinstance(answer, dict) or answer.get("id") not in (self._number, None):
-                continue
-            problem = answer.get("error")
-            if problem is None:
-                return answer.get("result")
-            message, code = str(problem.get("message")), int(problem.get("code", 0))
-            if code in (REFUSED, NOT_ALLOWED):
-                raise Refused(message, code)
-            raise ClientError(message)
+            answer = answer_to(self._number, self._line(end_s), self.path)
+            if answer is not None:
+                return result_of(answer)
 
     def _line(self, end_s: float) -> bytes:
         while b"\n" not in self._buffer:
@@ -184,15 +218,14 @@ class Client:
             if not chunk:
                 raise ClientError(f"{self.path}: the daemon has closed the connection")
             self._buffer += chunk
-            if len(self._buffer) > _ANSWER_BYTES_MAX:
+            if len(self._buffer) > ANSWER_BYTES_MAX:
                 raise ClientError(f"{self.path}: an answer without end")
         line, _, self._buffer = self._buffer.partition(b"\n")
         return line
 
-    def status(self) -> dict[str, Any]:
-        """Everything the daemon knows about itself and the robot: docs/architecture.md."""
-        result: dict[str, Any] = self.call("status")
-        return result
+    def status(self) -> Status:
+        """Everything the daemon knows about itself and the robot, typed; also a dict."""
+        return Status.of(self.call("status"))
 
     def drive(
         self,
@@ -210,6 +243,70 @@ class Client:
             "drive", linear_m_s=linear_m_s, angular_rad_s=angular_rad_s, **given
         )
         return result
+
+    def move(
+        self,
+        distance_m: float,
+        *,
+        speed_m_s: float | None = None,
+        tolerance_m: float | None = None,
+        timeout_s: float | None = None,
+        owner: str | None = None,
+    ) -> Moved:
+        """Drive so far by the odometry, backwards for a negative number, and come to rest. The
+        robot has to be armed. None: the robot's own limit, 0.01 m, twice the time it should take.
+        Raises MoveFailed where it does not get there, ValueError for a goal that cannot be."""
+        goal = moving.goal_of("linear", distance_m, speed_m_s, tolerance_m, timeout_s)
+        return self.carry_out(goal, owner=owner)
+
+    def turn(
+        self,
+        angle_rad: float,
+        *,
+        speed_rad_s: float | None = None,
+        tolerance_rad: float | None = None,
+        timeout_s: float | None = None,
+        owner: str | None = None,
+    ) -> Moved:
+        """Turn on the spot by that angle, to the left for a positive one; otherwise as `move`, with
+        a tolerance of 0.02 rad."""
+        goal = moving.goal_of("angular", angle_rad, speed_rad_s, tolerance_rad, timeout_s)
+        return self.carry_out(goal, owner=owner)
+
+    def carry_out(
+        self,
+        goal: Goal,
+        *,
+        owner: str | None = None,
+        watch: moving.Watch = moving.unwatched,
+        canceled: moving.Canceled = moving.never_canceled,
+    ) -> Moved:
+        """As `move` and `turn`. `watch` is called at each look, 50 times a second; when `canceled`
+        is true the robot comes to rest and MoveFailed is raised."""
+        lease = {} if owner is None else {"owner": owner}
+        steps = moving.procedure(goal, owner=lease, watch=watch, canceled=canceled)
+        onward: Callable[[], moving.Call | moving.Pause] = functools.partial(next, steps)
+        try:
+            while True:
+                try:
+                    step = onward()
+                except StopIteration as end:
+                    moved: Moved = end.value
+                    return moved
+                try:
+                    onward = functools.partial(steps.send, self._perform(step))
+                except ClientError as error:
+                    onward = functools.partial(steps.throw, error)
+        finally:
+            steps.close()
+            with contextlib.suppress(ClientError):  # it lapses
+                self.release(owner)
+
+    def _perform(self, step: moving.Call | moving.Pause) -> Any:
+        if isinstance(step, moving.Call):
+            return self.call(step.method, **step.params)
+        time.sleep(max(step.until_s - time.monotonic(), 0.0))
+        return None
 
     def release(self, owner: str | None = None) -> None:
         """Give the lease back before it lapses."""
@@ -232,8 +329,11 @@ class Client:
         return self._surely("estop")
 
     def _surely(self, method: str) -> str:
-        """Over a new connection where the daemon has closed this one: whoever is silent for long
-        makes room for others, and what ends motion must not fail for that."""
+        """Requested by datagram first, which the real-time loop reads whatever else waits; the
+        answer comes over a new connection where the daemon has closed this one, to make room for
+        others."""
+        with contextlib.suppress(OSError):  # a daemon without that socket, or that is gone
+            stop_request.send(self.path, method, STOP_WITHIN_S)
         if not self.connected:
             again = Client(self.path, timeout_s=self.timeout_s)
             self._socket.close()

@@ -30,6 +30,7 @@ class Refusal(enum.IntEnum):
     NOT_FINITE = 5
     JOINTS = 6
     RATE = 7
+    OUT_OF_RANGE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord.config import BusInput, Robot, RtInput
+from motord.page_file import FOLDER, PREFIX
 from motord.rt import LEASES_MAX
+from motord.stop_request import page_link, stop_socket
 
 SOCKET_MODE = 0o660
 LOOPBACK = "127.0.0.1"
@@ -45,6 +47,20 @@ def inputs_of(robot: Robot) -> dict[str, BusInput]:
 
 
 @contextlib.contextmanager
+def open_stop_socket(robot: Robot, beside: Path) -> Iterator[int]:
+    """The socket on which the loop receives stop requests, and a link to the state page, by which
+    they are confirmed: NAME.stop.sock and NAME.page for a local socket NAME.sock. Raises OSError.
+    """
+    path, link = stop_socket(beside), page_link(beside)
+    with contextlib.ExitStack() as cleanup:
+        fd = _local(path, cleanup, credentials=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(FOLDER / f"{PREFIX}{robot.robot.name}")
+        cleanup.callback(link.unlink, missing_ok=True)
+        yield fd
+
+
+@contextlib.contextmanager
 def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
     """The sockets of this robot: NAME.cmd.N.sock beside its local socket, whose owner is ours
     alone, and UDP on loopback where it is asked for. Raises OSError with the place."""
@@ -60,15 +76,19 @@ def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
         if udp_port is not None:
             udp = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             _bind(udp, (LOOPBACK, udp_port), f"UDP {LOOPBACK}:{udp_port}")
+            os.set_blocking(udp.fileno(), False)
             fds.append(udp.fileno())
-        for fd in fds:
-            os.set_blocking(fd, False)
         yield Doors(section=section, inputs=inputs, paths=paths, udp_port=udp_port, fds=tuple(fds))
 
 
-def _local(path: Path, sockets: contextlib.ExitStack) -> int:
-    opened = sockets.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = False) -> int:
+    kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
+    opened = sockets.enter_context(socket.socket(socket.AF_UNIX, kind))
+    if credentials:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
     path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
+    # The file is made with this mode: who connects before the chmod could go on sending after it.
+    os.fchmod(opened.fileno(), SOCKET_MODE)
     _bind(opened, str(path), str(path))
     sockets.callback(path.unlink, missing_ok=True)
     path.chmod(SOCKET_MODE)

@@ -183,6 +183,17 @@ class Leases:
                 told_ns = max(other.grant.barred_until_ns + 1, until_ns)
                 other.grant = replace(other.grant, barred_until_ns=told_ns)
 
+    def holds(self, connection: int) -> bool:
+        """It has a lease that was given out, or a living command. At most LEASES_MAX do."""
+        return any(
+            granted.connection == connection and (granted.kept or self._is_fresh(granted))
+            for granted in self._granted.values()
+        )
+
+    def _is_fresh(self, granted: _Granted) -> bool:
+        state = self._loop.commands().leases.get(granted.grant.number)
+        return state is not None and state.fresh(now_ns())
+
     # --------------------------------------------------------------------------------- commanding
     async def submit(
         self,
@@ -209,6 +220,12 @@ class Leases:
                 state = await self._judged(grant.number, granted.sequence, before)
             except (BlockingIOError, TimeoutError):
                 raise NoLease("the loop takes no commands: it stands still") from None
+        zeroed = state.linear_m_s == 0.0 and state.angular_rad_s == 0.0
+        if zeroed and (linear_m_s != 0.0 or angular_rad_s != 0.0):
+            raise NoLease(
+                f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s is more than ten times "
+                "the limit, so it counts as zero: is the unit right? (motord params list)"
+            )
         return _lease(granted, state)
 
     async def _judged(self, number: int, sequence: int, before: CommandReport) -> LeaseState:

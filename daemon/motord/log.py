@@ -11,6 +11,7 @@ Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL
 from __future__ import annotations
 
 import atexit
+import errno
 import logging
 import os
 import queue
@@ -25,7 +26,10 @@ JOURNAL = Path("/run/systemd/journal/socket")
 _FIELDS = "motord_fields"
 _PRIORITIES = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _DEBUG = 7
+_AS_ERROR = {"levelno": logging.ERROR, "levelname": "ERROR"}
 _LINES_MAX = 1000
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EAGAIN, errno.EIO)
+"""A full disk, a full pipe that does not block: it may have room again."""
 _STACK_BYTES = 256 * 1024
 """It only writes; the loop's mlockall would pin all 8 MB of an ordinary one."""
 _LAST_WORDS_S = 0.5
@@ -62,9 +66,14 @@ class _Writer(logging.Handler):
         return self.format(record).encode(errors="backslashreplace") + b"\n"
 
     def write(self, entry: bytes) -> None:
-        """Raises OSError where nobody can ever read it."""
-        while entry:
-            entry = entry[os.write(self._fd, entry) :]
+        """Raises OSError where nobody can ever read it. What finds no room now is lost."""
+        try:
+            while entry:
+                entry = entry[os.write(self._fd, entry) :]
+        except OSError as error:
+            if error.errno not in _NO_ROOM:
+                raise
+            self._lost += 1
 
     def note(self, lost: int) -> bytes:
         return b"(%d lines of the log were lost before this one)\n" % lost
@@ -74,8 +83,10 @@ class _Writer(logging.Handler):
             self._queue.put_nowait(self.encode(record))
         except queue.Full:
             self._lost += 1
-        except (TypeError, ValueError):  # words and values that do not fit: never the robot's end
-            self.handleError(record)
+        except (TypeError, ValueError) as error:  # words and values that do not fit
+            # not logging's handleError: that writes to stderr, here and now
+            text = f"{record.pathname}:{record.lineno}: cannot be logged: {error}"
+            self.emit(logging.makeLogRecord({"msg": "%s", "args": (text,), **_AS_ERROR}))
 
     def _work(self) -> None:
         while (entry := self._queue.get()) is not None:

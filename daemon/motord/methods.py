@@ -17,7 +17,7 @@ from motord.doors import Doors
 from motord.health import Health
 from motord.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.machine import State
-from motord.operation import Operation
+from motord.operation import WHY_CHARS_MAX, Operation
 from motord.rpc import INVALID_PARAMS, Caller, Method, Params, Refused, RpcError
 
 Owner = Annotated[str, StringConstraints(pattern=r"^[\w.:/-]+$", max_length=64)]
@@ -41,6 +41,10 @@ class LeaseParams(Params):
 
 class ReleaseParams(Params):
     owner: Owner = OWNER
+
+
+class EstopParams(Params):
+    why: str = Field("", max_length=WHY_CHARS_MAX)
 
 
 class NamesParams(Params):
@@ -79,8 +83,8 @@ def methods(
         "arm": _acting(lambda _: procedures.arm(operation)),
         "disarm": _acting(lambda _: procedures.disarm(operation)),
         "stop": _acting(lambda _: procedures.stop(operation)),
-        "estop": _acting(
-            lambda who: procedures.estop(operation, f"asked for by process {who.pid}"), urgent=True
+        "estop": Method(
+            lambda caller, params: _estop(operation, caller, params), EstopParams, urgent=True
         ),
         "reset": _acting(lambda _: procedures.reset(operation)),
         "reset_odometry": _acting(lambda _: procedures.reset_odometry(operation)),
@@ -91,19 +95,26 @@ def _looking(look: Callable[[], Any]) -> Method:
     return Method(lambda caller, params: look(), commands=False)  # noqa: ARG005  # a Method's call
 
 
-def _acting(act: Callable[[Caller], Awaitable[State]], *, urgent: bool = False) -> Method:
+def _acting(act: Callable[[Caller], Awaitable[State]]) -> Method:
     async def call(caller: Caller, _: Params) -> dict[str, str]:
         return {"state": (await act(caller)).value}
 
-    return Method(call, urgent=urgent)
+    return Method(call)
+
+
+async def _estop(operation: Operation, caller: Caller, params: EstopParams) -> dict[str, str]:
+    return {"state": (await procedures.estop(operation, caller.pid, params.why)).value}
 
 
 def _input(operation: Operation) -> SocketInput:
-    """The robot file's word on commands from here."""
-    for section in operation.robot.input.values():
-        if section.kind == "socket":
-            return section
-    raise Refused('the robot file has no [input.*] of kind = "socket": nobody drives from here')
+    """How the local socket commands. Raises Refused where the robot file has switched it off."""
+    section = operation.robot.local_input
+    if not section.enabled:
+        raise Refused(
+            "the robot file switches off commands from the local socket: set enabled = true in its "
+            '[input.*] of kind = "socket", or command by one of its other inputs (motord status)'
+        )
+    return section
 
 
 async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
@@ -120,6 +131,7 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
     return {
         "owner": commander.owner if commander else None,
         "in_command": commander is not None and commander.number == lease.number,
+        "number": lease.number,
     }
 
 

@@ -14,18 +14,23 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 from motord.assembly import base_limits
 from motord.battery import BatteryLevel, BatteryWatch
 from motord.commands import LeaseGrant
 from motord.config import Limits, Robot
+from motord.doubt import doubt_text
 from motord.leases import Lease, Leases, NoLease
 from motord.log import about
 from motord.machine import Event, Facts, Refusal, State, step
 from motord.rpc import Refused
 from motord.rt import Control, Loop
+from motord.rt_types import StopRequests
 from motord.sdnotify import Notifier
 from motord.snapshot import Snapshot
+from motord.waiting import Waiting
 from motord_hal.clock import within
 from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineState
 from motord_hal.rt import now_ns
@@ -47,6 +52,25 @@ _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 
 
+REASONS_MAX = 8
+"""Of one emergency stop: the first ones, and the newest."""
+WHY_CHARS_MAX = 300
+
+
+def process_name(pid: int) -> str:
+    """For a sentence: its number, and its name where it still runs."""
+    try:
+        name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return f"process {pid}"
+    return f"process {pid}, {printable(name)}"
+
+
+def printable(text: str) -> str:
+    """What a client wrote, fit for one line of the log."""
+    return "".join(one if one.isprintable() else "?" for one in text[:WHY_CHARS_MAX])
+
+
 class Operation:
     """State, leases and levels of one robot. `lines` is filled before anything runs."""
 
@@ -54,6 +78,7 @@ class Operation:
         self.robot = robot
         self.loop = loop
         self.lines: list[Line] = []
+        self.waiting = Waiting()
         self.state = State.OFF
         self.snapshot: Snapshot = loop.read_state()
         self.leases = Leases(loop)
@@ -78,6 +103,11 @@ class Operation:
         self._reset_count = 0
         self._odometry_reset_count = 0
         self._changed = asyncio.Event()
+        self.stop_requests = StopRequests()
+        """What the loop has received, as of the last look."""
+        self._acknowledged = StopRequests()
+        self.disarm_requested = asyncio.Event()
+        """Set until `acknowledge_disarm`."""
 
     # ------------------------------------------------------------------------- the machine's steps
     def facts(self) -> Facts:
@@ -245,13 +275,20 @@ class Operation:
         self.leases.disconnect(connection)
 
     # ---------------------------------------------------------------------------- what is reported
-    def estop(self, why: str) -> None:
-        """At once, from every state, whatever else is going on."""
+    def estop(self, pid: int, why: str = "") -> None:
+        """At once, from every state, whatever else is going on. `pid`: who asks; `why`: his words,
+        which take the place of what is known of him without them."""
         self._estop = True
         self.estops += 1
-        if self.state is not State.ESTOP:
-            self.why = (why,)
-            _log.warning("emergency stop: %s", why)
+        sender = process_name(pid)
+        anonymous = f"asked for by {sender}"
+        reason = f"{printable(why)} ({sender})" if why else anonymous
+        before = self.why if self.state is State.ESTOP else ()
+        known = reason in before or any(sender in one for one in before if not why)
+        if not known:
+            kept = [one for one in before if one != anonymous]
+            self.why = (*kept[: REASONS_MAX - 1], reason)
+            _log.warning("emergency stop: %s", reason)
         self.take(Event.ESTOP)
         self.put_control()
 
@@ -270,8 +307,35 @@ class Operation:
             _log.warning("fault: %s", "; ".join(why), extra=about(event="fault", faults=why))
         self.take(event)
 
+    def _follow_stop_requests(self) -> None:
+        """The loop goes by them already; the state follows. Only when the levels that this object
+        puts hold a request is it acknowledged, so that nothing moves or arms in between."""
+        now, before = self.loop.stop_requests(), self.stop_requests
+        if now == before or self.state is State.OFF:
+            return
+        self.stop_requests = now
+        if now.estop != before.estop:
+            self.estop(now.pid)
+        if now.stop != before.stop:
+            self.take(Event.STOP)
+        if now.disarm != before.disarm:
+            self.disarm_requested.set()
+        self._acknowledge(replace(now, disarm=self._acknowledged.disarm))
+
+    def acknowledge_disarm(self, requests: StopRequests) -> None:
+        """The power is off, for all that were requested by then."""
+        self._acknowledge(replace(self._acknowledged, disarm=requests.disarm))
+        if requests.disarm == self.stop_requests.disarm:
+            self.disarm_requested.clear()
+
+    def _acknowledge(self, requests: StopRequests) -> None:
+        self._acknowledged = requests
+        self.put_control()
+        self.loop.acknowledge_stops(requests)
+
     def look(self) -> None:
         """The core's newest word on the robot: it may only lead to less."""
+        self._follow_stop_requests()
         try:
             before, self.snapshot = self.snapshot, self.loop.read_state()
         except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
@@ -282,6 +346,8 @@ class Operation:
             self.estops += estop and "estop" not in before.faults
             self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
             self._armed = False  # the next arming is an edge again
+        elif self.disarm_requested.is_set() and not snapshot.armed:
+            pass  # the loop has disarmed as requested; DISARMED follows when the power is off
         elif self.state.live and self._armed and not snapshot.armed:
             _log.warning("the core has disarmed by itself: %s", ", ".join(snapshot.reasons))
             self._armed = False
@@ -303,7 +369,12 @@ class Operation:
             "feedback_stale": ", ".join(facts.stale_joints),
             "drive": "; ".join(facts.drive_faults),
             "external": self._broken or "",
+            "suspended": "the computer was suspended; look at the robot, then motord reset",
         }
+        if snapshot.doubt is not None:
+            joint = list(self.robot.joint)[snapshot.doubt.joint]
+            text = doubt_text(snapshot.doubt, joint, snapshot.stamp_ns)
+            details[snapshot.doubt.fault] = text
         return [
             f"{fault}: {details[fault]}" if details.get(fault) else fault
             for fault in snapshot.faults
@@ -314,6 +385,7 @@ class Operation:
         level = logging.WARNING if event.kind in _WORRYING else logging.INFO
         said_of = about(line=event.line, joints=event.joints, event=event.kind)
         _log.log(level, "%s", event.text, extra=said_of)
+        self.waiting.note(event)
         if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
             self.fault(event.text)
         elif event.kind is EventKind.DRIVE_FAULT and self.state is State.FAULT:
@@ -332,7 +404,7 @@ class Operation:
             self.take(Event.LOST)
         elif not any(joint.stale for joint in self.snapshot.joints):
             self.take(Event.READY)
-        if self.state.live and not self.disarming:
+        if self.state.live and not (self.disarming or self.disarm_requested.is_set()):
             self._cross_check()
         self.put_control()
 

@@ -16,7 +16,7 @@ from motord.assembly import base_limits
 from motord.config import Limits
 from motord.config.model import REST_MAX_S
 from motord.config.problems import nearest
-from motord.rpc import INVALID_PARAMS, RpcError, json_number, words
+from motord.rpc import INVALID_PARAMS, RpcError, json_number
 from motord.rt import limits_problem
 
 _PREFIX = "limits."
@@ -52,7 +52,7 @@ def changed(
     try:
         made = Limits.model_validate({**limits.model_dump(), **asked})
     except ValidationError as error:
-        raise RpcError(f"{_PREFIX}{words(error)}", INVALID_PARAMS) from error
+        raise RpcError(_out_of_range(error), INVALID_PARAMS) from error
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
     if (rest_s := made.rest_s(linear_m_s, angular_rad_s)) > REST_MAX_S:
@@ -62,6 +62,16 @@ def changed(
             INVALID_PARAMS,
         )
     return made
+
+
+def _out_of_range(error: ValidationError) -> str:
+    """In the words of `params list`: which value, and the range with its unit."""
+    first = error.errors()[0]
+    key = str(first["loc"][0])
+    schema = Limits.model_json_schema()["properties"][key]
+    low, high, unit = schema["minimum"], schema.get("maximum"), schema["unit"]
+    span = f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
+    return f"{_PREFIX}{key}: {first['input']} is out of range ({span} {unit})"
 
 
 def _key(name: str) -> str:

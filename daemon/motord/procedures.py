@@ -67,6 +67,18 @@ async def disarm(operation: Operation) -> State:
     return operation.state
 
 
+async def disarm_on_request(operation: Operation) -> None:
+    """Until cancelled: the loop has received requests to disarm; take the power off for each."""
+    while True:
+        await operation.disarm_requested.wait()
+        requests = operation.stop_requests
+        try:
+            await disarm(operation)
+        except Refused as error:
+            _log.warning("disarm: %s", error)
+        operation.acknowledge_disarm(requests)
+
+
 async def stop(operation: Operation) -> State:
     """To rest, and armed still. Returns when it rests."""
     operation.take(Event.STOP)
@@ -76,9 +88,9 @@ async def stop(operation: Operation) -> State:
     return operation.state
 
 
-async def estop(operation: Operation, why: str) -> State:
-    """At once; returns when the core has latched it."""
-    operation.estop(why)
+async def estop(operation: Operation, pid: int, why: str) -> State:
+    """At once; returns when the core has latched it. `pid`: who asks; `why`: may be empty."""
+    operation.estop(pid, why)
     if not await operation.until(lambda: "estop" in operation.snapshot.faults, CORE_WITHIN_S):
         raise Refused("the loop has not confirmed the emergency stop: cut the power by hand")
     return operation.state
@@ -126,15 +138,18 @@ async def reset_odometry(operation: Operation) -> State:
     return operation.state
 
 
-async def shut_down(operation: Operation, hurry: asyncio.Event) -> None:
-    """At rest, power off, OFF on the state page. `hurry` leaves the ramp out: then the lines brake
-    as they end. A procedure that is under way must have been cancelled before."""
+async def shut_down(operation: Operation, hurry: asyncio.Event) -> list[str]:
+    """At rest, power off, OFF on the state page. Returns what is not known to be so, in words.
+    `hurry` leaves the ramp out: then the lines brake as they end. A procedure that is under way
+    must have been cancelled before."""
     async with operation.busy:
-        for problem in await _come_down(operation, SHUTDOWN_RAMP_MAX_S, hurry):
-            _log.warning("at the end: %s", problem)
+        problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, hurry)
+    for problem in problems:
+        _log.warning("at the end: %s", problem)
     operation.take(Event.SHUTDOWN)
     off = State.OFF.number
     await operation.until(lambda: operation.snapshot.machine_state == off, CORE_WITHIN_S)
+    return problems
 
 
 @contextlib.asynccontextmanager
@@ -172,15 +187,16 @@ def ramp_s(operation: Operation, most_s: float) -> float:
     """Within this a robot that brakes as it should is at rest: v / deceleration, twice
     deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
     snapshot, limits = operation.snapshot, operation.limits
-    linear_s = (
-        abs(snapshot.setpoint_linear_m_s) / limits.linear_deceleration_m_s2
-        + 2.0 * limits.linear_deceleration_m_s2 / limits.linear_m_s3
+    linear, angular = abs(snapshot.setpoint_linear_m_s), abs(snapshot.setpoint_angular_rad_s)
+    brakes_s = max(
+        linear / limits.linear_deceleration_m_s2, angular / limits.angular_deceleration_rad_s2
     )
-    angular_s = (
-        abs(snapshot.setpoint_angular_rad_s) / limits.angular_deceleration_rad_s2
-        + 2.0 * limits.angular_deceleration_rad_s2 / limits.angular_rad_s3
+    # one axis may bound the deceleration and the other one the jerk
+    eases_s = max(
+        limits.linear_deceleration_m_s2 / limits.linear_m_s3,
+        limits.angular_deceleration_rad_s2 / limits.angular_rad_s3,
     )
-    return min(max(linear_s, angular_s) + RAMP_MARGIN_S, most_s)
+    return min(brakes_s + 2.0 * eases_s + RAMP_MARGIN_S, most_s)
 
 
 async def _power_off(operation: Operation) -> list[str]:
@@ -197,7 +213,12 @@ async def _disarm_line(line: Line, problems: list[str]) -> None:
         async with within(LINES_WITHIN_S):
             await line.disarm()
     except (HalError, TimeoutError) as error:
+        watched = all(joint.profile.watchdog is not None for joint in line.spec.joints)
+        then = (
+            "its drives stop by their own watchdogs once nothing reaches them"
+            if watched
+            else "a drive of it has no watchdog and may still turn: cut its power"
+        )
         problems.append(
-            f"{line.spec.name} could not be disarmed ({str(error) or 'it took too long'}): "
-            "its drives stop by their own watchdog"
+            f"{line.spec.name} could not be disarmed ({str(error) or 'it took too long'}): {then}"
         )

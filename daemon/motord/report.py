@@ -57,8 +57,9 @@ def status(
         "battery": operation.battery.report(now_ns()) if operation.battery else None,
         "imu": _imu(operation.snapshot, snapshot["imu"]),
         "loop": _loop(operation),
-        "lines": {line.spec.name: _line(line) for line in operation.lines},
+        "lines": {line.spec.name: _line(line, operation) for line in operation.lines},
         "leases": _leases(operation),
+        "inputs": operation.robot.commanders(),
         "commands": _commands(operation.loop.commands()),
         "publishers": {
             name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
@@ -137,11 +138,12 @@ def _percentiles(found: Percentiles, ns_per_unit: float) -> dict[str, float]:
     }
 
 
-def _line(line: Line) -> dict[str, Any]:
+def _line(line: Line, operation: Operation) -> dict[str, Any]:
     stats = line.stats()
     trips = stats.round_trip
     return {
         "state": line.state.value,
+        "waits_for": operation.waiting.of(line),
         "port": line.spec.port,
         "engine": line.engine,
         "exchanges": stats.exchanges,

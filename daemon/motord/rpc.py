@@ -27,7 +27,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from motord.client import NOT_ALLOWED, REFUSED, socket_folders
+from motord.client import socket_folders
+from motord.local_rpc import NOT_ALLOWED, REFUSED
 
 PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
 INTERNAL_ERROR = -32603
@@ -120,6 +121,8 @@ def listening(path: Path) -> Iterator[socket.socket]:
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as listener:
         _clear_away(path)
+        # The file is made with this mode: nobody else connects before the chmod.
+        os.fchmod(listener.fileno(), SOCKET_MODE)
         try:
             listener.bind(str(path))
         except OSError as error:
@@ -170,10 +173,14 @@ def _caller(connection: int, peer: socket.socket) -> Caller:
 
 # -------------------------------------------------------------------------------------- the server
 async def serve(
-    listener: socket.socket, methods: Mapping[str, Method], on_close: Callable[[int], None]
+    listener: socket.socket,
+    methods: Mapping[str, Method],
+    on_close: Callable[[int], None],
+    stays: Callable[[int], bool] = lambda _: False,
 ) -> None:
     """Accept and answer until cancelled. `on_close` gets the number of each connection that ends,
-    at once, whatever it is waiting for."""
+    at once, whatever it is waiting for. `stays`: whether the connection of that number is never
+    dropped to make room; that must be so for fewer than CONNECTIONS_MAX."""
     connections: dict[int, _Connection] = {}
     numbers = itertools.count(1)
     try:
@@ -182,7 +189,7 @@ async def serve(
                 await _readable(listener)
                 if (peer := await _accepted(listener)) is not None:
                     number = next(numbers)
-                    _make_room(connections)
+                    _make_room(connections, stays)
                     connections[number] = _Connection(number, peer, methods, on_close)
                     tasks.create_task(_attend(number, connections))
     finally:
@@ -213,9 +220,10 @@ async def _accepted(listener: socket.socket) -> socket.socket | None:
     return peer
 
 
-def _make_room(connections: Mapping[int, _Connection]) -> None:
+def _make_room(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> None:
     if len(connections) >= CONNECTIONS_MAX:
-        min(connections.values(), key=lambda one: one.heard_s).drop("room for another")
+        idle = [one for number, one in connections.items() if not stays(number)]
+        min(idle, key=lambda one: one.heard_s).drop("room for another")
 
 
 async def _attend(number: int, connections: dict[int, _Connection]) -> None:

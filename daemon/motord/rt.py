@@ -26,12 +26,11 @@ from motord.commands import (
     TOKEN_BYTES,
     CommandReport,
     LeaseGrant,
-    LeaseState,
     Refusal,
     datagram,
 )
 from motord.page_file import JOURNAL_PREFIX, PageFile, PageInUse
-from motord.rt_snapshot import imu_of, joint_of
+from motord.rt_snapshot import lease_state_of, snapshot_of
 from motord.rt_types import (
     AxisLimits,
     BaseLimits,
@@ -44,6 +43,7 @@ from motord.rt_types import (
     LoopStatus,
     Percentiles,
     PwmConfig,
+    StopRequests,
 )
 from motord.snapshot import Snapshot
 
@@ -149,6 +149,12 @@ class Fault(enum.IntFlag):
     EXTERNAL = lib.FAULT_EXTERNAL
     STATE = lib.FAULT_STATE
     OVERSPEED = lib.FAULT_OVERSPEED
+    DIRECTION = lib.FAULT_DIRECTION
+    STALL = lib.FAULT_STALL
+    FOLLOWING_ERROR = lib.FAULT_FOLLOWING_ERROR
+    RUNAWAY = lib.FAULT_RUNAWAY
+    IMPLAUSIBLE_FEEDBACK = lib.FAULT_IMPLAUSIBLE_FEEDBACK
+    SUSPENDED = lib.FAULT_SUSPENDED
 
     def words(self) -> list[str]:
         """`feedback_stale`, ... by the bits' order."""
@@ -176,6 +182,7 @@ class _Buffers:
     commands: Any = field(default_factory=lambda: ffi.new("command_report *"))
     control: Any = field(default_factory=lambda: ffi.new("core_control *"))
     state: Any = field(default_factory=lambda: ffi.new("robot_state *"))
+    stops: Any = field(default_factory=lambda: ffi.new("stop_request_report *"))
     status: Any = field(default_factory=lambda: ffi.new("loop_status *"))
     histogram: Any = field(default_factory=lambda: ffi.new("histogram *"))
 
@@ -238,8 +245,9 @@ class Loop:
             unless_started.enter_context(door)
             unless_started.enter_context(inside)
             os.set_blocking(door.fileno(), False)
+            stops = (self._settings.stop_fd,) if self._settings.stop_fd >= 0 else ()
             doors = unless_started.enter_context(
-                _epoll((inside.fileno(), *self._settings.command_fds))
+                _epoll((inside.fileno(), *self._settings.command_fds, *stops))
             )
             code = lib.loop_start(
                 self._loop_config(page_fd, journal_fd, event_fd, doors.fileno()), self._core
@@ -268,6 +276,7 @@ class Loop:
                 "journal_fd": journal_fd,
                 "event_fd": event_fd,
                 "command_fd": command_fd,
+                "stop_fd": settings.stop_fd,
                 "lock_memory": settings.lock_memory,
                 "hold_dma_latency": settings.hold_dma_latency,
                 "guard": settings.guard or {},
@@ -314,7 +323,7 @@ class Loop:
             commander=raw.commander,
             accepted=raw.accepted,
             refused={kind: raw.refused[kind] for kind in Refusal},
-            leases={lease.number: _lease_state(lease) for lease in raw.lease if lease.number},
+            leases={lease.number: lease_state_of(lease) for lease in raw.lease if lease.number},
         )
 
     def open_lease(self, priority: int = 100, lifetime_s: float = 0.3) -> LoopLease:
@@ -384,6 +393,16 @@ class Loop:
             watchdog_errno=raw.watchdog_errno,
         )
 
+    def stop_requests(self) -> StopRequests:
+        """What came on `stop_fd` so far."""
+        lib.loop_stop_requests(self._buffers.stops)
+        stop, estop, disarm = self._buffers.stops.count
+        return StopRequests(stop=stop, estop=estop, disarm=disarm, pid=self._buffers.stops.pid)
+
+    def acknowledge_stops(self, requests: StopRequests) -> None:
+        """The levels of the last `put_control` hold these: the loop drops its own."""
+        lib.loop_acknowledge_stops([requests.stop, requests.estop, requests.disarm])
+
     def percentiles(self, kind: HistogramKind) -> Percentiles:
         """Of all samples since start or `clear_histograms`; all zero when there is none."""
         raw = self._read_histogram(kind)
@@ -443,56 +462,11 @@ def _epoll(fds: tuple[int, ...]) -> select.epoll:
     return doors
 
 
-def _lease_state(raw: Any) -> LeaseState:
-    return LeaseState(
-        number=raw.number,
-        held=raw.held != 0,
-        sequence=raw.sequence,
-        stamp_ns=raw.stamp_ns,
-        expires_ns=raw.expires_ns,
-        since=raw.since,
-        priority=raw.priority,
-        interval_ns=raw.interval_ns,
-        linear_m_s=raw.linear_m_s,
-        angular_rad_s=raw.angular_rad_s,
-    )
-
-
 def _raise_for(code: int, what: str) -> None:
     if code < 0:
         raise OSError(-code, f"{what}: {os.strerror(-code)}")
 
 
 def _snapshot(raw: Any) -> Snapshot:
-    return Snapshot(
-        stamp_ns=raw.stamp_ns,
-        tick=raw.tick,
-        machine_state=raw.machine_state,
-        owner=raw.owner,
-        reasons=tuple(Reason(raw.reasons).words()),
-        faults=tuple(Fault(raw.faults).words()),
-        armed=raw.armed != 0,
-        enabled=raw.enabled != 0,
-        at_rest=raw.at_rest != 0,
-        odometry_degraded=raw.odometry_degraded != 0,
-        odometry_epoch=raw.odometry_epoch,
-        dt_s=raw.dt_s,
-        command_age_s=raw.command_age_s,
-        wanted_linear_m_s=raw.wanted_linear_m_s,
-        wanted_angular_rad_s=raw.wanted_angular_rad_s,
-        setpoint_linear_m_s=raw.setpoint_linear_m_s,
-        setpoint_angular_rad_s=raw.setpoint_angular_rad_s,
-        saturation=raw.saturation,
-        odometry_stamp_ns=raw.odometry_stamp_ns,
-        x_m=raw.x_m,
-        y_m=raw.y_m,
-        heading_rad=raw.heading_rad,
-        distance_m=raw.distance_m,
-        turned_rad=raw.turned_rad,
-        linear_m_s=raw.linear_m_s,
-        angular_rad_s=raw.angular_rad_s,
-        pose_covariance=tuple(raw.pose_covariance),
-        twist_covariance=tuple(raw.twist_covariance),
-        joints=tuple(joint_of(raw.joint[i]) for i in range(min(raw.joint_count, lib.JOINTS_MAX))),
-        imu=imu_of(raw.imu),
-    )
+    doubts = Fault(raw.doubt.fault).words()
+    return snapshot_of(raw, Reason(raw.reasons).words(), Fault(raw.faults).words(), doubts)

@@ -39,6 +39,23 @@ class SpeedLoopConfig(TypedDict):
     torque_max_n_m: float
 
 
+class PlausibleConfig(TypedDict, total=False):
+    """What is left out is 0; a time of 0 switches its check off."""
+
+    setpoint_min_rad_s: float
+    slow_rad_s: float
+    short_rad_s: float
+    beyond_rad_s: float
+    apart_rad_s: float
+    progress_rad_s: float
+    direction_s: float
+    stall_s: float
+    following_s: float
+    runaway_s: float
+    apart_s: float
+    jumps_max: int
+
+
 class JointConfig(TypedDict):
     side: float
     wheel_radius_m: float
@@ -50,6 +67,7 @@ class JointConfig(TypedDict):
     pwm: PwmConfig
     speed_loop: NotRequired[SpeedLoopConfig]
     """Only of a joint whose drive takes a torque."""
+    plausible: NotRequired[PlausibleConfig]
 
 
 class GyroConfig(TypedDict, total=False):
@@ -131,6 +149,8 @@ class LoopSettings:
     hold_dma_latency: bool = True
     command_fds: tuple[int, ...] = ()
     """Datagram sockets, not blocking, on which commands come in too; they stay the caller's."""
+    stop_fd: int = -1
+    """A datagram socket, not blocking, on which stop requests come in; it stays the caller's."""
     guard: GuardConfig | None = None
     """The pins of safety. None: there are none."""
 
@@ -154,6 +174,18 @@ class LoopStatus:
     watchdog_edges: int
     watchdog_errno: int
     """Of the last write to it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopRequests:
+    """How many of each kind the loop has received since its start; it goes by each until it has
+    been acknowledged."""
+
+    stop: int = 0
+    estop: int = 0
+    disarm: int = 0
+    pid: int = 0
+    """Process that sent the newest; 0: not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,9 @@ from pathlib import Path
 
 from motord.client import socket_folders, trusted_owners
 from motord.config import Robot
+from motord_hal import bounded
 
+KEPT_BYTES_MAX = 8 * bounded.TOML_BYTES_MAX
 MODE = 0o600
 """There may be passwords of buses in it."""
 
@@ -53,7 +55,7 @@ def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile
         place = folder / _name(robot_file)
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
             if place.stat().st_uid in trusted_owners(folder):
-                found = json.loads(place.read_text(encoding="utf-8"))
+                found = json.loads(bounded.read(place, KEPT_BYTES_MAX))
                 return RunningFile(found["file"], found["text"], tuple(found["overrides"]))
     return None
 

@@ -14,6 +14,8 @@ from typing import Any
 
 SNAPSHOT_VERSION = 1
 """Raised when a field is renamed, removed or changes its meaning; not when one is added."""
+STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
+"""By `machine_state`."""
 GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
 """By GYRO_* of csrc/api_imu.h."""
 
@@ -63,6 +65,22 @@ class ImuSnapshot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DoubtSnapshot:
+    """Why a fault says that the feedback is not believed; of the first such fault."""
+
+    since_ns: int
+    setpoint_rad_s: float
+    measured_rad_s: float
+    """By its counter where it has one, smoothed."""
+    reported_rad_s: float
+    """The drive's own measure. NaN: none."""
+    fault: str
+    """`direction`, `stall`, `following_error`, `runaway` or `implausible_feedback`."""
+    joint: int
+    """Its place in the robot file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall time."""
 
@@ -103,6 +121,7 @@ class Snapshot:
     joints: tuple[JointSnapshot, ...]
     imu: ImuSnapshot | None = None
     """None: there is none, or it was never heard."""
+    doubt: DoubtSnapshot | None = None
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
@@ -116,7 +135,7 @@ def gyro_word(state: int) -> str:
     return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
 
 
-def _record(record: Snapshot | JointSnapshot | ImuSnapshot) -> dict[str, Any]:
+def _record(record: Snapshot | JointSnapshot | ImuSnapshot | DoubtSnapshot) -> dict[str, Any]:
     return {key.name: _plain(getattr(record, key.name)) for key in dataclasses.fields(record)}
 
 
@@ -125,4 +144,6 @@ def _plain(value: Any) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    return _record(value) if isinstance(value, JointSnapshot | ImuSnapshot) else value
+    return (
+        _record(value) if isinstance(value, JointSnapshot | ImuSnapshot | DoubtSnapshot) else value
+    )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from motord.page_file import FOLDER, PREFIX
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot, gyro_word
+from motord.snapshot import DoubtSnapshot, ImuSnapshot, JointSnapshot, Snapshot, gyro_word
 
 REASONS = {
     0: "linear_velocity",
@@ -46,6 +46,12 @@ FAULTS = {
     6: "external",
     7: "state",
     8: "overspeed",
+    9: "direction",
+    10: "stall",
+    11: "following_error",
+    12: "runaway",
+    13: "implausible_feedback",
+    14: "suspended",
 }
 """By bit: FAULT_* of csrc/api.h."""
 
@@ -58,9 +64,11 @@ _PUBLISHED_OFFSET = 32
 _STATE = struct.Struct("=qQ10I7dq7d6d3d")
 _JOINT = struct.Struct("=8d4I")
 _IMU = struct.Struct("=q9d4I")
+_DOUBT = struct.Struct("=q3d2I")
 _JOINTS_MAX = 8
 _IMU_OFFSET = _STATE.size + _JOINTS_MAX * _JOINT.size
-_PAYLOAD_BYTES = _IMU_OFFSET + _IMU.size
+_DOUBT_OFFSET = _IMU_OFFSET + _IMU.size
+_PAYLOAD_BYTES = _DOUBT_OFFSET + _DOUBT.size
 _ENABLED_UNKNOWN = 2
 _TRIES = 8
 
@@ -180,6 +188,7 @@ def decode(payload: bytes) -> Snapshot:
             for index in range(min(count, _JOINTS_MAX))
         ),
         imu=_imu(_IMU.unpack_from(payload, _IMU_OFFSET)),
+        doubt=_doubt(_DOUBT.unpack_from(payload, _DOUBT_OFFSET)),
     )
 
 
@@ -202,6 +211,20 @@ def _imu(raw: tuple[Any, ...]) -> ImuSnapshot | None:
         heading_by_gyro=by_gyro != 0,
         still=still != 0,
         refused=refused,
+    )
+
+
+def _doubt(raw: tuple[Any, ...]) -> DoubtSnapshot | None:
+    words = _words(raw[4], FAULTS)
+    if not words:
+        return None
+    return DoubtSnapshot(
+        since_ns=raw[0],
+        setpoint_rad_s=raw[1],
+        measured_rad_s=raw[2],
+        reported_rad_s=raw[3],
+        fault=words[0],
+        joint=raw[5],
     )
 
 

@@ -17,7 +17,6 @@ from motord_hal.errors import BadReply, HalError, NoReply
 
 STOPPING_WITHIN_S = 1.0
 """After the quick stop the power stays on until the wheels rest, so long at most."""
-REST_VELOCITY_RAD_S = 0.1
 TRIES = 3
 PAUSE_S = 0.02
 
@@ -27,6 +26,8 @@ class Unit(Protocol):
 
     name: str
     profile: DriveProfile
+    rest_velocity_rad_s: float
+    """A wheel slower than this is at rest."""
 
     async def write(self, raw: Mapping[str, int]) -> None: ...
 
@@ -92,4 +93,4 @@ async def _moves(unit: Unit, velocity: str | None) -> bool:
     if velocity is None:
         return True
     velocity_rad_s = unit.profile.registers[velocity].to_si(await unit.read(velocity))
-    return not abs(velocity_rad_s) < REST_VELOCITY_RAD_S
+    return not abs(velocity_rad_s) < unit.rest_velocity_rad_s

@@ -18,6 +18,8 @@ from motord_hal.drives.profile import DriveProfile, Gap
 
 SETPOINT_TIMEOUT_S = 0.1
 """A line takes set-points older than this for none: it stops and disarms its drives."""
+REST_VELOCITY_RAD_S = 0.05
+"""A wheel slower than this is at rest, where the robot file says nothing else."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -235,6 +237,10 @@ class LineSpec:
     watchdog_s: float
     """Wanted communication watchdog of the drives, written and read back where the profile has
     one."""
+    setpoint_timeout_s: float = SETPOINT_TIMEOUT_S
+    """The line stops its drives when the newest set-points are older than this."""
+    rest_velocity_rad_s: float = REST_VELOCITY_RAD_S
+    """A wheel slower than this is at rest: the power goes off at the end of a quick stop."""
 
 
 class LineState(enum.StrEnum):

@@ -27,6 +27,12 @@ def now_ns() -> int:
     return int(lib.clock_now_ns())
 
 
+def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
+    """Neither older than the timeout, nor of the future, nor from before the computer was
+    suspended: the rule of the lines in C and of the core."""
+    return bool(lib.clock_stamp_is_fresh(stamp_ns, round(timeout_s * 1e9)))
+
+
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
     """What one wheel is to do: its speed, and the same wish as a duty in -1..1, and as a torque

@@ -60,6 +60,7 @@ class AnswerKind(enum.IntEnum):
     REFUSED = lib.ANSWER_REFUSED
     EXPIRED = lib.ANSWER_EXPIRED
     PORT = lib.ANSWER_PORT
+    NEVER_SILENT = lib.ANSWER_NEVER_SILENT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,6 +138,8 @@ class DriveReport:
     no_reply: int
     bad_reply: int
     refused: int
+    late: int
+    """Replies that came after their time."""
     deadline_ns: int
     cycle_ns: int
 
@@ -145,7 +148,10 @@ class DriveReport:
 class LineReport(LineLife):
     shut_down: bool
     exchanges: int
+    answers: int
+    """Good replies and refusals."""
     noise_bytes: int
+    """Bytes that were no frame."""
     setpoints_ns: int
     fault_words: tuple[int, ...]
     drives: tuple[DriveReport, ...]
@@ -216,6 +222,7 @@ class LineThread(ThreadDoor):
             **life_of(raw),
             shut_down=raw.shut_down != 0,
             exchanges=raw.exchanges,
+            answers=raw.answers,
             noise_bytes=raw.noise_bytes,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
@@ -247,6 +254,7 @@ def _drive_report(raw: Any) -> DriveReport:
         no_reply=raw.no_reply,
         bad_reply=raw.bad_reply,
         refused=raw.refused,
+        late=raw.late,
         deadline_ns=raw.deadline_ns,
         cycle_ns=raw.cycle_ns,
     )

@@ -133,5 +133,6 @@ class LineTable:
     character_ns: float
     gap_ns: int
     setpoint_timeout_ns: int
+    rest_velocity_rad_s: float
     broadcast_stop: tuple[LineFrame, ...]
     drive: tuple[LineDrive, ...]

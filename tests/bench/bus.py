@@ -40,6 +40,21 @@ def measure(quick: bool) -> dict[str, Any]:
     }
 
 
+def smoke() -> dict[str, Any]:
+    """Each kind of measuring once, as briefly as it goes."""
+    bus_at_work.SETTLE_S = 0.3
+    run = subprocess.run(
+        [sys.executable, HERE / "bus_encode.py", "1"], capture_output=True, text=True, check=True
+    )
+    return {
+        "messages_us": json.loads(run.stdout),
+        "memory_mb": bus_at_work.memory(),
+        "cpu_percent": bus_at_work.cpu(0.3, rates_hz=(bus_at_work.FAST_HZ,)),
+        "disturbed": disturbed.struck("SIGKILL", 1, 1.0) | disturbed.readers(1, 1.0),
+        "cmd_vel_us": bus_command.delays_us(0, 2, seed=0),
+    }
+
+
 def table(found: dict[str, Any]) -> str:
     rows = ["a message from snapshot to bytes, µs (in brackets: the Cyclone binding, json):"]
     for topic, ways in found["messages_us"].items():

@@ -118,7 +118,9 @@ def mosquitto(folder: Path) -> Iterator[int | None]:
             process.kill()
 
 
-def cpu(seconds: float) -> dict[str, dict[str, float]]:
+def cpu(
+    seconds: float, rates_hz: tuple[int, ...] = (DEFAULT_HZ, FAST_HZ)
+) -> dict[str, dict[str, float]]:
     """Percent of one CPU that motord-bus takes with one publisher and its topics, at the rate that
     it has by default and at 50 Hz. Nobody reads, but for the broker."""
     found: dict[str, dict[str, float]] = {}
@@ -130,7 +132,7 @@ def cpu(seconds: float) -> dict[str, dict[str, float]]:
         name = made.robot.status()["robot"]
         for kind, settings in kinds(Path(made_folder), broker_port).items():
             found[kind] = {}
-            for rate_hz in (DEFAULT_HZ, FAST_HZ):
+            for rate_hz in rates_hz:
                 words = [f"robot.name={name}", *settings, f"publish.b.rate_hz={rate_hz}"]
                 command = [sys.executable, "-m", "motord.bus", str(ROBOT), "--socket"]
                 command += [str(made.socket), *(part for word in words for part in ("--set", word))]

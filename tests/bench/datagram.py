@@ -91,7 +91,7 @@ def daemon(folder: Path, port: str, hogs: int, more: str = "") -> Iterator[Clien
     try:
         with _connected(path) as robot_client:
             _until(lambda: robot_client.status()["state"] == "idle", "idle")
-            robot_client.arm()
+            _until(robot_client.arm, "arming")
             process.send_signal(signal.SIGUSR1)
             yield robot_client
     finally:

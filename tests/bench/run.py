@@ -1,59 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick] [--json] [--only core,wire,can,board,datagram,lateness,bus]
+python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,board,datagram,...]
 
-Ends with 1 only where something is wrong (a violation, a page fault), never because a machine is
-slow: the sentences say what was reached.
+Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
+because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
+as it can, for whoever wants to know that it runs: no figure is judged.
 """
 
 from __future__ import annotations
 
 import argparse
+import enum
 import json
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import board_stream
 import bus
 import can_bus
+import core_instructions
 import datagram
 import lateness
 import wire
 
-HERE = Path(__file__).parent
-PARTS = ("core", "wire", "can", "board", "datagram", "lateness", "bus")
 Verdicts = list[tuple[str, bool, bool]]
 
 
-def core() -> tuple[str, dict[str, Any], Verdicts]:
-    run = subprocess.run(
-        [sys.executable, HERE / "core_instructions.py"], capture_output=True, text=True, check=True
-    )
-    found = json.loads(run.stdout)
-    return f"instructions of core_step, four wheels: {found}", found, []
+class Size(enum.Enum):
+    """How much is measured."""
+
+    SMOKE = enum.auto()
+    QUICK = enum.auto()
+    WHOLE = enum.auto()
 
 
-def on_the_wire(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
+def core(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    ticks = 4000 if size is Size.SMOKE else core_instructions.TICKS
+    found = core_instructions.measure(ticks)
+    if found is None:
+        return f"no instructions are counted: {core_instructions.NEEDS}", {}, []
+    text = f"instructions of core_step, four wheels: {found}"
+    return text, found, core_instructions.verdicts(found)
+
+
+def on_the_wire(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    if size is Size.SMOKE:
+        found = wire.arms()
+        results = wire.measure(1, 0.3, [found[0], found[6], found[-1]])
+        return wire.table(results), {}, []
+    quick = size is Size.QUICK
     results = wire.measure(rounds=1 if quick else 3, seconds=2.0 if quick else 3.0)
     said = "\n".join([wire.table(results), *wire.has_bench_tools()])
     return said, {name: found.rounds for name, found in results.items()}, wire.verdicts(results)
 
 
-def on_a_bus(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = can_bus.measure(rounds=1 if quick else 5, seconds=3.0 if quick else 6.0)
+def on_a_bus(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    seconds = {Size.SMOKE: 0.3, Size.QUICK: 3.0, Size.WHOLE: 6.0}[size]
+    found = can_bus.measure(rounds=5 if size is Size.WHOLE else 1, seconds=seconds)
     return can_bus.table(found), found, can_bus.verdicts(found)
 
 
-def on_a_stream(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = board_stream.measure(seconds=3.0 if quick else 6.0)
+def on_a_stream(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    seconds = {Size.SMOKE: 0.3, Size.QUICK: 3.0, Size.WHOLE: 6.0}[size]
+    found = board_stream.measure(seconds)
     return board_stream.table(found), found, board_stream.verdicts(found)
 
 
-def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = datagram.measure(60 if quick else 200)
+def datagrams(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    found = datagram.measure({Size.SMOKE: 4, Size.QUICK: 60, Size.WHOLE: 200}[size])
     rows = [
         f"{name:8} p50 {row['p50_us']:6.0f}  p90 {row['p90_us']:6.0f}  p99 {row['p99_us']:6.0f} µs"
         f"  ({row['samples']:g} commands)"
@@ -62,13 +77,16 @@ def datagrams(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
     return "\n".join(["from datagram to byte:", *rows]), found, datagram.verdicts(found)
 
 
-def second_process(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = bus.measure(quick)
+def second_process(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    if size is Size.SMOKE:
+        return "motord-bus runs", bus.smoke(), []
+    found = bus.measure(size is Size.QUICK)
     return bus.table(found), found, bus.verdicts(found)
 
 
-def wake_ups(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
-    found = lateness.measure(pairs=3 if quick else 9, seconds=3.0 if quick else 5.0)
+def wake_ups(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    pairs, seconds = {Size.SMOKE: (1, 1.0), Size.QUICK: (3, 3.0), Size.WHOLE: (9, 5.0)}[size]
+    found = lateness.measure(pairs, seconds)
     if not found:
         return "cyclictest is not installed (apt install rt-tests): no lateness pairs", {}, []
     rows = []
@@ -83,30 +101,34 @@ def wake_ups(quick: bool) -> tuple[str, dict[str, Any], Verdicts]:
     return "\n".join([head, *rows]), found, lateness.verdicts(found)
 
 
+PARTS = {
+    "core": core,
+    "wire": on_the_wire,
+    "can": on_a_bus,
+    "board": on_a_stream,
+    "datagram": datagrams,
+    "lateness": wake_ups,
+    "bus": second_process,
+}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer rounds: two minutes")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="fewer rounds: two minutes")
+    size.add_argument("--smoke", action="store_true", help="every part runs; nothing is judged")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument("--only", default=",".join(PARTS), help="parts, with commas between")
     asked = parser.parse_args()
     chosen = [part for part in PARTS if part in asked.only.split(",")]
-    results, verdicts = {}, []
+    how_much = Size.SMOKE if asked.smoke else Size.QUICK if asked.quick else Size.WHOLE
+    results: dict[str, Any] = {}
+    verdicts: Verdicts = []
     for part in chosen:
         print(f"{part} ...", file=sys.stderr, flush=True)
-        if part == "core":
-            text, found, said = core()
-        else:
-            measure = {
-                "wire": on_the_wire,
-                "can": on_a_bus,
-                "board": on_a_stream,
-                "datagram": datagrams,
-                "lateness": wake_ups,
-                "bus": second_process,
-            }
-            text, found, said = measure[part](asked.quick)
+        text, found, said = PARTS[part](how_much)
         results[part] = found
-        verdicts += said
+        verdicts += said if how_much is not Size.SMOKE else []
         if not asked.json:
             print(f"{text}\n", flush=True)
     wrong = any(matters and not reached for _, reached, matters in verdicts)

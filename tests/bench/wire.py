@@ -11,7 +11,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -151,9 +151,9 @@ def _ask(client: subprocess.Popen[str]) -> dict[str, Any]:
     return dict(json.loads(client.stdout.readline()))
 
 
-def measure(rounds: int, seconds: float) -> dict[str, Result]:
+def measure(rounds: int, seconds: float, chosen: Sequence[Arm] | None = None) -> dict[str, Result]:
     """Every arm in every round, so that a bad moment of the machine meets all of them."""
-    chosen = arms()
+    chosen = arms() if chosen is None else chosen
     results = {arm.name: Result() for arm in chosen}
     for number in range(rounds):
         for arm in chosen if number % 2 == 0 else reversed(chosen):

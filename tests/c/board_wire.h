@@ -82,7 +82,7 @@ static inline board_table frames_table(void)
 {
     board_table table = {.dialect = BOARD_FRAMES, .answers = 1, .tries = 3, .payload_bytes = 18, .said_bytes = 36,
                          .quick_stop_count = 1, .disarm_count = 1, .period_ns = 10 * MS, .silence_ns = 150 * MS,
-                         .setpoint_timeout_ns = 100 * MS, .watchdog_ns = WATCHDOG_MS * MS};
+                         .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1, .watchdog_ns = WATCHDOG_MS * MS};
     table.payload[1] = MOTORS;
     table.payload[4] = 10;   /* feedback period, ms */
     for (uint32_t j = 0; j < MOTORS; j++) {

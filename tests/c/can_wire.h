@@ -32,7 +32,7 @@ static can_wire w;
 
 static inline bool take(void *sink, const can_packet *packet)
 {
-    (void)sink;
+    CHECK(sink == &w);
     if (w.full || packet->id == w.not_taken) {
         return false;
     }
@@ -82,7 +82,7 @@ static inline void restart(void)
     for (uint32_t i = 0; i < w.table.drive_count; i++) {
         before.may_turn |= (uint32_t)w.machine.drive[i].may_turn << i;
     }
-    CHECK(can_machine_init(&w.machine, &w.table, &before, take, NULL, w.now_ns) == 0);
+    CHECK(can_machine_init(&w.machine, &w.table, &before, take, &w, w.now_ns) == 0);
 }
 
 static inline void begin_with(uint32_t drives)
@@ -91,7 +91,8 @@ static inline void begin_with(uint32_t drives)
     w.now_ns = w.wake_ns = 1000 * MS;
     w.velocity_rad_s = 1.0;
     w.enabled = 1;
-    w.table = (can_table){.drive_count = drives, .period_ns = 10 * MS, .setpoint_timeout_ns = 100 * MS};
+    w.table = (can_table){.drive_count = drives, .period_ns = 10 * MS, .setpoint_timeout_ns = 100 * MS,
+                          .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = can_drive_of(i);
     }

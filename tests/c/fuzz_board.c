@@ -117,6 +117,7 @@ static board_table text(void)
 {
     board_table table = {.dialect = BOARD_TEXT, .answers = 1, .tries = 3, .payload_bytes = 12, .setpoint_count = 2,
                          .said_bytes = 6, .period_ns = 20 * MS, .silence_ns = 150 * MS, .setpoint_timeout_ns = 100 * MS,
+                         .rest_velocity_rad_s = 0.1,
                          .written = {.part_count = 3, .literal = ",\n"}, .read = {.part_count = 2, .literal = "v \n"}};
     for (uint32_t j = 0; j < 2; j++) {
         table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),

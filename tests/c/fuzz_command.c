@@ -12,7 +12,8 @@ enum { FUZZ_MAX = 128 };
 
 static const int64_t NOW_NS = 5000000000;
 
-static const core_config BASE = {.joint_count = 4, .track_m = 0.5, .joint = {
+static const core_config BASE = {.joint_count = 4, .track_m = 0.5,
+    .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6}, .joint = {
     {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1},
     {.side = -1.0, .wheel_radius_m = 0.2}, {.side = 1.0, .wheel_radius_m = 0.2}}};
 
@@ -20,7 +21,7 @@ static void granted(arbiter *a)
 {
     lease_grants grants = {.lease = {{.number = 1, .priority = 10, .lifetime_ns = 300000000}}};
     memset(grants.lease[0].token, 'a', TOKEN_BYTES);
-    arbiter_init(a, &BASE);
+    arbiter_init(a, &BASE, NULL);
     arbiter_grant(a, &grants);
 }
 

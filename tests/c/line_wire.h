@@ -24,10 +24,13 @@ typedef struct {
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool echoes;
+    bool babbles;                           /* a device sends a byte a millisecond, unasked */
     uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
     uint32_t released[LINE_DRIVES_MAX];     /* of them the last frame */
     uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
+    uint8_t refused;                        /* a register that cannot be written; 0: none */
+    uint32_t refusals;
     uint8_t bytes[2 * FRAME_BYTES_MAX];
     uint32_t count;
 } wire;
@@ -75,7 +78,7 @@ static inline void begin_with(uint32_t drives, uint32_t echo)
     w.now_ns = 1000 * MS;
     w.echoes = echo != 0;
     w.table = (line_table){.drive_count = drives, .echo = echo, .character_ns = (double)CHARACTER_NS,
-                           .gap_ns = GAP_NS, .setpoint_timeout_ns = 100 * MS};
+                           .gap_ns = GAP_NS, .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = drive_of(i);
     }
@@ -107,6 +110,15 @@ static inline void answer_on_the_wire(const uint8_t *request)
     if ((w.mute >> number & 1) != 0) {
         return;
     }
+    if (request[1] == WRITE && request[3] == w.refused && w.refused != 0) {
+        uint8_t refusal[5] = {request[0], WRITE | 0x80, 4};
+        rtu_seal(refusal, 5, SEAL_CRC16);
+        memcpy(w.bytes + w.count, refusal, 5);
+        w.count += 5;
+        w.refusals++;
+        w.now_ns += DEVICE_NS + 5 * CHARACTER_NS;
+        return;
+    }
     uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
     rtu_seal(read_reply, 7, SEAL_CRC16);
     uint32_t length = request[1] == READ ? 7 : 8;
@@ -127,12 +139,16 @@ static inline void go_on(void)
     if (w.out.send != NULL) {
         line_machine_sent(&w.machine, w.now_ns);
         answer_on_the_wire(w.out.send);
-        if (w.count == 0) {
+        if (w.count == 0 && !w.babbles) {
             w.now_ns += (w.machine.until_ns - w.now_ns) / 2;   /* a look in the middle of the waiting */
         }
-    } else {
+    } else if (!w.babbles) {
         CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);   /* it never asks to be woken at once for nothing */
         w.now_ns = w.out.wake_ns;
+    }
+    if (w.babbles) {
+        w.now_ns += MS;
+        w.bytes[w.count++] = 0x55;
     }
 }
 

@@ -1,62 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the C tests good? Each mutant is the file with one small mistake in it; tests that still
-pass do not see it.
+"""Are the C tests good? Each mutant is a file with one small mistake in it; tests that still pass
+do not see it.
 
-python tests/c/mutants.py [FILE] [--tests test_rtu,...]
+python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N]
 
-FILE is rtu.c unless something else is said.
+Without FILE: all pure files. The tests are linked once against a library of csrc/. A mutant is a
+small shared object that is loaded before that library and takes the place of its functions. The
+first round runs without sanitizers; what survives it runs once more with them. A mutant whose
+optimized machine code equals that of the file is no mutant, and one that does not compile is none
+either.
 
-Ends with 1 where a mutant survives that is not listed in mutants.toml as the same program in
-other words.
+Ends with 1 where a mutant survives that mutants.toml does not list as the same program in other
+words, or where mutants.toml lists one that the tests kill.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import re
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
 
 HERE = Path(__file__).parent
-CSRC = HERE.parents[1] / "csrc"
-FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-O1", "-w", f"-I{CSRC}"]
-# a mutant may run on beyond an array: the sanitizers see it
-WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-RUN_WITHIN_S = 60.0
-_LINE = ["test_line_stops", "test_line_rates", "test_line_packets", "fuzz_line 2000"]
-_BOARD = ["test_board", "test_board_words", "fuzz_board 3000"]
-_CAN = [
-    "test_can",
-    "test_can_stops",
-    "test_can_drive",
-    "test_can_quiet",
-    "test_can_values",
-    "test_can_looks",
-    "fuzz_can 2000",
-]
-TESTS = {
-    "rtu.c": ["test_rtu"],
-    "arbiter.c": ["test_command"],
-    "joints.c": ["test_command"],
-    "gyro.c": ["test_gyro"],
-    "encoder.c": ["test_encoder"],
-    **dict.fromkeys(["can_machine.c", "can_drive.c", "can_values.c", "can_table.c"], _CAN),
-    **dict.fromkeys(
-        ["line_machine.c", "line_drive.c", "line_quiet.c", "line_end.c", "line_values.c"], _LINE
-    ),
-    **dict.fromkeys(
-        ["board_machine.c", "board_drive.c", "board_values.c", "board_frame.c", "board_imu.c"],
-        _BOARD,
-    ),
-}
-"""Programs and their arguments, the quickest first."""
+ROOT = HERE.parents[1]
+CSRC = ROOT / "csrc"
+BUILT = ROOT / "build/mutants"
+PLAIN = ["-O1"]
+FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-w"]
+SANITIZED = ["-O1", "-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all"]
+IMPURE = re.compile(r"(clock|loop.*|line_(thread|rtu|can|board)|output_.*|ingress)\.c")
+"""Files with a clock, a thread or a descriptor: tests/contract and tests/rt run them."""
+FUZZ = ["fuzz_line 2000", "fuzz_can 2000", "fuzz_board 3000", "fuzz_command 20000"]
+BLOCKED_AFTER_S = 20.0
+CPU_LEAST_S = 0.1
+CPU_FACTOR = 8
+SANITIZED_FACTOR = 10
 
 _SWAPS = {
     "==": ["!="], "!=": ["=="], "<=": ["<", ">"], ">=": [">", "<"], "<": ["<=", ">"],
@@ -75,15 +67,36 @@ _TOKEN = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 
+# A mutant in a dead loop ends by its processor time, however busy the machine is.
+DEADLINE = """
+#include <stdlib.h>
+#include <sys/time.h>
+__attribute__((constructor)) static void set_deadline(void)
+{
+    const char *cpu_us = getenv("MUTANT_CPU_US");
+    struct itimerval limit = {.it_value.tv_usec = cpu_us != NULL ? atol(cpu_us) : 0};
+    limit.it_value.tv_sec = limit.it_value.tv_usec / 1000000;
+    limit.it_value.tv_usec %= 1000000;
+    setitimer(ITIMER_PROF, &limit, NULL);
+}
+"""
+# Loaded with a file whose functions report that they are called: which tests use it?
+CALLED_STATUS = 99
+CALLED = f"""
+#include <unistd.h>
+__attribute__((no_instrument_function)) void __cyg_profile_func_enter(void *callee, void *caller)
+{{
+    (void)callee, (void)caller;
+    _exit({CALLED_STATUS});
+}}
+"""
+
 
 @dataclass(frozen=True)
 class Mutant:
     line: int
-    what: str
+    what: str  # its line, with the change in double braces
     text: str
-
-    def __str__(self) -> str:
-        return f"line {self.line}: {self.what}"
 
 
 def _pieces(source: str) -> Iterator[tuple[int, int, str, str]]:
@@ -92,11 +105,12 @@ def _pieces(source: str) -> Iterator[tuple[int, int, str, str]]:
         kind = found.lastgroup or "skip"
         if kind == "skip":
             continue
-        yield found.start(), found.end(), kind, found.group()
+        lead = len(found.group()) - len(found.group().lstrip())
+        yield found.start() + lead, found.end(), kind, found.group().strip()
         if kind == "statement":
             for inner in _TOKEN.finditer(found.group().lstrip().replace("\n", " ")):
                 if inner.lastgroup in ("number", "op"):
-                    shift = found.start() + len(found.group()) - len(found.group().lstrip())
+                    shift = found.start() + lead
                     yield shift + inner.start(), shift + inner.end(), inner.lastgroup, inner.group()
 
 
@@ -110,115 +124,324 @@ def _changes(kind: str, text: str) -> list[str]:
         value, width = int(digits, 10 if decimal else 16), len(digits) if decimal else 0
         near = [value + 1, value - 1] if value > 0 else [value + 1]
         return [f"{other:0{width}}{suffix}" for other in near]  # the zeros of 0.01 stay
-    return [";" if not text.lstrip().startswith("return") else ""]
+    # without its return a function does not compile to anything defined
+    return [] if text.startswith("return") else [";"]
 
 
 def mutants(source: str) -> list[Mutant]:
     """All of them, in the file's order."""
     found = []
+    seen: Counter[str] = Counter()
     for begin, end, kind, text in _pieces(source):
         for new in _changes(kind, text):
-            if kind == "statement" and not new:
-                continue  # without its return a function does not compile to anything defined
+            start = source.rfind("\n", 0, begin) + 1
+            stop = source.find("\n", end)
+            change = "removed" if kind == "statement" else new or "nothing"
+            shown = f"{source[start:begin]}{{{{{text} -> {change}}}}}{source[end:stop]}"
+            shown = " ".join(shown.split())
+            seen[shown] += 1
+            what = shown if seen[shown] == 1 else f"{shown} ({seen[shown]})"
             line = source.count("\n", 0, begin) + 1
-            shown = text.strip().replace("\n", " ")
-            what = f"{shown} removed" if kind == "statement" else f"{shown} -> {new or 'nothing'}"
-            line_text = source.splitlines()[line - 1].strip()
-            found.append(
-                Mutant(line, f"{what}   in: {line_text}", source[:begin] + new + source[end:])
-            )
+            found.append(Mutant(line, what, source[:begin] + new + source[end:]))
     return found
 
 
-def survives(mutant: Mutant, file: str, tests: list[str], objects: dict[str, list[str]]) -> bool:
-    """No test fails; what does not compile, or runs for ever, is killed."""
-    with tempfile.TemporaryDirectory() as folder:
-        changed = Path(folder, file)
-        changed.write_text(mutant.text, encoding="utf-8")
-        part = Path(folder, "mutant.o")
-        built = subprocess.run(
-            ["gcc", *FLAGS, *WATCHED, "-c", changed, "-o", part],
-            capture_output=True,
-            timeout=RUN_WITHIN_S,
-        )
-        if built.returncode != 0:
-            return False
-        for test in tests:
-            name, *arguments = test.split()
-            program = Path(folder, name)
-            linked = subprocess.run(
-                ["gcc", *WATCHED, part, *objects[test], "-o", program, "-lm", "-lpthread", "-lrt"],
-                capture_output=True,
-                timeout=RUN_WITHIN_S,
+def compile_all(arguments: list[str | Path], into: Path, needs: list[Path]) -> None:
+    """If anything that it needs is newer."""
+    if into.exists() and into.stat().st_mtime > max(path.stat().st_mtime for path in needs):
+        return
+    fresh = into.with_name(f"{into.name}.{os.getpid()}")
+    subprocess.run(["gcc", *FLAGS, *arguments, "-o", fresh], check=True, timeout=300)
+    fresh.replace(into)
+
+
+def write_if_other(path: Path, text: str) -> None:
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+@dataclass
+class Program:
+    """A test, or a fuzzer with its arguments."""
+
+    call: str
+    cpu_s: float = 0.0
+    kills: int = 0
+    lock: Lock = field(default_factory=Lock)
+
+    def command(self, flags: list[str]) -> list[str]:
+        """Built, if it has to be."""
+        name, *arguments = self.call.split()
+        into = BUILT / (f"{name}.sanitized" if flags is SANITIZED else name)
+        needs = [*HERE.glob("*.h"), *(BUILT / "csrc").glob("*.h"), *ROOT.glob("docs/mcu/*.[ch]")]
+        here: list[str | Path] = [HERE / f"{name}.c", f"-I{BUILT / 'csrc'}", BUILT / "libcsrc.so"]
+        with self.lock:
+            compile_all(
+                [*flags, *here, f"-Wl,-rpath,{BUILT}", "-lm", "-lpthread", "-lrt"],
+                into,
+                [HERE / f"{name}.c", *needs],
             )
-            if linked.returncode != 0:
-                return False
-            try:
-                run = subprocess.run(
-                    [program, *arguments],
-                    capture_output=True,
-                    timeout=RUN_WITHIN_S,
-                    env={**os.environ, "ASAN_OPTIONS": "detect_leaks=0"},
-                )
-            except subprocess.TimeoutExpired:
-                return False
-            if run.returncode != 0:
-                return False
-    return True
+        return [str(into), *arguments]
+
+    @property
+    def limit_s(self) -> float:
+        return max(CPU_LEAST_S, CPU_FACTOR * self.cpu_s)
+
+    @property
+    def order(self) -> tuple[int, float]:
+        return -self.kills, self.cpu_s
 
 
-def compiled_rest(name: str, tests: list[str], folder: Path) -> dict[str, list[str]]:
-    """Object files of each test and of all other sources."""
-    rest = []
-    for source in sorted(CSRC.glob("*.c")):
-        if source.name != name:
-            target = folder / f"{source.stem}.o"
-            subprocess.run(["gcc", *FLAGS, "-c", source, "-o", target], check=True, timeout=120)
-            rest.append(str(target))
-    objects = {}
-    for test in tests:
-        target = folder / f"{test.split()[0]}.o"
-        subprocess.run(
-            ["gcc", *FLAGS, *WATCHED, "-c", HERE / f"{test.split()[0]}.c", "-o", target],
-            check=True,
-            timeout=120,
+class Bench:
+    """The tests, each linked once; and a copy of csrc/ for each worker to change."""
+
+    def __init__(self, folder: Path, jobs: int) -> None:
+        self.folder = folder
+        self.pool = ThreadPoolExecutor(jobs)
+        asan = ["gcc", "-print-file-name=libasan.so"]
+        self.asan = subprocess.run(asan, check=True, capture_output=True, text=True).stdout.strip()
+        (BUILT / "csrc").mkdir(parents=True, exist_ok=True)
+        for path in sorted(CSRC.glob("*.[ch]")):
+            # what is hidden cannot be replaced
+            text = path.read_text(encoding="utf-8").replace("#pragma GCC visibility", "#pragma")
+            write_if_other(BUILT / "csrc" / path.name, text)
+        self._build_library()
+        self.programs = self._programs()
+        self.copies: SimpleQueue[Path] = SimpleQueue()
+        for number in range(jobs):
+            self.copies.put(Path(shutil.copytree(BUILT / "csrc", folder / f"csrc{number}")))
+
+    def _build_library(self) -> None:
+        write_if_other(BUILT / "deadline.c", DEADLINE)
+        write_if_other(BUILT / "called.c", CALLED)
+        headers = list((BUILT / "csrc").glob("*.h"))
+        sources = [BUILT / "csrc" / path.name for path in sorted(CSRC.glob("*.c"))]
+        sources.append(BUILT / "deadline.c")
+        objects = [BUILT / f"{source.stem}.o" for source in sources]
+
+        def compile_one(source: Path, into: Path) -> None:
+            compile_all(["-O1", "-fPIC", "-c", source], into, [source, *headers])
+
+        list(self.pool.map(compile_one, sources, objects))
+        compile_all(
+            ["-shared", *objects, "-lm", "-lpthread", "-lrt"], BUILT / "libcsrc.so", objects
         )
-        objects[test] = [str(target), *rest]
-    return objects
+
+    def _programs(self) -> list[Program]:
+        listed = subprocess.run(
+            ["make", "-s", "--no-print-directory", "-C", HERE, "print-plain"],
+            check=True, capture_output=True, text=True,
+        ).stdout.split()  # fmt: skip
+        programs = [Program(call) for call in [*listed, *FUZZ]]
+        list(self.pool.map(lambda program: program.command(PLAIN), programs))
+        return programs
+
+    def includers(self, name: str) -> list[str]:
+        """The C files that a change of `name` changes."""
+        if name.endswith(".c"):
+            return [name]
+        reached, left = {name}, [name]
+        while left:
+            wanted = f'#include "{left.pop()}"'
+            for path in sorted(CSRC.glob("*.[ch]")):
+                if path.name not in reached and wanted in path.read_text(encoding="utf-8"):
+                    reached.add(path.name)
+                    left.append(path.name)
+        return sorted(path for path in reached if path.endswith(".c"))
+
+    def build(self, copy: Path, parts: list[str], flags: list[str], into: Path) -> bool:
+        """Shared, where the flags say so."""
+        arguments = [*FLAGS, *flags, *(str(copy / part) for part in parts)]
+        done = subprocess.run(
+            ["gcc", *arguments, "-o", into], stderr=subprocess.DEVNULL, timeout=300
+        )
+        return done.returncode == 0
+
+    def run(self, command: list[str], preload: str, limit_s: float) -> int:
+        # by way of the environment: a program that is forked from a thread must not run Python
+        environment = {
+            "LD_PRELOAD": preload,
+            "ASAN_OPTIONS": "detect_leaks=0",
+            "MUTANT_CPU_US": str(round(limit_s * 1e6)),
+        }
+        try:
+            return subprocess.run(
+                command,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                close_fds=False,
+                timeout=BLOCKED_AFTER_S,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            return -1
+
+
+@dataclass
+class Tally:
+    """A file and what came of its mutants."""
+
+    name: str
+    count: int = 0
+    killed: int = 0
+    same: list[Mutant] = field(default_factory=list)
+    left: list[Mutant] = field(default_factory=list)
+    stale: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def row(self) -> str:
+        survived = len(self.left)
+        return (
+            f"{self.name:18}{self.count:8}{self.killed:8}{len(self.same):8}{survived:10}"
+            f"{self.seconds:9.1f}"
+        )
+
+
+class Trial:
+    """One file against the tests that call it."""
+
+    def __init__(self, bench: Bench, name: str) -> None:
+        self.bench = bench
+        self.name = name
+        self.parts = bench.includers(name)
+        self.tests: list[Program] = []
+        self.code = b""
+
+    def prepare(self) -> None:
+        copy = self.bench.copies.get()
+        called, same = self.bench.folder / "called.so", self.bench.folder / "same.so"
+        shared = ["-O0", "-fPIC", "-shared"]
+        hook = str(BUILT / "called.c")
+        instrumented = [*shared, "-finstrument-functions", hook]
+        assert self.bench.build(copy, self.parts, instrumented, called)
+        assert self.bench.build(copy, self.parts, shared, same)
+        checked = self.bench.folder / "checked.so"
+        assert self.bench.build(copy, self.parts, [*SANITIZED, "-fPIC", "-shared"], checked)
+        self.code = self._code(copy)
+        self.bench.copies.put(copy)
+        for program in self.bench.programs:
+            command = program.command(PLAIN)
+            if self.bench.run(command, str(called), BLOCKED_AFTER_S) != CALLED_STATUS:
+                continue
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            if self.bench.run(command, str(same), BLOCKED_AFTER_S) != 0:
+                sys.exit(f"{program.call} fails without a mutant of {self.name}")
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            self.tests.append(Program(program.call, cpu_s, lock=program.lock))
+            preload = f"{self.bench.asan}:{checked}"
+            if self.bench.run(program.command(SANITIZED), preload, BLOCKED_AFTER_S) != 0:
+                sys.exit(f"{program.call} fails with sanitizers, without a mutant of {self.name}")
+
+    def _code(self, copy: Path) -> bytes:
+        """The optimized machine code."""
+        code = b""
+        into = copy / "code.o"
+        for part in self.parts:
+            if not self.bench.build(copy, [part], ["-O2", "-c"], into):
+                return b""
+            code += into.read_bytes()
+        return code
+
+    def _survives(self, copy: Path) -> bool | None:
+        """None: it does not compile, or it is the same machine code."""
+        shared = copy / "mutant.so"
+        if not self.bench.build(copy, self.parts, ["-O0", "-fPIC", "-shared"], shared):
+            return None
+        for test in sorted(self.tests, key=lambda program: program.order):
+            if self.bench.run(test.command(PLAIN), str(shared), test.limit_s) != 0:
+                test.kills += 1
+                return False
+        if self._code(copy) == self.code:
+            return None
+        flags = [*SANITIZED, "-fPIC", "-shared"]
+        if not self.bench.build(copy, self.parts, flags, shared):
+            return None
+        preload = f"{self.bench.asan}:{shared}"
+        return all(
+            self.bench.run(test.command(SANITIZED), preload, SANITIZED_FACTOR * test.limit_s) == 0
+            for test in self.tests
+        )
+
+    def survives(self, mutant: Mutant) -> bool | None:
+        copy = self.bench.copies.get()
+        path = copy / self.name
+        whole = path.read_text(encoding="utf-8")
+        try:
+            path.write_text(mutant.text, encoding="utf-8")
+            return self._survives(copy)
+        finally:
+            path.write_text(whole, encoding="utf-8")
+            self.bench.copies.put(copy)
+
+    def judge(self, known: dict[str, str], sample: int, seed: int) -> Tally:
+        began_s = time.monotonic()
+        self.prepare()
+        whole = (BUILT / "csrc" / self.name).read_text(encoding="utf-8")
+        found = mutants(whole)
+        whats = {mutant.what for mutant in found}
+        if 0 < sample < len(found):
+            found = random.Random(seed).sample(found, sample)
+        tally = Tally(self.name)
+        tally.stale = [what for what in known if what not in whats]
+        fates = self.bench.pool.map(self.survives, found)
+        for mutant, survives in zip(found, fates, strict=True):
+            if survives is None:
+                continue
+            tally.count += 1
+            if not survives:
+                tally.killed += 1
+                tally.stale += [mutant.what] if mutant.what in known else []
+            elif mutant.what in known:
+                tally.same.append(mutant)
+            else:
+                tally.left.append(mutant)
+        tally.seconds = time.monotonic() - began_s
+        return tally
+
+
+def pure_files() -> list[str]:
+    """No thread, no clock, no descriptor; of the headers, those with functions."""
+    headers = [
+        path.name
+        for path in sorted(CSRC.glob("*.h"))
+        if "static inline" in path.read_text(encoding="utf-8")
+    ]
+    parts = [path.name for path in sorted(CSRC.glob("*.c")) if not IMPURE.fullmatch(path.name)]
+    return parts + headers
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="mutants of a C file against its tests")
-    parser.add_argument("file", nargs="?", default="rtu.c")
-    parser.add_argument("--tests", default="")
+    parser = argparse.ArgumentParser(description="mutants of C files against their tests")
+    parser.add_argument("file", nargs="*")
+    parser.add_argument("--sample", type=int, default=0, help="so many of each file, not all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
     asked = parser.parse_args()
-    tests = asked.tests.split(",") if asked.tests else TESTS[asked.file]
-    source = (CSRC / asked.file).read_text(encoding="utf-8")
-    known = tomllib.loads((HERE / "mutants.toml").read_text(encoding="utf-8")).get(asked.file, {})
-    found = mutants(source)
-    print(f"{asked.file}: {len(found)} mutants against {', '.join(tests)}", file=sys.stderr)
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
-        objects = compiled_rest(asked.file, tests, Path(folder))
-        alive = [
-            mutant
-            for mutant, lives in zip(
-                found,
-                pool.map(lambda m: survives(m, asked.file, tests, objects), found),
-                strict=True,
-            )
-            if lives
-        ]
-    same = [mutant for mutant in alive if mutant.what in known]
-    left = [mutant for mutant in alive if mutant.what not in known]
-    for mutant in same:
-        print(f"the same program: {mutant} ({known[mutant.what]})")
-    for mutant in left:
-        print(f"SURVIVED {mutant}")
-    print(
-        f"{asked.file}: {len(found) - len(alive)} of {len(found)} killed, {len(same)} are the same "
-        f"program in other words, {len(left)} survived"
-    )
-    return int(bool(left))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    listed = tomllib.loads((HERE / "mutants.toml").read_text(encoding="utf-8"))
+    tallies = []
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder), asked.jobs)
+        for name in asked.file or pure_files():
+            tally = Trial(bench, name).judge(listed.get(name, {}), asked.sample, asked.seed)
+            tallies.append(tally)
+            for mutant in tally.left:
+                print(f"SURVIVED {name}:{mutant.line}: {mutant.what}", flush=True)
+            for what in tally.stale:
+                print(f"STALE {name}: {what}: mutants.toml argues, but the tests kill it"
+                      " or it is not there")  # fmt: skip
+            print(f"{tally.row().strip()}", file=sys.stderr, flush=True)
+    total = Tally("all", *(sum(getattr(t, name) for t in tallies) for name in ("count", "killed")))
+    for tally in tallies:
+        total.same += tally.same
+        total.left += tally.left
+        total.seconds += tally.seconds
+    print("file               mutants  killed  argued  survived  seconds")
+    for tally in [*tallies, total]:
+        print(tally.row())
+    return int(any(tally.left or tally.stale for tally in tallies))
 
 
 if __name__ == "__main__":

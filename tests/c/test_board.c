@@ -57,6 +57,17 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 0 && w.peer.enabled == 1);
 }
 
+static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
+{
+    begin();
+    arm_and_turn();
+    w.machine.control.wish.count++;   /* STAND_DOWN or OFF, before the next one took its place */
+    wish(DRIVE_ARMED);
+    go_on(30 * MS);
+    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0);
+    CHECK(told(TARGET, 4, 1) == 0);
+}
+
 static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
 {
     begin();
@@ -150,6 +161,20 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     w.moving_count = 0;
     go_on(200 * MS);
     CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && w.moving_count == 0);
+}
+
+static void a_wheel_rests_below_the_speed_of_the_table(void)
+{
+    for (uint32_t strict = 0; strict < 2; strict++) {
+        begin();
+        w.table.rest_velocity_rad_s = strict ? 0.02 : 1.5;   /* the wheels turn at 1 rad/s */
+        restart();
+        arm_and_turn();
+        w.stuck = true;
+        w.enabled = 2;
+        go_on(300 * MS);
+        CHECK((w.machine.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.peer.braking == strict && w.machine.stopping == strict);
+    }
 }
 
 static void a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second(void)
@@ -375,43 +400,6 @@ static void arming_needs_fresh_set_points_and_no_stop_under_way(void)
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
-static void the_end_is_braked_switched_off_and_silent(void)
-{
-    begin();
-    arm_and_turn();
-    w.machine.control.shut_down = 1;
-    step();
-    CHECK(w.peer.braking == 1 && w.peer.enabled == 0);
-    go_on(100 * MS);
-    CHECK(w.machine.shut == 3 && w.peer.braking == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
-    uint32_t before = w.sent_count;
-    wish(DRIVE_ARMED);
-    go_on(200 * MS);
-    CHECK(w.sent_count == before && w.machine.mode == DRIVE_READY);
-}
-
-static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
-{
-    begin();
-    arm_and_turn();
-    w.stuck = true;
-    w.machine.control.shut_down = 1;
-    int64_t asked_ns = w.now_ns;
-    step();
-    go_on(340 * MS);
-    CHECK(w.peer.braking == 1 && w.machine.shut == 1);
-    (void)heard_news();
-    go_on(20 * MS);
-    CHECK(w.peer.braking == 0 && w.machine.shut >= 2);
-    while (w.machine.shut != 3) {
-        go_on(MS);
-    }
-    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.told_ns + w.table.period_ns && heard_news());
-    board_report report;
-    board_machine_report(&w.machine, &report);
-    CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);
-}
-
 static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(void)
 {
     board_table table = frames_table();
@@ -433,29 +421,20 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     CHECK(w.machine.demoted == DEMOTED_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
 }
 
-static void the_end_comes_also_where_wheels_turn_and_nothing_goes_out(void)
-{
-    begin();
-    arm_and_turn();
-    w.stuck = w.full = true;
-    w.machine.control.shut_down = 1;
-    step();
-    go_on(500 * MS);
-    CHECK(w.machine.shut == 3);
-}
-
 int main(void)
 {
     nothing_but_zero_goes_out_before_arming();
     the_newest_set_points_are_in_the_frame_that_leaves();
     a_set_point_that_is_no_number_or_too_great_is_harmless();
     a_set_point_of_zero_does_not_wait_for_its_cycle();
+    a_stop_that_was_overtaken_unseen_is_still_carried_out();
     each_write_of_a_job_goes_out_with_a_frame_of_its_own();
     a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile();
     a_new_start_goes_on_with_the_sequence();
     a_new_program_goes_on_from_what_the_board_has_heard();
     a_frame_that_comes_late_is_refused_by_the_board();
     old_set_points_brake_and_take_the_power_at_rest();
+    a_wheel_rests_below_the_speed_of_the_table();
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
     rest_is_only_what_was_said_after_the_stop_was_heard();
     a_core_that_takes_enabled_back_takes_the_power_at_once();
@@ -470,9 +449,6 @@ int main(void)
     a_board_that_is_enabled_though_nobody_armed_it_is_told_off();
     a_mute_board_is_quiet_braked_and_comes_back_disarmed();
     arming_needs_fresh_set_points_and_no_stop_under_way();
-    the_end_is_braked_switched_off_and_silent();
-    the_end_waits_for_the_wheels_and_for_its_last_frame();
     frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();
-    the_end_comes_also_where_wheels_turn_and_nothing_goes_out();
     return checks_report("board");
 }

@@ -97,7 +97,8 @@ static board_table text_table(bool answers)
 {
     board_table table = {.dialect = BOARD_TEXT, .answers = answers, .tries = 3, .payload_bytes = 8, .setpoint_count = 2,
                          .said_bytes = answers ? 6 : 0, .period_ns = 20 * MS, .silence_ns = 150 * MS,
-                         .setpoint_timeout_ns = 100 * MS, .written = {.part_count = 3, .literal = ",\n"}};
+                         .setpoint_timeout_ns = 100 * MS,
+                         .rest_velocity_rad_s = 0.1, .written = {.part_count = 3, .literal = ",\n"}};
     for (uint32_t j = 0; j < 2; j++) {
         table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
                                              .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};

@@ -110,6 +110,26 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.stop_until_ns != 0);
 }
 
+/* The mailbox keeps the newest request only: one that was never seen may have been a stop. */
+static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
+{
+    bridge_state state = {0};
+    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS) == 0.5);
+    arm.number = 3;
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.0 && state.armed == 0);
+    CHECK(state.number == 3 && state.demoted == 0 && state.stop_until_ns == 0);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 2 * MS) == 0.0);
+    arm.number = 4;
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 3 * MS) == 0.5);
+    bridge_control stop = {.wish = PWM_STOP, .number = 5};
+    CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 4 * MS) == 0.0 && state.stop_until_ns != 0);
+    arm.number = 7;   /* it brakes, and a power-off may have been overtaken */
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 && state.armed == 0 && state.stop_until_ns == 0);
+    arm.number = 9;   /* it has no power: there is nothing to take */
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.5);
+}
+
 static void a_pump_changes_with_every_cycle_that_may_move_and_with_no_other(void)
 {
     bridge_config config = config_of(3);
@@ -291,6 +311,7 @@ int main(void)
 {
     only_armed_enabled_and_fresh_set_points_move();
     what_is_old_or_late_brakes_and_then_lets_go();
+    a_stop_that_an_arming_overtakes_unseen_takes_the_power();
     a_pump_changes_with_every_cycle_that_may_move_and_with_no_other();
     a_level_is_a_part_of_the_period();
     a_config_that_cannot_be_is_refused();

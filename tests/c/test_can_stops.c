@@ -49,6 +49,17 @@ static void a_stop_that_waits_outlives_a_new_set_up(void)
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
+static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
+{
+    drive_off_on_a_full_bus();
+    w.full = false;
+    w.machine.control.drive[0].count++;   /* STAND_DOWN or OFF, before the next one took its place */
+    wish(0, DRIVE_ARMED);
+    CHECK(w.machine.drive[0].mode == DRIVE_READY);
+    go_on(2 * MS);
+    CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+}
+
 static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(void)
 {
     drive_off_on_a_full_bus();
@@ -210,6 +221,7 @@ int main(void)
     standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest();
     switching_off_one_that_has_not_heard_its_zero_takes_its_power();
     a_stop_that_waits_outlives_a_new_set_up();
+    a_stop_that_was_overtaken_unseen_is_still_carried_out();
     a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it();
     one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop();
     return checks_report("can stops");

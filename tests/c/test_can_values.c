@@ -257,8 +257,29 @@ static void each_kind_of_set_point_is_told_to_whom_it_is_for(void)
     CHECK(speed_in(newest_of(0)) == -300 && second_speed() == 50);
 }
 
+static void a_range_that_the_place_cannot_hold_is_refused(void)
+{
+    char name[FIELD_NAME_BYTES];
+    begin_with(1);
+    can_setpoint *setpoint = &w.table.drive[0].output[0].setpoint[0];
+    setpoint->place.length = 12;
+    for (uint32_t form = CAN_UNSIGNED; form <= CAN_SIGNED; form++) {
+        double least = form == CAN_SIGNED ? -2048.0 : 0.0, most = form == CAN_SIGNED ? 2047.0 : 4095.0;
+        setpoint->place.form = form;
+        setpoint->scale.raw_min = least;
+        setpoint->scale.raw_max = most;
+        CHECK(can_table_check(&w.table, name) == NULL);
+        setpoint->scale.raw_max = most + 1.0;
+        CHECK(can_table_check(&w.table, name) != NULL && strstr(name, "setpoint.raw_max") != NULL);
+        setpoint->scale.raw_max = most;
+        setpoint->scale.raw_min = least - 1.0;
+        CHECK(can_table_check(&w.table, name) != NULL && strstr(name, "setpoint.raw_min") != NULL);
+    }
+}
+
 int main(void)
 {
+    a_range_that_the_place_cannot_hold_is_refused();
     both_wheels_are_told_in_one_frame();
     a_drive_is_at_rest_when_both_of_its_wheels_are();
     each_kind_of_set_point_is_told_by_its_own_number();

@@ -41,7 +41,7 @@ static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
 static void two_sources(arbiter *a)
 {
     lease_grants grants = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
-    arbiter_init(a, NULL);
+    arbiter_init(a, NULL, NULL);
     arbiter_grant(a, &grants);
 }
 
@@ -100,7 +100,7 @@ static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
     static arbiter a;
     lease_grants grants = {.lease = {grant_of('a', 10)}};
     grants.lease[0].interval_least_ns = 10 * MS;
-    arbiter_init(&a, NULL);
+    arbiter_init(&a, NULL, NULL);
     arbiter_grant(&a, &grants);
     uint64_t sequence = 1, taken = 0;
     while (say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 0) {
@@ -187,14 +187,37 @@ static int say_joints(arbiter *a, joint_datagram joints)
     return arbiter_submit(a, &joints, sizeof joints, START_NS, true);
 }
 
+#define LIMITS {.linear.velocity_u_s = 1.0, .angular.velocity_u_s = 2.0}
+
+static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
+{
+    static arbiter a;
+    static const core_config base = {.limits = LIMITS};
+    base_limits now = {.linear.velocity_u_s = 0.1, .angular.velocity_u_s = 0.1};
+    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    arbiter_init(&a, &base, &now);
+    arbiter_grant(&a, &grants);
+    CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0);   /* the robot file's limit counts, too */
+    CHECK(speed_m_s(&a, START_NS, true) == -10.0);
+    CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
+    command_datagram turn = command_of('a', 3, START_NS, 0.5);
+    turn.angular_rad_s = -1e308;
+    CHECK(say(&a, turn, START_NS, true) == 1 + REFUSED_OUT_OF_RANGE && speed_m_s(&a, START_NS, true) == 0.0);
+    now.linear.velocity_u_s = 2.0;
+    CHECK(say(&a, command_of('a', 4, START_NS, 20.0), START_NS, true) == 0);
+    CHECK(say(&a, command_of('a', 5, START_NS, 1e308), START_NS, false) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.refused[REFUSED_OUT_OF_RANGE] == 3);
+}
+
 static void wheels_are_a_twist_or_they_are_refused(void)
 {
     static arbiter a;
-    static const core_config base = {.joint_count = 3, .track_m = 0.5, .joint = {
+    static const core_config base = {.joint_count = 3, .track_m = 0.5, .limits = LIMITS, .joint = {
         {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
     lease_grants grants = {.lease = {grant_of('a', 10)}};
     twist_command out;
-    arbiter_init(&a, &base);
+    arbiter_init(&a, &base, NULL);
     arbiter_grant(&a, &grants);
     CHECK(say_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
     arbiter_command(&a, START_NS, true, &out);
@@ -202,7 +225,9 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     CHECK(say_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
     CHECK(say_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
-    joint_datagram few = joints_of(4, 1.0, 2.0, 1.0);
+    CHECK(say_joints(&a, joints_of(4, -1e300, 2e300, 1e300)) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(speed_m_s(&a, START_NS, true) == 0.0);
+    joint_datagram few = joints_of(5, 1.0, 2.0, 1.0);
     few.joint_count = 2;
     few.velocity_rad_s[0] = NAN;
     CHECK(say_joints(&a, few) == 1 + REFUSED_JOINTS);
@@ -211,7 +236,7 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     few.version = 2;
     CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
     a.base = NULL;
-    CHECK(say_joints(&a, joints_of(5, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
+    CHECK(say_joints(&a, joints_of(6, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
 /* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
@@ -260,6 +285,7 @@ int main(void)
     motion_that_is_commanded_too_often_is_refused_and_a_stop_never();
     each_refusal_is_counted_by_its_kind();
     a_wake_up_takes_a_bounded_number_of_datagrams();
+    more_than_ten_times_the_limit_is_refused_and_commands_zero();
     wheels_are_a_twist_or_they_are_refused();
     wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side();
     return checks_report("command");

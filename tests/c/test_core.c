@@ -1,126 +1,41 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Every line of the pure files (limit, saturate, kinematics, pwm, odometry, angle, check, core), for the sanitizers.
  * What they promise is tested in tests/rt; here each path is walked, with hostile numbers on the way. */
-#include "check.h"
-#include "core.h"
+#include "core_rig.h"
 
 #include <errno.h>
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-static const int64_t TICK_NS = 1000000;
 static const double HOSTILE[] = {NAN, INFINITY, -INFINITY, 0.0, -0.0, -1.0, 5e-324, DBL_MIN, DBL_MAX, -DBL_MAX, 1.0, 1e-9};
 enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0] };
 
-typedef struct {
-    core_config config;
-    core_state state;
-    core_input input;
-    setpoints out;
-    robot_state shown;
-    double position_rad[JOINTS_MAX];
-    bool deaf;                  /* feedback is not refreshed */
-    bool mute;                  /* nor the command */
-} rig;
-
-static core_config good_config(void)
-{
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
-    core_config config = {
-        .joint_count = 4, .track_m = 0.5, .limits = {linear, angular},
-        .command_timeout_s = 0.3, .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP, .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
-    };
-    for (uint32_t j = 0; j < config.joint_count; j++)
-        config.joint[j] = (joint_config){
-            .side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -9.0, .velocity_max_rad_s = 9.0,
-            .rad_per_count = 6.283185307179586 / 4096.0, .counter_bits = 16,
-            .pwm = {0.05, -1.0, 1.0, 100.0, 12.5},
-        };
-    return config;
-}
-
-static void start(rig *r, const core_config *config)
-{
-    memset(r, 0, sizeof *r);
-    r->config = *config;
-    r->input.now_ns = 1000000000;
-    r->input.control.limits = config->limits;
-    for (uint32_t j = 0; j < config->joint_count; j++)
-        r->input.feedback[j].enabled = 1;
-    CHECK(core_init(&r->state, config) == 0);
-}
-
-static const robot_state *tick(rig *r)
-{
-    r->input.now_ns += TICK_NS;
-    r->input.control.heartbeat_ns = r->input.now_ns;
-    if (!r->mute) {
-        r->input.command.stamp_ns = r->input.now_ns;
-        r->input.command.expires_ns = r->input.now_ns + 1000000000;
-    }
-    for (uint32_t j = 0; j < r->config.joint_count && !r->deaf; j++) {
-        joint_feedback *feedback = &r->input.feedback[j];
-        r->position_rad[j] += r->out.joint[j].velocity_rad_s * 1e-3;
-        feedback->velocity_rad_s = r->out.joint[j].velocity_rad_s;
-        feedback->count = (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
-        feedback->stamp_ns = r->input.now_ns;
-    }
-    core_step(&r->state, &r->input, 1e-3, &r->out, &r->shown);
-    return &r->shown;
-}
-
-static const robot_state *ticks(rig *r, int count)
-{
-    for (int i = 0; i < count; i++)
-        tick(r);
-    return &r->shown;
-}
-
-static void go(rig *r, double linear_m_s, double angular_rad_s)
-{
-    tick(r);
-    r->input.control.armed = 1;
-    CHECK(tick(r)->armed == 1);
-    r->input.command.linear_m_s = linear_m_s;
-    r->input.command.angular_rad_s = angular_rad_s;
-    CHECK(ticks(r, 1500)->faults == 0);
-}
-
-static bool zero(const rig *r)
-{
-    for (uint32_t j = 0; j < JOINTS_MAX; j++)
-        if (r->out.joint[j].velocity_rad_s != 0.0 || r->out.joint[j].duty != 0.0)
-            return false;
-    return true;
-}
-
 static void a_ramp_arrives_and_comes_back_through_zero(void)
 {
-    axis_limits limits = {1.0, 1.0, 1.5, 8.0};
-    limit_state state = {0};
+    base_limits limits = {{1.0, 1.0, 1.5, 8.0}, {2.0, 3.0, 4.0, 30.0}};
+    limit_state axis[AXES] = {0};
     uint32_t seen = 0;
     for (int i = 0; i < 3000; i++)
-        seen |= limit_step(&state, &limits, 2.0, 1e-3, false).reasons;
-    CHECK(state.velocity_u_s == 1.0);
+        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){1.0, 0.2}, 1e-3, false);
+    CHECK(axis[AXIS_LINEAR].velocity_u_s == 1.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     for (int i = 0; i < 5000; i++)
-        seen |= limit_step(&state, &limits, -0.5, 1e-3, i % 2 == 0).reasons;
-    CHECK(state.velocity_u_s == -0.5);
-    CHECK(seen == (REASON_LINEAR_VELOCITY | REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
-    limits.velocity_u_s = NAN;
-    CHECK(limit_step(&state, &limits, 1.0, 1e-3, false).velocity_u_s > -0.5 && state.velocity_u_s < 0.0);
-    limits = (axis_limits){1.0, NAN, NAN, INFINITY};
-    CHECK(limit_step(&state, &limits, 1.0, 1e-3, false).velocity_u_s == 0.0);
+        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
+    CHECK(axis[AXIS_LINEAR].velocity_u_s == -0.5 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
+    CHECK(seen == (REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
+    for (int i = 0; i < 5000; i++)
+        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3, i % 2 == 0);
+    CHECK(axis[AXIS_ANGULAR].velocity_u_s == -2.0);
+    CHECK(seen & REASON_ANGULAR_ACCELERATION && seen & REASON_ANGULAR_DECELERATION && seen & REASON_ANGULAR_JERK);
+    limits.linear = (axis_limits){1.0, NAN, NAN, INFINITY};
+    CHECK(ramp_step(axis, &limits, NULL, (const double[AXES]){1.0, 0.0}, 1e-3, false) == 0);
+    CHECK(axis[AXIS_LINEAR].velocity_u_s == 0.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.0);
     /* a step one rounding short of the goal must not pass it */
     double bound = nextafter((1.018640261644444 - 0.008365300070369949) / 1e-3, 0.0);
-    limits = (axis_limits){2.0, bound, bound, INFINITY};
-    state = (limit_state){1.018640261644444, 0.0};
-    CHECK(limit_step(&state, &limits, 0.008365300070369949, 1e-3, false).velocity_u_s == 0.008365300070369949);
+    limits.linear = (axis_limits){2.0, bound, bound, INFINITY};
+    axis[AXIS_LINEAR] = (limit_state){1.018640261644444, 0.0};
+    ramp_step(axis, &limits, NULL, (const double[AXES]){0.008365300070369949, 0.0}, 1e-3, false);
+    CHECK(axis[AXIS_LINEAR].velocity_u_s >= 0.008365300070369949);
 }
 
 static void no_number_leaves_the_small_functions(void)
@@ -128,9 +43,12 @@ static void no_number_leaves_the_small_functions(void)
     for (int a = 0; a < HOSTILE_COUNT; a++)
         for (int b = 0; b < HOSTILE_COUNT; b++)
             for (int c = 0; c < HOSTILE_COUNT; c++) {
-                axis_limits limits = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]};
-                limit_state state = {HOSTILE[c], HOSTILE[a]};
-                CHECK(isfinite(limit_step(&state, &limits, HOSTILE[a], HOSTILE[b], false).velocity_u_s));
+                axis_limits hostile = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]}, good = {1.0, 1.0, 1.5, 8.0};
+                base_limits limits = {hostile, a % 2 == 0 ? hostile : good};
+                limit_state axis[AXES] = {{HOSTILE[c], HOSTILE[a]}, {HOSTILE[b], HOSTILE[b]}};
+                ramp_step(axis, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]}, HOSTILE[b], b % 2 == 0);
+                for (int i = 0; i < AXES; i++)
+                    CHECK(isfinite(axis[i].velocity_u_s) && isfinite(axis[i].acceleration_u_s2));
                 pwm_config pwm = {0.1, -0.5, 1.0, 10.0, 5.0};
                 double duty = pwm_step(&pwm, HOSTILE[a], HOSTILE[b], HOSTILE[c]).duty;
                 CHECK(duty >= -0.5 && duty <= 1.0);
@@ -155,10 +73,9 @@ static void counters_wrap_both_ways(void)
 static void sine_and_cosine_are_right_in_every_quarter(void)
 {
     for (int i = -4000; i <= 4000; i++) {
-        double sine, cosine, angle = angle_wrap(i * 1e-3 * 3.0);
-        angle_sine_cosine(angle, &sine, &cosine);
-        CHECK(fabs(sine - sin(i * 1e-3 * 3.0)) < 2e-15);
-        CHECK(fabs(cosine - cos(i * 1e-3 * 3.0)) < 2e-15);
+        direction found = angle_direction(angle_wrap(i * 1e-3 * 3.0));
+        CHECK(fabs(found.sine - sin(i * 1e-3 * 3.0)) < 2e-15);
+        CHECK(fabs(found.cosine - cos(i * 1e-3 * 3.0)) < 2e-15);
     }
 }
 
@@ -201,7 +118,7 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
     CHECK(r.shown.saturation < 1.0 && (r.shown.reasons & REASON_WHEEL_SATURATED));
     CHECK(fabs(r.shown.setpoint_angular_rad_s / r.shown.setpoint_linear_m_s - 1.5 / 0.8) < 1e-9);
     CHECK(r.shown.turned_rad > 1.0 && r.shown.pose_covariance[5] > 1e-6);
-    /* the turn comes faster than the speed goes: the ramps themselves are saturated on the way */
+    /* the turn could come faster than the speed goes: it waits, for the wheels are at their limit on the way */
     r.input.command.linear_m_s = 0.88;
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 2000);
@@ -282,7 +199,7 @@ static void a_core_that_has_lost_its_numbers_rests(void)
         start(&r, &config);
         go(&r, 0.4, 0.0);
         if (place == 0)
-            r.state.linear.velocity_u_s = NAN;
+            r.state.axis[AXIS_LINEAR].velocity_u_s = NAN;
         else if (place == 1)
             r.state.odometry.x_m = INFINITY;
         else
@@ -320,6 +237,31 @@ static void odometry_copes_with_silence_jumps_and_missing_counters(void)
     CHECK(ticks(&r, 3)->joint[0].jumps == 1);
 }
 
+static void a_wheel_that_is_doubted_ends_the_run(void)
+{
+    for (int faster = 0; faster < 2; faster++) {
+        rig r;
+        core_config config = good_config();
+        config.joint[2].plausible = (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .beyond_rad_s = 5.0};
+        *(faster ? &config.joint[2].plausible.runaway_s : &config.joint[2].plausible.stall_s) = 0.5;
+        config.joint[2].plausible.short_rad_s = 100.0;
+        start(&r, &config);
+        go(&r, 0.3, 0.0);
+        for (int ms = 0; ms < 2000 && r.shown.faults == 0; ms++) {
+            r.position_rad[2] += faster ? 0.010 : -r.out.joint[2].velocity_rad_s * 1e-3;
+            tick(&r);
+        }
+        CHECK(r.shown.faults == (faster ? FAULT_RUNAWAY : FAULT_STALL) && r.shown.armed == 0);
+        CHECK(r.shown.doubt.joint == 2 && r.shown.doubt.fault == r.shown.faults && r.out.enabled == !faster);
+        CHECK(!faster || zero(&r));
+        r.input.command.linear_m_s = 0.0;
+        r.input.control.armed = 0;
+        CHECK(ticks(&r, 4000)->enabled == 0 && zero(&r));
+        r.input.control.reset_count++;
+        CHECK(tick(&r)->faults == 0 && r.shown.doubt.fault == 0);
+    }
+}
+
 /* Right is heard first; what left does alone meanwhile is no arc. */
 static void a_side_that_comes_late_makes_no_turn(void)
 {
@@ -327,7 +269,7 @@ static void a_side_that_comes_late_makes_no_turn(void)
     odometry_state state;
     joint_feedback feedback[JOINTS_MAX] = {0};
     uint32_t stale[JOINTS_MAX] = {0, 1, 0, 1};
-    double setpoint[JOINTS_MAX] = {0};
+    joint_setpoint setpoint[JOINTS_MAX] = {0};
     odometry_init(&state, &config);
     for (int64_t step = 1; step <= 6; step++) {
         stale[1] = stale[3] = step < 3;
@@ -404,6 +346,7 @@ int main(void)
     a_stop_and_a_lost_command_rest_under_every_action();
     a_core_that_has_lost_its_numbers_rests();
     odometry_copes_with_silence_jumps_and_missing_counters();
+    a_wheel_that_is_doubted_ends_the_run();
     a_side_that_comes_late_makes_no_turn();
     hostile_input_never_moves_an_unarmed_base();
     return checks_report("test_core");

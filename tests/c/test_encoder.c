@@ -186,6 +186,83 @@ static void a_counter_is_read_from_its_file(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
+/* The kernel's files are whole numbers and a line's end; whatever else they hold is not taken for more. */
+static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(void)
+{
+    encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = PER_COUNT};
+    encoder_state state;
+    encoder_init(&state, &config);
+    config.fd = file_that_says("");
+    errno = 0;
+    CHECK(encoder_read(&state, &config, START_NS) == -EIO && state.seeded == 0);
+    say(config.fd, "12 and a line that goes on for more than any number is long");
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 12);
+    say(config.fd, "1234567890123456789012345678901234567890");
+    CHECK(encoder_read(&state, &config, START_NS) == -EIO);
+    CHECK(ftruncate(config.fd, 0) == 0);
+    say(config.fd, "7");           /* without a line's end, and nothing of the one before */
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 7);
+    CHECK(close(config.fd) == 0);
+}
+
+static void a_writer_that_has_gone_is_told_with_the_next_look(void)
+{
+    wheel w = new_wheel();
+    encoder_config config = edges_on(w.in);
+    encoder_state state;
+    encoder_init(&state, &config);
+    turn(&w, 1, MS);
+    CHECK(close(w.out) == 0);
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 1);
+    CHECK(encoder_read(&state, &config, START_NS) == -ENODEV);
+    CHECK(close(w.in) == 0);
+}
+
+/* 1000 counts/s, measured last at START_NS + 10 ms. */
+static encoder_state counting(const encoder_config *config)
+{
+    encoder_state state;
+    encoder_init(&state, config);
+    encoder_counter(&state, config, 0, START_NS);
+    encoder_counter(&state, config, 1, START_NS);
+    (void)encoder_velocity_rad_s(&state, config, START_NS);
+    encoder_counter(&state, config, 11, START_NS + 10 * MS);
+    CHECK(fabs(encoder_velocity_rad_s(&state, config, START_NS + 10 * MS) - 1000.0) < 1e-9);
+    return state;
+}
+
+static void silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it(void)
+{
+    const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
+    encoder_state state = counting(&config);
+    int64_t last_ns = START_NS + 10 * MS;
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + MS + MS / 20) - 1e9 / 1050000.0) < 1e-9);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS) - 4.0) < 1e-9);
+    CHECK(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS + 1) == 0.0);
+    state = counting(&config);
+    encoder_counter(&state, &config, 10011, last_ns + 1000);   /* near, but far enough to measure */
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1000) - 1e10) < 1.0);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1001) - 1e9) < 1.0);
+}
+
+static void a_config_at_the_edge_of_its_range_is_good(void)
+{
+    encoder_config config = {.kind = ENCODER_COUNTER, .fd = 0, .ceiling = 1, .rad_per_count = 1.0};
+    CHECK(encoder_config_check(&config) == 0);
+    config.rad_per_count = 0.1;
+    CHECK(encoder_config_check(&config) == 0);
+    config.rad_per_count = -1.0;
+    CHECK(encoder_config_check(&config) == 0);
+    config.rad_per_count = 0.0;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+    config.rad_per_count = 1.0;
+    config.ceiling = 0;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+    config.ceiling = 1;
+    config.fd = -1;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+}
+
 static bool comes_true(uint32_t joint, uint64_t count, joint_feedback *out)
 {
     const struct timespec moment = {.tv_nsec = 5 * MS};
@@ -288,6 +365,10 @@ int main(void)
     a_counter_goes_the_short_way_round();
     a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();
+    a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care();
+    a_writer_that_has_gone_is_told_with_the_next_look();
+    silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it();
+    a_config_at_the_edge_of_its_range_is_good();
     the_thread_of_bridges_feeds_back_what_its_encoders_count();
     what_a_board_says_is_fed_back_with_its_own_time();
     return checks_report("test_encoder");

@@ -170,6 +170,37 @@ static void a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_
     CHECK(edges_in(&r, 1000, true, false) == 1000);
 }
 
+static void the_first_line_is_watched_as_the_others_are(void)
+{
+    rig r = living();
+    r.config.line_timeout_ns[0] = 50 * MS;
+    r.input.enabled = true;
+    CHECK(edges_in(&r, 51, true, true) == 51);   /* line 0 takes nothing */
+    (void)edges_in(&r, 1, true, true);
+    CHECK(edges_in(&r, 100, true, true) == 0);
+    r.config.line_timeout_ns[0] = -1;
+    CHECK(guard_config_check(&r.config) == -EINVAL);
+}
+
+static void a_heartbeat_that_never_came_is_none_however_young_the_clock_is(void)
+{
+    guard_config config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 1};
+    watchdog_state state = {0};
+    CHECK(guard_config_check(&config) == 0);
+    CHECK(!watchdog_step(&state, &config, &(watchdog_input){.now_ns = 1, .heartbeat_ns = 0}));
+    CHECK(watchdog_step(&state, &config, &(watchdog_input){.now_ns = 2, .heartbeat_ns = 1}));
+    CHECK(!watchdog_step(&state, &config, &(watchdog_input){.now_ns = 3, .heartbeat_ns = 1}));
+}
+
+static void after_a_hang_the_first_edge_comes_when_its_time_has_passed(void)
+{
+    rig r = living();
+    r.config.watchdog_every_ticks = 10;
+    (void)edges_in(&r, 505, true, true);
+    (void)edges_in(&r, 600, false, true);
+    CHECK(!r.state.high && edges_in(&r, 9, true, true) == 0 && edges_in(&r, 1, true, true) == 1 && r.state.high);
+}
+
 static void a_config_that_makes_no_sense_is_refused(void)
 {
     guard_config config = living().config;
@@ -199,6 +230,9 @@ int main(void)
     a_line_without_enabled_drives_may_stand_still();
     drives_that_are_just_enabled_give_their_line_its_time();
     a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more();
+    the_first_line_is_watched_as_the_others_are();
+    a_heartbeat_that_never_came_is_none_however_young_the_clock_is();
+    after_a_hang_the_first_edge_comes_when_its_time_has_passed();
     a_config_that_makes_no_sense_is_refused();
     return checks_report("guard");
 }

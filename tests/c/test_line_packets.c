@@ -145,8 +145,31 @@ static void a_packet_that_nothing_tells_from_another_is_refused(void)
     CHECK(line_table_check(&w.table, name) != NULL);
 }
 
+static void a_range_that_the_register_cannot_hold_is_refused(void)
+{
+    static const struct {
+        uint32_t form;
+        double least, most;
+    } forms[] = {{FORM_U8, 0.0, 255.0}, {FORM_I8, -128.0, 127.0}, {FORM_U16, 0.0, 65535.0}, {FORM_I16, -32768.0, 32767.0}};
+    char name[FIELD_NAME_BYTES];
+    begin_with(1, 0);
+    line_setpoint *setpoint = &w.table.drive[0].cyclic[0].setpoint[0];
+    for (uint32_t i = 0; i < 4; i++) {
+        setpoint->form = forms[i].form;
+        setpoint->raw_min = forms[i].least;
+        setpoint->raw_max = forms[i].most;
+        CHECK(line_table_check(&w.table, name) == NULL);
+        setpoint->raw_max = forms[i].most + 1.0;
+        CHECK(line_table_check(&w.table, name) != NULL && strstr(name, "setpoint.raw_max") != NULL);
+        setpoint->raw_max = forms[i].most;
+        setpoint->raw_min = forms[i].least - 1.0;
+        CHECK(line_table_check(&w.table, name) != NULL && strstr(name, "setpoint.raw_min") != NULL);
+    }
+}
+
 int main(void)
 {
+    a_range_that_the_register_cannot_hold_is_refused();
     zero_regulates_only_who_is_armed_or_coming_to_rest();
     a_late_answer_is_nobody_s();
     a_packet_that_nothing_tells_from_another_is_refused();

@@ -257,8 +257,109 @@ static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_powe
     CHECK(w.told_off[0] > 0);
 }
 
+/* The drive turns and has heard no stop yet; what is under way is of its cycle. */
+static void begin_turning(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    while (!w.machine.drive[0].told_motion || w.machine.work != WORK_CYCLE) {
+        go_on();
+    }
+}
+
+static void look_without_bytes(void)
+{
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
+}
+
+static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
+{
+    for (uint32_t seen = 0; seen < 2; seen++) {
+        begin_turning();
+        wish(0, DRIVE_OFF);
+        if (seen != 0) {
+            look_without_bytes();   /* else the line never sees it: READY has taken its place */
+        }
+        wish(0, DRIVE_READY);
+        look_without_bytes();
+        CHECK(w.machine.drive[0].may_turn);
+        for (uint32_t i = 0; i < 20; i++) {
+            go_on();
+        }
+        CHECK(w.power_offs[0] == 2 && w.released[0] == 1);
+        CHECK(w.machine.drive[0].mode == DRIVE_READY || seen == 0);
+    }
+}
+
+static void one_that_waits_for_its_power_off_is_not_armed(void)
+{
+    begin_turning();
+    wish(0, DRIVE_STAND_DOWN);
+    wish(0, DRIVE_ARMED);   /* the stop was not seen by itself */
+    look_without_bytes();
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].stop == STOP_POWER_OFF);
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    CHECK(w.power_offs[0] == 2 && w.machine.drive[0].mode == DRIVE_READY);
+}
+
+static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    open_again(1);
+    w.turning = 1;
+    wish(0, DRIVE_READY);   /* while the quick stop waits to be told */
+    int64_t opened_ns = w.now_ns;
+    while (w.now_ns < opened_ns + 300 * MS) {
+        go_on();
+    }
+    CHECK(w.quick_stop_ns[0] > opened_ns && w.power_offs[0] == 0);
+    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].stopping);
+    w.turning = 0;
+    while (w.now_ns < opened_ns + 400 * MS) {
+        go_on();
+    }
+    CHECK(w.power_offs[0] == 2);
+}
+
+/* Whatever is under way when the stop comes, an exchange with the missing drive among it. */
+static void a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back(void)
+{
+    for (uint32_t steps = 0; steps < 40; steps++) {
+        begin_with(3, 0);
+        for (uint32_t i = 0; i < 3; i++) {
+            w.table.drive[i].reply_timeout_ns = 200 * MS;
+        }
+        CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+        for (uint32_t i = 0; i < 3; i++) {
+            arm(i);
+        }
+        while (w.machine.drive[2].count.cycles < 3) {
+            go_on();
+        }
+        w.dead = 1;
+        for (uint32_t i = 0; i < steps; i++) {
+            go_on();
+        }
+        int64_t asked_ns = w.now_ns;
+        w.machine.control.shut_down = 1;
+        while (w.now_ns < asked_ns + 100 * MS) {
+            go_on();
+        }
+        CHECK(w.quick_stop_ns[1] > 0 && w.quick_stop_ns[1] - asked_ns < 60 * MS);
+        CHECK(w.quick_stop_ns[2] > 0 && w.quick_stop_ns[2] - asked_ns < 60 * MS);
+        CHECK(w.quick_stop_sent[0] > 0);
+    }
+}
+
 int main(void)
 {
+    a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back();
+    a_pending_power_off_is_not_forgotten_when_it_is_set_up_again();
+    one_that_waits_for_its_power_off_is_not_armed();
+    one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile();
     one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again();
     one_that_does_not_answer_then_is_told_again_and_again();
     one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power();

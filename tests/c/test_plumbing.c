@@ -4,6 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "check.h"
 #include "exchange.h"
@@ -22,6 +23,29 @@ static void a_mailbox_gives_the_newest_value(void)
             CHECK(mailbox_take(&box, slot, &value, sizeof value) == 1 && value == sent);
             CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == sent);
         }
+    }
+}
+
+/* No slot is the writer's, the reader's and the newest value's at once. */
+static bool slots_are_apart(const mailbox *box)
+{
+    return (1U << box->back | 1U << box->front | 1U << (box->middle & 3)) == 7;
+}
+
+/* Also in the moments between: what the reader holds is not written to, and what the writer fills is not read. */
+static void writer_reader_and_the_newest_value_never_share_a_slot(void)
+{
+    mailbox box = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX};   /* whatever was there before */
+    uint32_t slot[MAILBOX_SLOTS] = {0}, value = 0;
+    mailbox_init(&box);
+    CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0);
+    for (uint32_t turn = 0, pattern = 0xB5C3; turn < 64; turn++, pattern = pattern << 15 | pattern >> 1) {
+        if ((pattern & 1) != 0) {
+            mailbox_put(&box, slot, &turn, sizeof turn);
+        } else {
+            (void)mailbox_take(&box, slot, &value, sizeof value);
+        }
+        CHECK(slots_are_apart(&box));
     }
 }
 
@@ -84,8 +108,62 @@ static void each_value_has_a_box_of_its_own(void)
     CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL && exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
+/* Whoever holds the memory before: nothing of it is a value, a wake-up or a count. */
+static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
+{
+    static exchange x;
+    static lease_grants grants, no_grants;
+    static command_report report, no_report;
+    static const core_control no_control;
+    static const setpoints no_setpoints;
+    static const imu_sample no_sample;
+    core_control control;
+    joint_feedback feedback;
+    setpoints out;
+    imu_sample sample;
+    memset(&x, 0xAA, sizeof x);
+    exchange_init(&x);
+    CHECK(exchange_take_grants(&x, &grants) == 0 && memcmp(&grants, &no_grants, sizeof grants) == 0);
+    CHECK(exchange_take_commands(&x, &report) == 0 && memcmp(&report, &no_report, sizeof report) == 0);
+    CHECK(exchange_take_control(&x, &control) == 0 && memcmp(&control, &no_control, sizeof control) == 0);
+    CHECK(exchange_take_imu(&x, &sample) == 0 && memcmp(&sample, &no_sample, sizeof sample) == 0);
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        CHECK(exchange_take_feedback(&x, joint, &feedback) == 0 && feedback.stamp_ns == 0 && feedback.count == 0);
+    }
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        CHECK(exchange_line_takes(&x, line) == 0 && exchange_enabled_count(&x, line) == 0);
+        CHECK(exchange_line_wake(&x, line) == -1);
+        CHECK(exchange_take_setpoints(&x, line, &out) == 0 && memcmp(&out, &no_setpoints, sizeof out) == 0);
+    }
+    CHECK(slots_are_apart(&x.grants.box) && slots_are_apart(&x.commands.box) && slots_are_apart(&x.control.box));
+    CHECK(slots_are_apart(&x.imu.box));
+    for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
+        CHECK(slots_are_apart(&x.feedback[joint].box));
+    }
+    for (uint32_t line = 0; line < LINES_MAX; line++) {
+        CHECK(slots_are_apart(&x.setpoints[line].box));
+    }
+    sample.stamp_ns = 9;
+    exchange_put_imu(&x, &sample);
+    CHECK(exchange_take_imu(&x, &sample) == 1 && sample.stamp_ns == 9);
+}
+
+static void a_line_is_told_how_often_its_set_points_became_enabled(void)
+{
+    static exchange x;
+    exchange_init(&x);
+    const uint32_t enabled[] = {0, 1, 1, 0, 0, 1, 1, 1, 0, 1};
+    const uint64_t counts[] = {0, 1, 1, 1, 1, 2, 2, 2, 2, 3};
+    for (uint32_t i = 0; i < 10; i++) {
+        CHECK(exchange_put_setpoints(&x, LINES_MAX - 1, &(setpoints){.enabled = enabled[i]}) == 0);
+        CHECK(exchange_enabled_count(&x, LINES_MAX - 1) == counts[i]);
+    }
+    CHECK(exchange_enabled_count(&x, 0) == 0 && exchange_enabled_count(&x, LINES_MAX) == 0);
+    CHECK(exchange_enabled_count(&x, LINES_MAX + 1) == 0);
+}
+
 /* Offsets as docs/state-page.md gives them, not as page.c has them. */
-enum { LAYOUT_VERSION_AT = 8, SLOT_STRIDE_AT = 20, PUBLISHED_AT = 32, SLOTS_AT = 64 };
+enum { LAYOUT_VERSION_AT = 8, SLOT_STRIDE_AT = 20, WRITER_PID_AT = 28, PUBLISHED_AT = 32, SLOTS_AT = 64 };
 
 static void set_word(uint8_t *page, size_t offset, uint64_t value)
 {
@@ -106,6 +184,34 @@ static void a_page_is_read_as_it_was_written(uint8_t *page)
         CHECK(page_read(page, &read) == 0);
         CHECK(memcmp(&written, &read, sizeof read) == 0);
     }
+}
+
+static uint32_t place(const uint8_t *memory, size_t offset)
+{
+    uint32_t value;
+    memcpy(&value, memory + offset, sizeof value);
+    return value;
+}
+
+static void all_zero(const uint8_t *memory, size_t bytes)
+{
+    for (size_t i = 0; i < bytes; i++) {
+        CHECK(memory[i] == 0);
+    }
+}
+
+static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
+{
+    robot_state read;
+    memset(page, 0xAA, PAGE_BYTES + 64);
+    CHECK(page_init(page) == 0 && page_read(page, &read) == -ENODATA);
+    CHECK(memcmp(page, "MOTORD\0\1", 8) == 0 && place(page, LAYOUT_VERSION_AT) == PAGE_LAYOUT_VERSION);
+    CHECK(place(page, WRITER_PID_AT) == (uint32_t)getpid());
+    uint32_t stride = place(page, SLOT_STRIDE_AT);
+    for (uint32_t slot = 0; slot < 4; slot++) {
+        all_zero(page + SLOTS_AT + slot * stride, 8 + sizeof(robot_state));
+    }
+    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA);   /* and nothing behind the last */
 }
 
 static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
@@ -132,14 +238,10 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
 }
 
 /* Offsets as docs/replay.md gives them. */
-enum { RECORD_STRIDE_AT = 16, RECORDS_AT = 20, CHECKPOINT_STRIDE_AT = 32, CHECKPOINTS_AT = 36, WRITTEN_AT = 48 };
-
-static uint32_t place(const uint8_t *journal, size_t offset)
-{
-    uint32_t value;
-    memcpy(&value, journal + offset, sizeof value);
-    return value;
-}
+enum {
+    RECORD_COUNT_AT = 12, RECORD_STRIDE_AT = 16, RECORDS_AT = 20, RECORD_BYTES_AT = 24, CHECKPOINT_COUNT_AT = 28,
+    CHECKPOINT_STRIDE_AT = 32, CHECKPOINTS_AT = 36, CHECKPOINT_BYTES_AT = 40, JOURNAL_WRITER_PID_AT = 44, WRITTEN_AT = 48
+};
 
 /* The slot's whole content, when it holds `number`. */
 static bool holds(const uint8_t *slot, uint64_t number, void *out, size_t bytes)
@@ -187,6 +289,39 @@ static void a_journal_holds_what_went_in_and_what_came_out(void)
     free(journal);
 }
 
+static void a_journal_begins_empty_and_says_how_it_is_laid_out(void)
+{
+    uint8_t *journal = aligned_alloc(64, (journal_bytes() + 63) / 64 * 64);
+    CHECK(journal != NULL);
+    memset(journal, 0xAA, journal_bytes());
+    CHECK(journal_init(journal) == 0);
+    CHECK(memcmp(journal, "MOTORDJ\1", 8) == 0 && place(journal, LAYOUT_VERSION_AT) == JOURNAL_LAYOUT_VERSION);
+    CHECK(place(journal, RECORD_COUNT_AT) == JOURNAL_RECORDS && place(journal, CHECKPOINT_COUNT_AT) == JOURNAL_CHECKPOINTS);
+    CHECK(place(journal, RECORD_BYTES_AT) == sizeof(journal_record) && place(journal, CHECKPOINT_BYTES_AT) == sizeof(core_state));
+    CHECK(place(journal, JOURNAL_WRITER_PID_AT) == (uint32_t)getpid());
+    all_zero(journal + WRITTEN_AT, 16);
+    for (uint32_t i = 0; i < JOURNAL_RECORDS; i++) {
+        all_zero(journal + place(journal, RECORDS_AT) + i * (size_t)place(journal, RECORD_STRIDE_AT), 8);
+    }
+    for (uint32_t i = 0; i < JOURNAL_CHECKPOINTS; i++) {
+        all_zero(journal + place(journal, CHECKPOINTS_AT) + i * (size_t)place(journal, CHECKPOINT_STRIDE_AT), 8);
+    }
+    free(journal);
+}
+
+/* FNV-1a of 64 bits over words: docs/replay.md. */
+static void a_digest_is_the_same_for_whoever_computes_it(void)
+{
+    robot_state snapshot;
+    uint64_t words[sizeof snapshot / 8], digest = UINT64_C(14695981039346656037);
+    for (size_t w = 0; w < sizeof snapshot / 8; w++) {
+        words[w] = w * UINT64_C(0x9E3779B97F4A7C15) + 1;
+        digest = (digest ^ words[w]) * UINT64_C(1099511628211);
+    }
+    memcpy(&snapshot, words, sizeof snapshot);
+    CHECK(journal_digest(&snapshot) == digest);
+}
+
 static void buckets_are_narrow_and_in_order(void)
 {
     CHECK(histogram_bucket(INT64_MIN) == 0 && histogram_bucket(-1) == 0 && histogram_bucket(0) == 0);
@@ -226,6 +361,35 @@ static void percentiles_are_never_told_too_low(void)
     CHECK(histogram_percentile_ns(&h, 1) == INT64_MAX);
 }
 
+static void a_histogram_that_is_cleared_holds_nothing(void)
+{
+    static histogram h, empty;
+    memset(&h, 0xAA, sizeof h);
+    histogram_clear(&h);
+    CHECK(memcmp(&h, &empty, sizeof h) == 0);
+}
+
+static void few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bucket(void)
+{
+    static histogram h, copy;
+    histogram_clear(&h);
+    histogram_add(&h, 7);
+    CHECK(histogram_percentile_ns(&h, 0.5) == 7 && histogram_percentile_ns(&h, 1.0) == 7);
+    histogram_clear(&h);
+    for (int64_t value_ns = 0; value_ns < 10; value_ns++) {
+        histogram_add(&h, value_ns);
+    }
+    histogram_copy(&copy, &h);
+    CHECK(copy.samples == 10 && histogram_percentile_ns(&copy, 0.1) == 0 && histogram_percentile_ns(&copy, 0.5) == 4);
+    const int64_t beyond_ns = INT64_C(1) << 41, before_ns = histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 2);
+    CHECK(histogram_bucket(beyond_ns) == HISTOGRAM_BUCKETS - 1);
+    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS) == histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
+    histogram_clear(&h);
+    histogram_add(&h, before_ns);
+    histogram_add(&h, beyond_ns);
+    CHECK(histogram_percentile_ns(&h, 0.5) == histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1) - 1);
+}
+
 static void a_late_tick_skips_and_never_bursts(void)
 {
     CHECK(schedule_period_ns(1000) == 1000000 && schedule_period_ns(3) == 333333333);
@@ -243,13 +407,21 @@ int main(void)
 {
     static _Alignas(64) uint8_t page[PAGE_BYTES + 64];
     a_mailbox_gives_the_newest_value();
+    writer_reader_and_the_newest_value_never_share_a_slot();
     a_ring_gives_all_in_order_and_takes_no_more_than_it_holds();
     each_value_has_a_box_of_its_own();
+    an_exchange_begins_empty_in_memory_that_was_used_before();
+    a_line_is_told_how_often_its_set_points_became_enabled();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
+    a_page_begins_empty_in_memory_that_was_used_before(page);
     a_journal_holds_what_went_in_and_what_came_out();
+    a_journal_begins_empty_and_says_how_it_is_laid_out();
+    a_digest_is_the_same_for_whoever_computes_it();
     buckets_are_narrow_and_in_order();
     percentiles_are_never_told_too_low();
+    a_histogram_that_is_cleared_holds_nothing();
+    few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bucket();
     a_late_tick_skips_and_never_bursts();
     return checks_report("plumbing");
 }

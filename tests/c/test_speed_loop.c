@@ -96,6 +96,43 @@ static void a_wheel_beyond_all_speed_is_let_go(void)
     CHECK(b.out.joint[0].torque_n_m == 0.0);
 }
 
+/* What the integral held was for a wheel that was seen: it must not push one that is seen again. */
+static void a_wheel_that_is_not_heard_any_more_loses_its_integral_while_it_is_held(void)
+{
+    base b;
+    core_config config = two_wheels();
+    config.on_fault = STOP_RAMP;
+    armed(&b, &config);
+    for (int i = 0; i < 500; i++)
+        tick(&b, 1.0);
+    CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+    while (b.state.stale[0] == 0) {
+        b.input.now_ns += TICK_NS;
+        b.input.control.heartbeat_ns = b.input.command.stamp_ns = b.input.now_ns;
+        b.input.command.expires_ns = b.input.now_ns + 1000000000;
+        b.input.feedback[1].stamp_ns = b.input.now_ns;   /* the other one is heard */
+        CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+        core_step(&b.state, &b.input, 1e-3, &b.out, &b.shown);
+    }
+    CHECK(b.out.enabled == 1);
+    CHECK(b.state.speed_loop[0].integral_n_m == 0.0 && b.out.joint[0].torque_n_m == 0.0);
+    CHECK(b.state.speed_loop[1].integral_n_m != 0.0);
+}
+
+static void a_wheel_that_ran_away_loses_its_integral_at_once(void)
+{
+    base b;
+    core_config config = two_wheels();
+    armed(&b, &config);
+    for (int i = 0; i < 500; i++)
+        tick(&b, 1.0);
+    CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+    tick(&b, -14.0);
+    CHECK(b.out.enabled == 1);
+    for (uint32_t j = 0; j < WHEELS; j++)
+        CHECK(b.state.speed_loop[j].integral_n_m == 0.0 && b.out.joint[j].torque_n_m == 0.0);
+}
+
 static void a_speed_that_is_no_number_is_no_torque(void)
 {
     for (int i = 0; i < 3; i++) {
@@ -113,6 +150,8 @@ int main(void)
     the_torque_is_a_number_within_its_limit();
     a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed();
     a_wheel_beyond_all_speed_is_let_go();
+    a_wheel_that_is_not_heard_any_more_loses_its_integral_while_it_is_held();
+    a_wheel_that_ran_away_loses_its_integral_at_once();
     a_speed_that_is_no_number_is_no_torque();
     return checks_report("test_speed_loop");
 }

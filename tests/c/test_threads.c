@@ -220,7 +220,7 @@ static void the_loop_runs_between_asyncio_and_a_line(void)
     core_config core = base();
     loop_config loop = {.rate_hz = 1000, .notify_every_ticks = 10, .page_fd = memfd_create("page", 0),
                         .journal_fd = memfd_create("journal", 0), .event_fd = eventfd(0, EFD_NONBLOCK),
-                        .command_fd = epoll_create1(0)};
+                        .command_fd = epoll_create1(0), .stop_fd = -1};
     struct epoll_event listened = {.events = EPOLLIN, .data.fd = door[1]};
     CHECK(epoll_ctl(loop.command_fd, EPOLL_CTL_ADD, door[1], &listened) == 0);
     void *shared_page;

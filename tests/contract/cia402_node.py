@@ -93,11 +93,11 @@ class Cia402Node:
     def close(self):
         self._stopped.set()
         self._sender.join()
-        beat = self.node.nmt._send_task
-        self.node.nmt.stop_heartbeat()
-        thread = getattr(beat and beat._task, "thread", None)
-        if thread is not None:
-            thread.join()  # else it may send on a bus that is closed
+        self.network.notifier.stop()  # its thread starts heartbeats
+        self.network.bus.stop_all_periodic_tasks()
+        for thread in threading.enumerate():
+            if thread.name == f"Cyclic send task for 0x{0x700 + self.node_id:X}":
+                thread.join()  # else it may send on a bus that is closed
         self.network.disconnect()
 
     def reboot(self):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 
@@ -13,11 +14,19 @@ from _motord_rt import ffi, lib
 from motord_hal.clock import now_ns
 from motord_hal.errors import HalError
 from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, EventKind, Line, LineEvent, LineSpec
+from motord_hal.ports import DriveState, EventKind, JointSpec, Line, LineEvent, LineSpec
 from motord_hal.rt import Exchange, JointSetpoint, Setpoints
 
-GENEROUS_S = 20.0
+GENEROUS_S = 60.0
 SETPOINTS_EVERY_S = 0.005
+PATIENT_S = 1.0
+"""After which lines here find set-points old. In the product a thread puts them that waits for
+nobody; here one event loop does, and a busy machine may leave it without a CPU for longer than
+the product allows."""
+REPLY_S, QUIET_S = 0.2, 0.6
+"""Of drives here, which share this process: a reply that is later is none, and a drive that was
+not heard for so long is quiet."""
+BOARDS = ("mcu", "ascii")
 
 
 async def until(condition: Callable[[], bool], what: str = "") -> None:
@@ -122,6 +131,23 @@ class Rig:
             said = [event.text for event in self.events]
             raise AssertionError(f"never armed: {refusals[-3:]}, said: {said[-5:]}") from None
 
+    async def drive(self, condition: Callable[[], bool], what: str) -> None:
+        """Armed and enabled until the condition holds. A line that had no set-points for longer
+        than PATIENT_S, or a drive that was not fed for as long as its watchdog waits, has stopped,
+        as it must: then once more, and it is printed."""
+        try:
+            async with asyncio.timeout(GENEROUS_S):
+                while not condition():
+                    if self.states() != {DriveState.ARMED}:
+                        print("before it drove:", self.states())
+                        self.loop.enabled = False
+                        self.loop.put()
+                        await self.arm()
+                    self.loop.enabled = True
+                    await asyncio.sleep(0.005)
+        except TimeoutError:
+            raise AssertionError(f"never came true: {what}: {self.states()}") from None
+
     async def _armed_now(self, refusals: list[str]) -> bool:
         await self.ready()
         try:
@@ -135,9 +161,33 @@ class Rig:
         return False
 
 
+def patient(spec: LineSpec) -> LineSpec:
+    """The line with time-outs that a busy machine does not miss."""
+    joints = tuple(_patient_joint(joint, spec) for joint in spec.joints)
+    return dataclasses.replace(spec, joints=joints, setpoint_timeout_s=PATIENT_S)
+
+
+def _patient_joint(joint: JointSpec, spec: LineSpec) -> JointSpec:
+    if spec.kind in BOARDS:  # which are quiet after so many cycles
+        return dataclasses.replace(joint, tries=max(joint.tries, round(QUIET_S * spec.cycle_hz)))
+    table, profile = joint.profile.can, joint.profile
+    if table is not None:
+        frames = {
+            name: dataclasses.replace(frame, silence_s=max(frame.silence_s, QUIET_S))
+            if frame.silence_s
+            else frame
+            for name, frame in table.frames.items()
+        }
+        profile = dataclasses.replace(profile, can=dataclasses.replace(table, frames=frames))
+    reply_timeout_s = joint.reply_timeout_s or REPLY_S
+    return dataclasses.replace(joint, profile=profile, reply_timeout_s=reply_timeout_s)
+
+
 @contextlib.asynccontextmanager
-async def running(spec: LineSpec) -> AsyncIterator[Rig]:
-    """The line, running, until the end of the block; then it is cancelled."""
+async def running(spec: LineSpec, *, in_haste: bool = False) -> AsyncIterator[Rig]:
+    """The line, running, until the end of the block; then it is cancelled. `in_haste`: with the
+    time-outs of the product, where the test is about them."""
+    spec = spec if in_haste else patient(spec)
     loop = LoopSide(Exchange.private(), line=spec.index)
     for joint in spec.joints:
         if joint.profile.channels[joint.channel].torque_setpoint is not None:
@@ -154,3 +204,4 @@ async def running(spec: LineSpec) -> AsyncIterator[Rig]:
             task.cancel()
             await asyncio.wait([task])
             ticking.cancel()
+            print(*events, sep="\n")  # shown where the test has failed

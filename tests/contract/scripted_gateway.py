@@ -59,7 +59,8 @@ class ScriptedGateway(ScriptedSlave):
         """An RTU frame, in what its medium makes of it."""
         self.answered_at_s.append(time.monotonic())
         if self.kind == "modbus-tcp" and data:
-            data = struct.pack(">HHH", self.transaction, 0, len(data) - 2) + data[:-2]
+            body = data[:-2]
+            data = struct.pack(">HHH", self.transaction, 0, len(body)) + body
         self.send_raw(data)
 
     def send_raw(self, data: bytes) -> None:

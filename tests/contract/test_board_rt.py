@@ -5,19 +5,19 @@ motor."""
 import time
 
 import pytest
-from loop_side import running, until
+from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
 from test_ascii_line import Reader
 from test_ascii_line import spec_of as text_spec
 from test_mcu_line import spec_of as frames_spec
 
 from motord_hal.clock import now_ns
-from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState
+from motord_hal.ports import DriveState
 from motord_hal.rt import JointSetpoint, Setpoints
 
 TURN_RAD_S = 3.0
-WELL_S = 0.3
-"""After what it has to do by then, on a busy machine."""
+NEVER_S = 60.0
+"""Of a watchdog: longer than any test waits."""
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +61,10 @@ async def turning(rig, peer):
 
 
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(peer):
-    async with running(frames_spec(peer, watchdog_s=2.0)) as rig:
+    async with running(frames_spec(peer, watchdog_s=NEVER_S)) as rig:
         await turning(rig, peer)
         seen = len(peer.told)
-        began_s = time.monotonic()
         sleep_until(lambda: not peer.now.enabled and not peer.now.braking)
-        assert time.monotonic() - began_s < 1.0 + SETPOINT_TIMEOUT_S + WELL_S  # not its watchdog
         assert any(told.braking for told in peer.told[seen:])
         await until(lambda: rig.states() == {DriveState.READY})
 
@@ -82,13 +80,13 @@ async def test_a_core_that_takes_enabled_back_takes_the_power_while_the_event_lo
 
 
 async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(peer):
-    async with running(frames_spec(peer, watchdog_s=0.2)) as rig:
+    async with running(frames_spec(peer, watchdog_s=1.0)) as rig:
         await turning(rig, peer)
         seen = len(peer.told)
-        longest_ns = core_alone(rig.loop, 60)
+        longest_ns = core_alone(rig.loop, 150)
         told = peer.told[seen:]
         assert len({one.left_mrad_s for one in told}) > 10
-        assert all(one.enabled for one in told) or longest_ns > 0.5e9 * SETPOINT_TIMEOUT_S
+        assert all(one.enabled for one in told) or longest_ns > 0.5e9 * PATIENT_S
 
 
 async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):

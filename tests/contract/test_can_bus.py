@@ -2,6 +2,8 @@
 """What goes wrong on a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
 
 import errno
+import socket
+import time
 
 import can
 import pytest
@@ -11,6 +13,8 @@ from test_can_line import TURN, spec_of
 
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import Sent
+from motord_hal.can.socket_frames import packed
+from motord_hal.clock import now_ns
 from motord_hal.errors import PortError
 from motord_hal.ports import DriveState, EventKind
 
@@ -193,3 +197,28 @@ async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer)
     assert rig.line.stats().errors["tx_full"] > 5
     rig.line._gate.left()
     await until(lambda: any(peer.axes[0].velocities()[told:]))
+
+
+@pytest.mark.parametrize("step_s", [0.0, 0.7, 0.95, -0.7, 3600.0])
+async def test_a_wall_clock_that_is_set_makes_no_frame_older_than_the_one_before(
+    step_s, tmp_path, monkeypatch
+):
+    came_ns = []
+    adapter = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with adapter:
+        adapter.bind(str(tmp_path / "bus"))
+        adapter.listen()
+        address = f"unix:{tmp_path / 'bus'}"
+        bus = CanBus(address, 500000, None, [], lambda message, stamp_ns: came_ns.append(stamp_ns))
+        await bus.open()
+        frame = packed(can.Message(arbitration_id=1, is_extended_id=False, data=b"1"))
+        wall_s = time.time
+        with adapter.accept()[0] as end:
+            first_ns = now_ns()
+            end.send(frame)
+            await until(lambda: len(came_ns) == 1)
+            end.send(frame)
+            monkeypatch.setattr(time, "time", lambda: wall_s() + step_s)
+            await until(lambda: len(came_ns) == 2)
+        bus.close()
+    assert first_ns <= came_ns[1] <= now_ns()

@@ -9,13 +9,13 @@ import struct
 import time
 
 import pytest
-from loop_side import running, until
+from loop_side import PATIENT_S, running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from test_can_line import TURN, joints, spec_of
 
 from motord_hal.errors import HalError
 from motord_hal.lines import open_line
-from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
+from motord_hal.ports import DriveState, EventKind
 from motord_hal.rt import Exchange, JointSetpoint, Setpoints
 
 FRAME = struct.Struct("=IB3x8s")
@@ -125,7 +125,7 @@ async def arm(rig, bus):
 
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
     await arm(rig, bus)
-    bus.live(SETPOINT_TIMEOUT_S + 0.3)  # set-points grow old meanwhile, and nobody runs
+    bus.live(PATIENT_S + 0.3)  # set-points grow old meanwhile, and nobody runs
     assert bus.velocities()[-1] == 0.0
     assert bus.states()[-1] == IDLE
     bus.heard.clear()

@@ -53,8 +53,10 @@ async def rig(node, spec):
 
 async def turning(rig, node):
     await rig.arm()
-    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: SPEED_RPM * RPM}
-    await until(lambda: abs(node.velocity + SPEED_RPM) < 6, "it turns as told, the other way round")
+    rig.loop.velocity_rad_s = {0: SPEED_RPM * RPM}
+    await rig.drive(
+        lambda: abs(node.velocity + SPEED_RPM) < 6, "it turns as told, the other way round"
+    )
 
 
 async def test_mode_ten_is_set_with_its_limits_and_no_torque(rig, node):

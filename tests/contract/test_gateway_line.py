@@ -46,7 +46,7 @@ async def test_a_gateway_that_falls_silent_leaves_the_wheels_at_rest_and_is_foun
 ):
     monkeypatch.setattr("motord_hal.modbus.tcp_guard.SILENT_S", 0.5)
     control, spec = robot
-    async with running(spec) as rig:
+    async with running(spec, in_haste=True) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
         await until(lambda: turning(control))

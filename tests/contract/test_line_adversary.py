@@ -191,7 +191,7 @@ async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_agai
 async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how):
     peer.units[1] = Unit(registers_of("duty-register"))
     spec = spec_of(peer, [single("duty-register")], cycle_hz=1.0, watchdog_s=9.0)
-    async with running(spec) as rig:
+    async with running(spec, in_haste=True) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
         await until(lambda: 50 in peer.written(DUTY))
@@ -277,3 +277,16 @@ async def test_an_arming_in_whose_middle_a_stop_comes_fails(rig, peer, monkeypat
         await rig.line.arm()
     await stops[0]
     assert DriveState.ARMED not in rig.states()
+
+
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # C has its own test of this
+async def test_a_pending_power_off_outlives_a_new_set_up(rig, peer):
+    await rig.ready()
+    (drive,) = rig.line._drives
+    mark = len(peer.written(CONTROL))
+    job = drive.stand_down()
+    drive.configure("as after a restart of the drive")
+    await until(job.done.done)
+    assert job.done.exception() is None
+    assert peer.written(CONTROL)[mark:] == [OFF]
+    await rig.ready()

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial lines that end while a drive is disturbed: it is told until the end, or it is named."""
 
+import asyncio
+import dataclasses
+
 import pytest
 from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
@@ -39,7 +42,7 @@ async def set_off(rig, unit):
 @pytest.mark.parametrize("lost", [3, 4, 6])
 async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_off(peer, lost):
     unit = peer.units[1]
-    async with running(spec_of(peer, [WHEEL])) as rig:
+    async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         unit.loses = lost
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
@@ -48,7 +51,7 @@ async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_o
 
 async def test_a_quiet_drive_that_is_reached_during_the_end_is_switched_off(peer):
     unit = peer.units[1]
-    async with running(spec_of(peer, [WHEEL])) as rig:
+    async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         unit.silent = True
         await until(lambda: rig.states() == {DriveState.QUIET})
@@ -58,16 +61,44 @@ async def test_a_quiet_drive_that_is_reached_during_the_end_is_switched_off(peer
 
 async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
     unit = peer.units[1]
-    async with running(spec_of(peer, [WHEEL])) as rig:
+    async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         unit.silent = True
     assert rig.kinds()[-1] is EventKind.DRIVE_WARNING
     assert "wheel not switched off at the end" in rig.events[-1].text
 
 
+@pytest.mark.parametrize("later_s", [0.0, 0.02, 0.05])
+async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer, later_s):
+    """Where replies are waited for so long that the end would be over with the first one."""
+    other = peer.units[2] = Unit(registers_of("speed-register"))
+
+    def switch(address, value):
+        if address == ENABLE:
+            other.registers[STATUS] = value
+
+    other.on_write = switch
+    wheels = [
+        dataclasses.replace(WHEEL, index=n, name=f"wheel{n}", unit=n + 1, reply_timeout_s=0.6)
+        for n in range(2)
+    ]
+    async with running(spec_of(peer, wheels)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 20.0, 1: 20.0}
+        await until(lambda: all(peer.units[unit].registers[TARGET] > 0 for unit in (1, 2)))
+        peer.units[1].silent = True
+        told = len(peer.requests(1))
+        await until(lambda: len(peer.requests(1)) > told)
+        await asyncio.sleep(later_s)  # into the exchange with the missing drive
+        mark = len(peer.heard)
+    after = [heard.request for heard in peer.heard[mark:]]
+    assert peer.units[2].registers[TARGET] == 0
+    assert any(one.unit == 2 and one.address == ENABLE and OFF in one.values for one in after)
+
+
 async def test_a_drive_that_hears_but_is_not_heard_is_switched_off_at_the_end(peer):
     unit = peer.units[1]
-    async with running(spec_of(peer, [WHEEL])) as rig:
+    async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         mute(peer)
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import replace
 
 import pytest
-from loop_side import running, until
+from loop_side import PATIENT_S, running, until
 from scripted_gateway import GATEWAYS, peer_on
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from scripted_slave import Unit
@@ -29,7 +29,7 @@ from motord_hal.asyncio_engine import drive
 from motord_hal.clock import now_ns
 from motord_hal.drives.load import find_profile
 from motord_hal.errors import HalError
-from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, JointSpec
+from motord_hal.ports import DriveState, JointSpec
 
 CYCLES_SEEN = 5
 """More than what may have been under way when the line was told to end."""
@@ -66,7 +66,7 @@ async def test_a_disarming_that_nobody_waits_for_any_more_takes_the_power_all_th
 
 async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to_rest(peer):
     peer.units[1].registers[VELOCITY_1] = 600
-    async with running(spec_of(peer, hub_servo())) as rig:
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
         await until(lambda: 60 in peer.written(TARGET_1))
@@ -87,7 +87,7 @@ async def test_a_modbus_drive_that_is_still_stopping_is_not_armed(peer, monkeypa
         rig.loop.running = False
         await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
         rig.loop.running = True
-        await until(lambda: now_ns() - rig.loop.put_ns < SETPOINT_TIMEOUT_S * 1e9)
+        await until(lambda: now_ns() - rig.loop.put_ns < PATIENT_S * 1e9)
         with pytest.raises(HalError, match="still stopping"):
             await rig.line.arm()
         assert rig.states() == {DriveState.READY}
@@ -143,3 +143,43 @@ async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_re
     after = [command for command, _ in axis.heard[until_the_end:]]
     assert after[: after.index(STATE)].count(INPUT_VELOCITY) >= CYCLES_SEEN
     assert CLOSED_LOOP not in axis.states()[-1:]
+
+
+SLOW_RAD_S = 0.02
+"""Slower is at rest: what these wheels creep at is faster, and slower than any usual limit."""
+
+
+async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_says(peer):
+    peer.units[1].registers[VELOCITY_1] = 5  # 0.5 rpm: 0.05 rad/s
+    async with running(spec_of(peer, hub_servo(), rest_velocity_rad_s=SLOW_RAD_S)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+        await until(lambda: 60 in peer.written(TARGET_1))
+        rig.loop.running = False
+        await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
+        stopping = len(peer.heard)
+        await until(lambda: wrote(peer, stopping, TARGET_1) >= CYCLES_SEEN)
+        assert peer.written(CONTROL)[-1] == QUICK_STOP
+        peer.units[1].registers[VELOCITY_1] = 1  # 0.01 rad/s
+        await until(lambda: peer.written(CONTROL)[-1] == OFF)
+
+
+async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_says(bus):
+    axis = bus.axes[0]
+    async with running(can_spec_of(bus, rest_velocity_rad_s=SLOW_RAD_S)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+        await until(lambda: any(axis.velocities()))
+        axis.velocity_turns_s = 0.05 / TURN
+        rig.loop.running = False
+        await until(lambda: rig.states() == {DriveState.READY})
+        stopping = len(axis.heard)
+        await until(lambda: told_velocities(axis, stopping) >= CYCLES_SEEN)
+        assert axis.state == CLOSED_LOOP
+        axis.velocity_turns_s = 0.01 / TURN
+        await until(lambda: axis.state == IDLE)
+
+
+def told_velocities(axis, since):
+    """How often it was told a velocity since then."""
+    return [command for command, _ in axis.heard[since:]].count(INPUT_VELOCITY)

@@ -5,7 +5,7 @@ import math
 import os
 
 import pytest
-from loop_side import running, until
+from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
 
 from motord_hal.clock import now_ns
@@ -75,8 +75,8 @@ async def rig(peer):
 
 async def armed_and_turning(rig, peer, rad_s=3.0):
     await rig.arm()
-    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: rad_s, 1: rad_s}
-    await until(lambda: peer.now.left_mrad_s == round(rad_s * 1000), "it turns")
+    rig.loop.velocity_rad_s = {0: rad_s, 1: rad_s}
+    await rig.drive(lambda: peer.now.left_mrad_s == round(rad_s * 1000), "it turns")
 
 
 # ----------------------------------------------------------------------------- set-up and arming
@@ -121,7 +121,7 @@ async def test_arming_enables_at_zero_and_feedback_says_so(rig, peer):
 async def test_it_cannot_be_armed_without_fresh_set_points(rig):
     await rig.ready()
     rig.loop.running = False
-    await until(lambda: now_ns() - rig.loop.put_ns > 0.11e9)
+    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
     with pytest.raises(HalError, match="no fresh set-points"):
         await rig.line.arm()
 
@@ -192,7 +192,7 @@ async def test_old_set_points_brake_and_then_take_the_power(rig, peer):
     rig.loop.running = False
     await until(lambda: peer.now.braking)
     await until(lambda: not peer.now.braking, "at rest the brake goes off")
-    assert rig.states() == {DriveState.READY}
+    await rig.ready()
     rig.loop.running = True
     heard = rig.line.stats().exchanges
     await until(lambda: rig.line.stats().exchanges > heard + 10)

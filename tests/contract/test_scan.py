@@ -115,3 +115,12 @@ def test_the_self_test_says_which_direction_works(line):
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines() == ['direction = "auto"', 'echo = "yes"']
     assert "kernel:" in run.stderr
+
+
+def test_a_drive_that_refuses_with_code_zero_is_found_as_one_that_refuses(line):
+    line.control.inject("exception:code=0,unit=1")
+    run = scan(port_of(line), "--units", "1-2", "--baudrate", baudrate_of(line), "--json")
+    assert run.returncode == 0, run.stderr
+    first, second = json.loads(run.stdout)["found"]
+    assert (first["said"], first["matches"]) == ("refuses register 0 (0)", [])
+    assert second["matches"][0]["profile"] == profile_of()

@@ -198,10 +198,9 @@ def test_what_a_killed_simulator_left_behind_is_replaced(tmp_path):
         assert ask(hello["ports"]["rs485"], VELOCITIES).values == (0, 0)
 
 
-def test_a_simulator_that_does_not_start_is_an_error(capfd):
-    with pytest.raises(ControlError, match="did not start"):
+def test_a_simulator_that_does_not_start_is_an_error():
+    with pytest.raises(ControlError, match=r"did not start.*nowhere\.toml"):
         start_simulator(ROOT / "nowhere.toml")
-    assert "nowhere.toml" in capfd.readouterr().err
 
 
 def test_no_simulator_is_an_error_that_names_the_path(tmp_path):

@@ -47,9 +47,8 @@ def speeds(sim):
 
 async def set_off(rig, sim):
     await rig.arm()
-    rig.loop.enabled = True
     rig.loop.velocity_rad_s = {0: SPEED_RAD_S, 1: SPEED_RAD_S}
-    await until(lambda: min(speeds(sim)) > 0.9 * SPEED_RAD_S, "both wheels turn")
+    await rig.drive(lambda: min(speeds(sim)) > 0.9 * SPEED_RAD_S, "both wheels turn")
 
 
 async def back_at_rest(rig, sim):
@@ -67,7 +66,7 @@ def _enabled(sim):
 async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     for unit in (1, 2):
-        sim.inject(f"reboot:unit={unit},for_s=0.8")
+        sim.inject(f"reboot:unit={unit},for_s=3.0")
     await until(lambda: rig.states() == {DriveState.QUIET}, "both are missed")
     await back_at_rest(rig, sim)
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2

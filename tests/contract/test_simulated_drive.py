@@ -28,6 +28,15 @@ def profiles_that(have_it):
     return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
 
 
+def one_of_each_protocol(names):
+    """On each engine: for what a wire does, whatever the drive on it."""
+    found = {}
+    for name in names:
+        protocol = find_profile(name.removesuffix(RT)).protocol
+        found.setdefault((protocol, name.endswith(RT)), name)
+    return list(found.values())
+
+
 SERIAL = profiles_that(lambda profile: profile.can is None)
 
 
@@ -75,7 +84,6 @@ async def set_off(rig, sim, way=1.0):
 
 
 async def turn(rig, sim, way=1.0):
-    rig.loop.enabled = True
     rig.loop.velocity_rad_s = {0: way * SPEED_RAD_S, 1: way * SPEED_RAD_S}
     rig.loop.duty = {0: way * DUTY, 1: way * DUTY}
     low_rad_s, high_rad_s = 0.97 * SPEED_RAD_S, 1.25 * SPEED_RAD_S
@@ -83,7 +91,7 @@ async def turn(rig, sim, way=1.0):
     def fast():
         return all(low_rad_s < way * speed < high_rad_s for speed in wheels_rad_s(sim))
 
-    await until(fast, "both wheels turn as told")
+    await rig.drive(fast, "both wheels turn as told")
 
 
 def feedback(rig, joint):
@@ -114,7 +122,7 @@ async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
 
 async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig, sim, profile):
     await set_off(rig, sim)
-    for joint, true_rad_s in zip(rig.line.spec.joints, wheels_rad_s(sim), strict=True):
+    for joint in rig.line.spec.joints:
         values = feedback(rig, joint)
         assert values.drive_faults == 0
         assert values.enabled in (None, True)
@@ -122,8 +130,12 @@ async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig,
         assert math.isfinite(values.velocity_rad_s) == measured
         if measured:
 
-            def agrees(joint=joint, true_rad_s=true_rad_s):
-                return feedback(rig, joint).velocity_rad_s == pytest.approx(true_rad_s, rel=0.05)
+            def agrees(joint=joint):
+                true_rad_s = sim.truth().joints[joint.name].velocity_rad_s
+                measured_rad_s = feedback(rig, joint).velocity_rad_s
+                return true_rad_s > 0.9 * SPEED_RAD_S and measured_rad_s == pytest.approx(
+                    true_rad_s, rel=0.05
+                )
 
             await until(agrees, f"{joint.name} says how fast it is")
 
@@ -180,7 +192,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     await set_off(rig, sim)
     rig.loop.running = False
     await rest(sim)
-    assert rig.states() == {DriveState.READY}
+    await rig.ready()
 
 
 @pytest.mark.parametrize("variant", profiles_that(lambda p: p.faults), indirect=True)
@@ -207,16 +219,21 @@ async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim,
     await set_off(rig, sim)
 
 
+def watchdog_bites(sim):
+    """Of each drive."""
+    return [unit["watchdog_bites"] for unit in sim.stats()["lines"]["bus"]["units"].values()]
+
+
 @pytest.mark.parametrize("variant", SERIAL, indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
+    before = watchdog_bites(sim)
     sim.pull("bus")
     await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the loss is said")
     await rest(sim)
-    units = sim.stats()["lines"]["bus"]["units"].values()
-    assert all(unit["watchdog_bites"] == 1 for unit in units)
+    assert watchdog_bites(sim) == [bites + 1 for bites in before]
     sim.plug("bus")
     await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2, "the line is open again")
     await rig.ready()
@@ -231,7 +248,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
-    sim.inject("reboot:unit=1,for_s=0.8")
+    sim.inject("reboot:unit=1,for_s=3.0")
     await until(lambda: EventKind.DRIVE_QUIET in rig.kinds(), "its silence is said")
     await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "its return is said")
     await until(lambda: feedback(rig, left).epoch > epoch, "the counter's origin is a new one")
@@ -242,7 +259,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     assert sim.truth().joints["left"].velocity_rad_s == 0.0
 
 
-@pytest.mark.parametrize("variant", SERIAL, indirect=True)
+@pytest.mark.parametrize("variant", one_of_each_protocol(SERIAL), indirect=True)
 async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
@@ -257,7 +274,10 @@ def has_check_sums(profile):
     return profile.protocol not in ("ascii", "can")
 
 
-@pytest.mark.parametrize("variant", profiles_that(has_check_sums), indirect=True)
+CHECKED = one_of_each_protocol(profiles_that(has_check_sums))
+
+
+@pytest.mark.parametrize("variant", CHECKED, indirect=True)
 async def test_a_bad_wire_never_bends_what_the_drive_says(profile, folder):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:

@@ -154,7 +154,7 @@ SETTING, VALUE = "control_mode", 3
 
 def test_a_drive_is_deaf_while_it_stores_a_setting(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100",)) as bench:
-        assert bench.write(SETTING, VALUE) == 0
+        assert bench.write(SETTING, VALUE) is None
         assert bench.exchange(FRAME, 0.02) == b""
         bench.go_on(0.1)
         assert bench.exchange(FRAME) == REPLY
@@ -163,7 +163,7 @@ def test_a_drive_is_deaf_while_it_stores_a_setting(tmp_path):
 
 def test_a_busy_drive_refuses_while_it_stores_a_setting(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100,busy=1",)) as bench:
-        assert bench.write(SETTING, VALUE) == 0
+        assert bench.write(SETTING, VALUE) is None
         assert bench.exchange(FRAME, 0.02) == build_exception(1, Function.READ_HOLDING, 6)
         bench.go_on(0.1)
         assert bench.exchange(FRAME) == REPLY
@@ -171,7 +171,7 @@ def test_a_busy_drive_refuses_while_it_stores_a_setting(tmp_path):
 
 def test_a_set_point_is_no_setting_and_takes_no_time(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100",)) as bench:
-        assert bench.write("target_velocity_1", 0) == 0
+        assert bench.write("target_velocity_1", 0) is None
         assert bench.exchange(FRAME) == REPLY
 
 

@@ -10,12 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from loop_side import running, until
 from test_pwm_line import armed
 
-from motord.cli import cli
-from motord.cli.common import Exit
 from motord.config import load_robot
 from motord.config.wheels import profile_of
 from motord.config.wiring import line_specs
@@ -294,15 +291,39 @@ def test_wheels_on_pins_do_not_leap_after_a_simulator_that_was_held_up(simulator
         os.kill(simulator.process.pid, signal.SIGCONT)
     sim_s = simulator.control.truth().time_s - sim_s
     assert sim_s < time.monotonic() - real_s - 0.9 * held_s
+    assert simulator.control.stats()["held_up_max_s"] > 0.9 * held_s
 
 
 # ------------------------------------------------------------------------------- the robot's file
-def test_a_bridge_that_a_gpio_line_turns_round_is_refused_with_the_pin(tmp_path):
-    for command in (["simulate"], ["demo", "--robot"]):
-        robot = str(ROOT / "config/robots/pi4-encoders.toml")
-        result = CliRunner().invoke(cli, [*command, robot])
-        assert result.exit_code == Exit.USAGE
-        assert "line pins: joint left: pin in1 of tb6612fng is a GPIO line (GPIO5)" in result.stderr
+def test_gpio_lines_that_select_the_direction_become_channels_of_their_own(tmp_path):
+    robot = tmp_path / "robot.toml"
+    text = (ROOT / "config/robots/pi4-encoders.toml").read_text(encoding="utf-8")
+    assert 'in2 = "GPIO6"' in text
+    robot.write_text(text.replace('in2 = "GPIO6"', 'in2 = "!GPIO6"'), encoding="utf-8")
+    with start_simulator(robot, link_dir=tmp_path / "sim") as simulator:
+        spec = spec_of(simulator, robot)
+        assert [dict(joint.pins) for joint in spec.joints] == [
+            {"pwm": "pwm0", "in1": "pwm2", "in2": "!pwm3"},
+            {"pwm": "pwm1", "in1": "pwm4", "in2": "pwm5"},
+        ]
+        folders = {path.name for path in Path(simulator.ports["pins"]).iterdir()}
+        assert {f"pwm{channel}" for channel in range(6)} < folders
+
+
+async def test_the_line_turns_a_simulated_bridge_round_by_its_direction_pins(tmp_path):
+    robot = ROOT / "config/robots/pi4-encoders.toml"
+    with start_simulator(robot, link_dir=tmp_path / "sim") as simulator:
+        async with running(spec_of(simulator, robot)) as rig:
+            await rig.ready()
+            await armed(rig)
+            for way in (1.0, -1.0):
+                rig.loop.enabled, rig.loop.duty = True, {0: 0.5 * way}
+                await until(
+                    lambda way=way: (
+                        simulator.control.truth().joints["left"].velocity_rad_s * way > 3.0
+                    ),
+                    f"the left wheel turns {way:+g}",
+                )
 
 
 @pytest.fixture(scope="module")
@@ -312,8 +333,8 @@ def simulator(tmp_path_factory):
         yield simulator
 
 
-def spec_of(simulator):
-    robot = load_robot(ROBOT, simulator.settings)
+def spec_of(simulator, path=ROBOT):
+    robot = load_robot(path, simulator.settings)
     profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
     return line_specs(robot, profiles)[0]
 

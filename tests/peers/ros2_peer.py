@@ -3,11 +3,12 @@
 library itself. It shares nothing with motord.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
-    ros2_peer.py DOMAIN drive NAME V W [AGE_S]   20 TwistStamped a second; age "zero": the stamp 0
+    ros2_peer.py DOMAIN drive NAME V W [AGE_S [NODE]]   20 TwistStamped a second; age "zero": the
+                                                 stamp 0; NODE: says in the graph whose they are
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
-    ros2_peer.py DOMAIN say NAME TEXT [best]     one String, again and again; best: best effort
+    ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, again and again; best: best effort
     ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
                                                  a line on standard input: cancel it
@@ -38,9 +39,12 @@ from ros2_peer_types import (
     TOPICS,
     CancelReply,
     CancelRequest,
+    Entities,
+    Gid,
     GoalInfo,
     Header,
     JointState,
+    NodeEntities,
     Parameter,
     ParameterValue,
     String,
@@ -80,8 +84,25 @@ def topic(participant, name, kind, late=""):
             say(dataclasses.asdict(sample))
 
 
-def _publish(participant, name, kind, make, qos=RELIABLE):
+_keep = []
+"""Entities of DDS that live as long as this process."""
+
+
+def _in_the_graph(participant, node, writer):
+    told = DataWriter(
+        participant,
+        Topic(participant, "ros_discovery_info", Entities),
+        Qos(*RELIABLE, Policy.Durability.TransientLocal),
+    )
+    written = [Gid(list(writer.guid.bytes))]
+    told.write(Entities(Gid(list(participant.guid.bytes)), [NodeEntities("/", node, [], written)]))
+    return told
+
+
+def _publish(participant, name, kind, make, qos=RELIABLE, node=""):
     writer = DataWriter(participant, Topic(participant, name, kind), Qos(*qos))
+    if node:
+        _keep.append(_in_the_graph(participant, node, writer))
     while True:
         writer.write(make())
         time.sleep(0.05)
@@ -102,13 +123,13 @@ def twist(participant, name, linear_m_s, angular_rad_s, ahead_s="0"):
         time.sleep(0.05)
 
 
-def drive(participant, name, linear_m_s, angular_rad_s, age_s="0"):
+def drive(participant, name, linear_m_s, angular_rad_s, age_s="0", node=""):
     def make():
         stamp_ns = 0 if age_s == "zero" else time.time_ns() - round(float(age_s) * 1e9)
         stamp = Time(*divmod(stamp_ns, 1_000_000_000))
         return TwistStamped(Header(stamp, ""), _twist(linear_m_s, angular_rad_s))
 
-    _publish(participant, name, TwistStamped, make)
+    _publish(participant, name, TwistStamped, make, node=node)
 
 
 def joints(participant, name, *words):
@@ -123,9 +144,9 @@ def joints(participant, name, *words):
     _publish(participant, name, JointState, make)
 
 
-def _say_text(participant, name, text, best=""):
+def _say_text(participant, name, text, best="", node=""):
     qos = (Policy.Reliability.BestEffort, *RELIABLE[1:]) if best else RELIABLE
-    _publish(participant, name, String, lambda: String(text), qos)
+    _publish(participant, name, String, lambda: String(text), qos, node)
 
 
 def _built(kind, values):

@@ -146,6 +146,17 @@ class Entities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntiti
 
 
 @dataclass
+class Log(IdlStruct, typename="rcl_interfaces::msg::dds_::Log_"):
+    stamp: Time
+    level: uint8
+    name: str
+    msg: str
+    file: str
+    function: str
+    line: uint32
+
+
+@dataclass
 class HumbleGid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
     data: array[uint8, 24]
 
@@ -395,6 +406,7 @@ TOPICS = {
         TFMessage,
         Entities,
         HumbleEntities,
+        Log,
         GoalStatusArray,
         TransitionEvent,
         ParameterEvent,

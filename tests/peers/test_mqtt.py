@@ -254,10 +254,13 @@ def test_a_retained_command_is_not_obeyed(stage, peer):
     ready(stage, but=pid)
 
 
-def test_a_call_without_the_token_does_nothing(stage, peer):
+@pytest.mark.parametrize("token", ["wrong", None, 7])
+def test_a_call_without_the_token_does_nothing_and_is_told_so(stage, peer, token):
     armed(stage, peer)
     before = inputs(stage)["fleet"]["refused"]
-    peer.pub("site/r2/call", {"token": "wrong", "method": "disarm", "id": 1})
+    answer = called(stage, peer, "disarm", token=token)
+    assert answer["error"] == "the token is missing or wrong"
+    assert "result" not in answer
     wait_until(lambda: inputs(stage)["fleet"]["refused"] > before, "a refusal")
     assert stage.state() == "armed"
 

@@ -45,8 +45,8 @@ def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
         peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
     ):
         moved = ear.find(lambda sample: sample["twist"]["twist"]["linear"]["x"] > 0.1, "a way")
-    assert moved["header"]["frame_id"] == "odom"
-    assert moved["child_frame_id"] == "base_link"
+    assert moved["header"]["frame_id"] == "r2/odom"
+    assert moved["child_frame_id"] == "r2/base_link"
     assert moved["twist"]["twist"]["angular"]["z"] > 0.0
     commanding = armed.robot.status()["commands"]
     assert commanding["accepted"] > 0
@@ -126,6 +126,55 @@ def test_a_topic_stops_as_the_service_does(stage, how):
     stage.wait_for("idle")
 
 
+def test_who_stopped_the_robot_and_why_is_told_by_name(stage):
+    reason = "input.ros2: by /watcher: 'a person is too close' (process "
+
+    def found():
+        return any(why.startswith(reason) for why in stage.robot.status()["why"])
+
+    with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "best", "watcher"):
+        wait_until(found, "the reason")
+    assert f"emergency stop: {reason}" in stage.said()
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+    assert called("estop")["success"]
+    assert stage.robot.status()["why"][0].startswith("input.ros2: by endpoint ")
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_what_goes_wrong_is_on_rosout_also_for_who_comes_late(stage):
+    assert called("estop")["success"]
+    with peer("topic", "rt/rosout", "Log", "late") as ear:
+        # the history begins with warnings of the tests before this one
+        error = ear.find(
+            lambda log: (
+                log["level"] == 40
+                and (log["msg"].startswith("estop: ") or "by endpoint" in log["msg"])
+            ),
+            "the error",
+        )
+    assert error["name"] == "r2.motord"
+    assert called("reset")["success"]
+    stage.wait_for("idle")
+
+
+def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
+    topic = f"rt{NAMESPACE}/cmd_vel"
+    with peer("drive", topic, 0.1, 0.0, 0, "planner"), peer("drive", topic, 0.0, 0.3, 0, "panel"):
+        wait_until(
+            lambda: (
+                {row["from"] for row in inputs(armed)["ros2"]["rivals"].get("cmd_vel", ())}
+                == {"/planner", "/panel"}
+            ),
+            "the rivals",
+        )
+        rows = inputs(armed)["ros2"]["rivals"]["cmd_vel"]
+    assert all(row["rate_hz"] > 0.0 for row in rows)
+    assert armed.said().count("command against each other") == 1
+    wait_until(lambda: not inputs(armed)["ros2"]["rivals"], "the end of the contest")
+
+
 def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
     with peer("topic", f"rt{NAMESPACE}/robot_description", "String", "late") as ear:
         told = ear.find(lambda _: True, "the description")
@@ -137,11 +186,18 @@ def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
 
 
 def test_who_comes_late_is_told_the_frames_that_never_move(stage):
-    with peer("topic", f"rt{NAMESPACE}/tf_static", "TFMessage", "late") as ear:
+    with peer("topic", "rt/tf_static", "TFMessage", "late") as ear:
         told = ear.find(lambda _: True, "the frames")
     (frame,) = told["transforms"]
-    assert frame["header"]["frame_id"] == "base_link"
-    assert frame["child_frame_id"] == "base_footprint"
+    assert frame["header"]["frame_id"] == "r2/base_link"
+    assert frame["child_frame_id"] == "r2/base_footprint"
+
+
+def test_transforms_are_on_the_one_topic_of_all_robots_under_frames_of_their_own(stage):
+    with peer("topic", "rt/tf", "TFMessage") as ear:
+        (frame,) = ear.find(lambda _: True, "a transform")["transforms"]
+    assert frame["header"]["frame_id"] == "r2/odom"
+    assert frame["child_frame_id"] == "r2/base_link"
 
 
 def test_the_graph_shows_one_node_with_all_that_it_has(stage):

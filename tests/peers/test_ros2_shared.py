@@ -14,7 +14,7 @@ STRING = "std_msgs/msg/String"
 
 async def test_it_goes_on_and_may_be_run_again():
     node, heard = Node("shared", "/shared", DOMAIN, "localhost"), set()
-    node.subscribe("said", STRING, lambda message, _: heard.add(message.data))
+    node.subscribe("said", STRING, lambda message, *_: heard.add(message.data))
     teller = node.publisher("said", STRING)
 
     async def is_heard(text):

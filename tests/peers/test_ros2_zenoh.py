@@ -77,7 +77,7 @@ class Robot:
         self.said = self.node.publisher("said", STRING, quality)
         self.heard = []
         self.stops = 0
-        self.node.subscribe("cmd_vel", TWIST, lambda message, _: self.heard.append(message))
+        self.node.subscribe("cmd_vel", TWIST, lambda message, *_: self.heard.append(message))
         self.node.serve("stop", "std_srvs/srv/Trigger", self.stop)
 
     async def stop(self, _):
@@ -194,7 +194,7 @@ async def test_how_long_a_message_waited_is_told_by_its_senders_clock():
     port, waited_s = free_port(), []
     async with router(port):
         node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
-        node.subscribe("cmd_vel", TWIST, lambda _, age_s: waited_s.append(age_s))
+        node.subscribe("cmd_vel", TWIST, lambda _, age_s, sender: waited_s.append(age_s))
         with peer(port) as session:
             tokens = Tokens(session)
             async with running(node):
@@ -208,6 +208,23 @@ async def test_how_long_a_message_waited_is_told_by_its_senders_clock():
                 await until(lambda: len(waited_s) == 4)
     assert waited_s[0] == waited_s[3] == 0.0
     assert waited_s[2] > 20.0
+
+
+async def test_a_message_is_told_with_the_name_of_its_node():
+    port, senders = free_port(), []
+    async with router(port):
+        ear = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
+        mouth = ZenohNode("teleop", "/fleet", 3, Router(endpoint=endpoint(port)))
+        ear.subscribe("/cmd_vel", TWIST, lambda _, age_s, sender: senders.append(sender))
+        teller = mouth.publisher("/cmd_vel", TWIST)
+        three = SimpleNamespace(x=0.0, y=0.0, z=0.0)
+        async with running(ear), running(mouth):
+
+            def named():
+                teller.publish(SimpleNamespace(linear=three, angular=three))
+                return "/fleet/teleop" in senders
+
+            await until(named)
 
 
 async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():

@@ -119,7 +119,7 @@ def test_another_node_arms_drives_and_hears_the_way(robot):
         driver.drive_until(
             lambda: driver.heard[-1].pose.pose.position.x > before_m + 0.1, "a way of 0.1 m"
         )
-        assert driver.heard[-1].header.frame_id == "odom"
+        assert driver.heard[-1].header.frame_id == "r2/odom"
 
 
 def test_the_robot_stops_when_the_other_node_says_nothing_more(robot):

@@ -34,7 +34,7 @@ class Arbiter:
         """`base`: a core_config whose joints are commanded."""
         self.c = ffi.new("arbiter *")
         self.base = base
-        lib.arbiter_init(self.c, base)
+        lib.arbiter_init(self.c, base, ffi.NULL)
         self.granted = {}
         self.gone = {}
         self.sequence = 0

@@ -255,6 +255,17 @@ def test_a_sequence_goes_on_past_the_end_of_its_64_bits():
     assert raw(arbiter, 40, sequence=(1 << 64) - 1) is Refusal.SEQUENCE
 
 
+def test_a_sequence_of_zero_is_a_replay_also_after_the_end_of_the_64_bits():
+    arbiter = Arbiter()
+    submit(arbiter, 0)
+    assert raw(arbiter, 10, sequence=(1 << 63)) is None
+    assert raw(arbiter, 20, sequence=(1 << 64) - 1, linear_m_s=0.3) is None
+    assert raw(arbiter, 30, sequence=0, linear_m_s=0.9) is Refusal.SEQUENCE
+    assert arbiter.commander(START_NS + 30 * MS).linear_m_s == 0.3
+    assert raw(arbiter, 40, sequence=7 << 61) is Refusal.SEQUENCE
+    assert raw(arbiter, 50, sequence=1) is None
+
+
 def test_who_was_held_is_held_on_his_next_connection_until_his_lease_has_lapsed():
     arbiter = Arbiter()
     submit(arbiter, 0)

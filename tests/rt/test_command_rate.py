@@ -16,7 +16,7 @@ class Source:
 
     def __init__(self, interval_least_ns=10 * MS):
         self.c = ffi.new("arbiter *")
-        lib.arbiter_init(self.c, ffi.NULL)
+        lib.arbiter_init(self.c, ffi.NULL, ffi.NULL)
         lease = {
             "token": TOKEN, "number": 1, "priority": 1, "lifetime_ns": 1000 * MS,
             "interval_least_ns": interval_least_ns,

@@ -275,7 +275,7 @@ def test_a_number_inside_that_is_none_is_rest_and_a_fault(place, broken, armed):
         rig.tick()
     state = rig.state
     if place in ("linear", "angular"):
-        getattr(state, place).velocity_u_s = broken
+        state.axis[lib.AXIS_LINEAR if place == "linear" else lib.AXIS_ANGULAR].velocity_u_s = broken
     elif place == "duty":
         state.wheels.joint[1].duty = broken
     elif place == "x_m":

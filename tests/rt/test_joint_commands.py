@@ -196,7 +196,7 @@ def test_the_loop_turns_the_wheels_as_asked_and_within_their_limits():
             return speeds == pytest.approx([left_rad_s, right_rad_s], abs=1e-9)
 
         until(lambda: turning(2.0, 4.0))
-        send(loop, lease, 300.0, 300.0)  # 30 m/s, where 1 m/s is the limit
+        send(loop, lease, 90.0, 90.0)  # 9 m/s, where 1 m/s is the limit
         until(lambda: turning(10.0, 10.0))
         assert "linear_velocity" in loop.read_state().reasons
         send(loop, lease, 0.0, 0.0)

@@ -5,7 +5,8 @@ import pytest
 from small_base import FOREVER_S, LIMITS, arm, core_config, settings, until
 
 from motord import rt
-from motord.leases import LEASE_MAX_S, LEASE_MIN_S, Leases
+from motord.commands import Refusal
+from motord.leases import LEASE_MAX_S, LEASE_MIN_S, Leases, NoLease
 
 
 @pytest.fixture
@@ -57,3 +58,25 @@ async def test_a_lifetime_out_of_bounds_is_refused_and_grants_nothing(loop):
         with pytest.raises(ValueError, match="lease_s"):
             await drive(leases, 1, 0.3, lease_s=lease_s)
     assert not leases.fresh()
+
+
+async def test_a_connection_is_held_by_a_lease_that_was_given_out_or_by_a_living_command(loop):
+    leases = Leases(loop)
+    leases.grant(1, "autopilot", 50, LEASE_MAX_S, kept=True)
+    await drive(leases, 2, 0.1)
+    await drive(leases, 3, 0.1, owner="brief", lease_s=LEASE_MIN_S)
+    until(lambda: not leases.holds(3))
+    assert [leases.holds(number) for number in (1, 2, 3, 4)] == [True, True, False, False]
+    leases.disconnect(1)
+    leases.release(2, "teleop")
+    assert not any(leases.holds(number) for number in (1, 2))
+
+
+async def test_more_than_ten_times_the_limit_is_refused_by_name_and_commands_zero(loop):
+    leases = Leases(loop)
+    await drive(leases, 1, 0.1)
+    with pytest.raises(NoLease, match="ten times the limit"):
+        await drive(leases, 1, 1e308)
+    assert leases.commander().linear_m_s == 0.0
+    assert loop.commands().refused[Refusal.OUT_OF_RANGE] == 1
+    assert (await drive(leases, 1, 9.9 * LIMITS["linear"]["velocity_u_s"])).wants_motion

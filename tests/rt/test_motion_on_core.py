@@ -9,7 +9,7 @@ from core_rig import Rig, core_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motord.bus.motion import Bounds, End, Goal, Motion, planned
+from motord.motion import Bounds, End, Goal, Motion, planned
 from motord.rt import _snapshot
 
 LEASE, STALE_S, LOOK_TICKS = 3, 0.25, 20

@@ -2,54 +2,15 @@
 """Counters to pose: wraps, seeds, jumps, silences, arcs, covariance."""
 
 import math
-from typing import Any
 
 import core_oracle
 import numpy as np
 import pytest
-from _motord_rt import ffi, lib
-from core_rig import RAD_PER_COUNT, RADIUS_M, TRACK_M, core_config, joint_config
+from _motord_rt import lib
+from core_rig import RAD_PER_COUNT, RADIUS_M, TRACK_M
 from hypothesis import given
 from hypothesis import strategies as st
-
-STEP_NS = 10_000_000
-STEP_S = 0.01
-LEFT, RIGHT = 0, 1
-
-
-class Base:
-    """An odometry_state with its feedback; counts and time by hand."""
-
-    def __init__(self, joints: int = 2, **changes: Any) -> None:
-        rows = [joint_config(-1.0 if j % 2 == 0 else 1.0, **changes) for j in range(joints)]
-        self.config = ffi.new("core_config *", core_config(joints, joint=rows))
-        self.state = ffi.new("odometry_state *")
-        lib.odometry_init(self.state, self.config)
-        self.feedback = ffi.new("joint_feedback[8]")
-        self.stale = ffi.new("uint32_t[8]")
-        self.setpoint = ffi.new("double[8]")
-        self.joints = joints
-        self.now_ns = 1_000_000_000
-        for j in range(joints):
-            self.feedback[j].velocity_rad_s = math.nan
-
-    def take(self) -> Any:
-        lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)
-        return self.state
-
-    def step(self, *counts: int, skip: tuple[int, ...] = ()) -> Any:
-        """Time goes on; each joint that is not skipped counts on by its number and is heard."""
-        self.now_ns += STEP_NS
-        for j, count in enumerate(counts):
-            if j not in skip:
-                bits = self.config.joint[j].counter_bits or 64
-                self.feedback[j].count = (self.feedback[j].count + count) % (1 << bits)
-                self.feedback[j].stamp_ns = self.now_ns
-        return self.take()
-
-    def covariance(self) -> np.ndarray:
-        xx, xy, xh, yy, yh, hh = self.state.pose_covariance
-        return np.array([[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]])
+from odometry_rig import LEFT, RIGHT, STEP_S, Base
 
 
 @given(
@@ -234,7 +195,7 @@ def test_the_cores_own_sine_is_as_good_as_the_librarys(heading):
 @given(st.integers(1, 10**6))
 def test_a_step_that_turns_a_lot_or_hardly_at_all_is_as_exact(divisor):
     """One wheel stands, the other rolls: the robot turns about the standing wheel."""
-    base = Base(rad_per_count=1.0 / divisor, velocity_max_rad_s=1e6)
+    base = Base(counter_bits=64, rad_per_count=1.0 / divisor, velocity_max_rad_s=1e6)
     base.step(0, 0)
     base.step(0, 1000)
     turn = 1000.0 / divisor * RADIUS_M / TRACK_M
@@ -366,7 +327,7 @@ def test_without_counters_travel_comes_from_velocity_measured_or_wished(measured
     base = Base(counter_bits=0)
     base.step(0, 0)
     for j in (LEFT, RIGHT):
-        base.setpoint[j] = -99.0 if measured else 2.0
+        base.setpoint[j].velocity_rad_s = -99.0 if measured else 2.0
         base.feedback[j].velocity_rad_s = 2.0 if measured else math.nan
     for _ in range(100):
         base.step(0, 0)
@@ -381,7 +342,7 @@ def test_no_velocity_and_no_setpoint_whatsoever_makes_the_pose_other_than_finite
     base.step(0, 0)
     for j in (LEFT, RIGHT):
         base.feedback[j].velocity_rad_s = numbers[j]
-        base.setpoint[j] = numbers[2 + j]
+        base.setpoint[j].velocity_rad_s = numbers[2 + j]
     base.step(0, 0)
     state = base.state
     pose = [state.x_m, state.y_m, state.heading_rad, *state.pose_covariance]

@@ -74,7 +74,7 @@ class LineWithAPanel:
         self.operation = operation
 
     async def clear_faults(self):
-        self.operation.estop("the panel")
+        self.operation.estop(1, "the panel")
 
 
 async def test_a_reset_does_not_take_back_an_emergency_stop_that_came_meanwhile(operation):

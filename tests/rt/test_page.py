@@ -111,7 +111,9 @@ def test_a_page_made_anew_forgets_the_old_snapshot(page):
     assert page.read() == payload_of(2)
 
 
-@pytest.mark.parametrize("struct_name", ["robot_state", "joint_state", "imu_state"])
+@pytest.mark.parametrize(
+    "struct_name", ["robot_state", "joint_state", "imu_state", "feedback_doubt"]
+)
 def test_the_documented_offsets_are_the_compilers(struct_name):
     text = (ROOT / "docs/state-page.md").read_text(encoding="utf-8")
     section = text[text.index(f"`{struct_name}`, {ffi.sizeof(struct_name)} bytes") :]

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whose the file of the state page is."""
 
+import contextlib
 import os
 import signal
 import stat
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 
 from motord import page_file
 from motord.page_file import PageFile, PageInUse
 
+PAGE_BYTES = 16384
 HOLDER = """
 import sys
 from pathlib import Path
@@ -98,8 +102,9 @@ def test_a_file_that_is_somebody_elses_by_now_is_left_alone(folder):
 def test_a_link_is_not_followed(folder):
     (folder / "precious").write_text("kept")
     (folder / "motord-robot").symlink_to(folder / "precious")
-    with pytest.raises(OSError, match="motord-robot"):
-        PageFile.open("robot")
+    with PageFile.open("robot") as page:
+        assert not page.path.is_symlink()
+        os.pwrite(page.fd, b"page", 0)
     assert (folder / "precious").read_text() == "kept"
 
 
@@ -123,12 +128,21 @@ except page_file.PageInUse as error:
 """
 
 
+def open_to_others(folder):
+    """Another user may go there: what lies above it in the folder for temporary files is ours."""
+    for above in folder.parents:
+        if above == Path(tempfile.gettempdir()):
+            return
+        above.chmod(0o755)
+
+
 def test_a_file_that_belongs_to_another_user_is_said_to_be_so(tmp_path):
-    """Root's own file in the eyes of nobody; without root, a file that may not be written."""
+    """Root's own file in the eyes of nobody; without root, a file that may not be written. Neither
+    can be replaced in that folder."""
     path = tmp_path / "motord-robot"
     path.touch(0o444)
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
+    open_to_others(tmp_path)
+    tmp_path.chmod(0o555)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     said = subprocess.run(
         [sys.executable, "-c", OTHER_USER, str(tmp_path)],
@@ -138,3 +152,89 @@ def test_a_file_that_belongs_to_another_user_is_said_to_be_so(tmp_path):
         timeout=30,
     )
     assert f"{path} belongs to another user" in said.stdout, said.stderr
+
+
+STRANGER = """
+import fcntl, os, struct, sys
+path, deed = sys.argv[1:]
+if os.getuid() == 0:
+    os.setuid(65534)
+if deed == "makes":
+    fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    os.fchmod(fd, 0o666)
+    os.ftruncate(fd, 1 << 20)
+else:
+    fd = os.open(path, os.O_RDONLY)
+    if deed == "locks":
+        fcntl.flock(fd, fcntl.LOCK_SH)
+    if deed == "locks for reading":
+        wish = struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, wish)
+print("done", flush=True)
+sys.stdin.read()
+if deed == "makes":
+    os.ftruncate(fd, 0)
+    print("shorter", flush=True)
+"""
+
+
+@pytest.fixture
+def shared(folder):
+    """As /dev/shm: every user may make files, nobody may remove those of others."""
+    open_to_others(folder)
+    folder.chmod(0o1777)
+    return folder / "motord-robot"
+
+
+@contextlib.contextmanager
+def stranger(path, deed):
+    with subprocess.Popen(
+        [sys.executable, "-c", STRANGER, str(path), deed],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        try:
+            assert process.stdout.readline() == b"done\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_page_that_a_stranger_made_is_replaced_and_cannot_be_made_shorter(shared):
+    """Without root the stranger is another process of this user that lets everybody write."""
+    with stranger(shared, "makes") as process, PageFile.open("robot") as page:
+        os.posix_fallocate(page.fd, 0, PAGE_BYTES)
+        process.stdin.close()
+        assert process.stdout.readline() == b"shorter\n"
+        info = os.fstat(page.fd)
+        assert (info.st_size, info.st_uid) == (PAGE_BYTES, os.geteuid())
+        assert os.path.samestat(shared.stat(), info)
+
+
+@pytest.mark.parametrize("deed", ["locks", "locks for reading"])
+def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nobody_out(shared, deed):
+    shared.touch(0o644)
+    with stranger(shared, deed), PageFile.open("robot") as page:
+        assert os.path.samestat(shared.stat(), os.fstat(page.fd))
+
+
+def test_no_lock_of_a_reader_takes_the_page_of_a_living_daemon(holder, shared):
+    with stranger(shared, "looks"), pytest.raises(PageInUse, match="living daemon"):
+        PageFile.open("robot")
+
+
+@pytest.mark.parametrize("kind", ["fifo", "others write", "second name"])
+def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(shared, kind):
+    if kind == "fifo":
+        os.mkfifo(shared)
+    else:
+        shared.touch()
+        shared.chmod(0o666 if kind == "others write" else 0o644)
+    if kind == "second name":
+        os.link(shared, shared.with_name("second"))
+    before = os.open(shared, os.O_PATH)  # its number is not given again
+    with PageFile.open("robot") as page:
+        assert stat.S_IMODE(shared.lstat().st_mode) == 0o644
+        assert stat.S_ISREG(os.fstat(page.fd).st_mode)
+        assert not os.path.samestat(os.fstat(before), os.fstat(page.fd))
+    os.close(before)

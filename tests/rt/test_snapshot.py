@@ -13,7 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord import rt
-from motord.snapshot import SNAPSHOT_VERSION, ImuSnapshot, JointSnapshot, Snapshot
+from motord.snapshot import (
+    SNAPSHOT_VERSION,
+    DoubtSnapshot,
+    ImuSnapshot,
+    JointSnapshot,
+    Snapshot,
+)
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -32,7 +38,7 @@ def raw_state():
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
             setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
-        elif name not in ("joint", "imu"):
+        elif name not in ("joint", "imu", "doubt"):
             setattr(raw, name, number)
     raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
     raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
@@ -44,6 +50,9 @@ def raw_state():
         vector = name in ("angular_rad_s", "acceleration_m_s2")
         setattr(raw.imu, name, [number * 10 + i for i in range(3)] if vector else number)
     raw.imu.state = lib.GYRO_USED
+    for number, name in enumerate(c_fields("feedback_doubt"), 8000):
+        setattr(raw.doubt, name, number)
+    raw.doubt.fault = lib.FAULT_STALL
     return raw
 
 
@@ -52,13 +61,15 @@ def test_the_names_are_those_of_the_c_struct():
     assert set(python_fields(Snapshot)) == expected
     assert python_fields(JointSnapshot) == c_fields("joint_state")
     assert python_fields(ImuSnapshot) == c_fields("imu_state")
+    assert python_fields(DoubtSnapshot) == c_fields("feedback_doubt")
 
 
 def test_every_field_arrives_in_its_place():
     raw = raw_state()
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
-    for name in set(python_fields(Snapshot)) - {"joints", "version", "reasons", "faults", "imu"}:
+    apart = {"joints", "version", "reasons", "faults", "imu", "doubt"}
+    for name in set(python_fields(Snapshot)) - apart:
         value = getattr(made, name)
         assert value == type(value)(getattr(raw, name)), name
     assert len(made.joints) == 3
@@ -69,6 +80,15 @@ def test_every_field_arrives_in_its_place():
     for name in set(python_fields(ImuSnapshot)) - {"state"}:
         value = getattr(made.imu, name)
         assert value == type(value)(getattr(raw.imu, name)), name
+    assert made.doubt.fault == "stall"
+    for name in set(python_fields(DoubtSnapshot)) - {"fault"}:
+        assert getattr(made.doubt, name) == getattr(raw.doubt, name), name
+
+
+def test_without_a_fault_of_the_feedback_there_is_no_doubt():
+    raw = raw_state()
+    raw.doubt.fault = 0
+    assert rt._snapshot(raw).doubt is None
 
 
 def test_every_state_of_the_gyro_has_its_word_and_none_is_no_imu():

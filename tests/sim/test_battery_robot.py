@@ -31,7 +31,7 @@ def test_a_robot_without_the_section_has_no_battery(tmp_path):
 
 
 def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_are_gone(tmp_path):
-    settings = (*FULL, "publish.console.rate_hz=20")
+    settings = (*FULL, "publish.console.kind=stdout", "publish.console.rate_hz=20")
     with running(tmp_path, *settings, stdout=subprocess.PIPE) as stage, stage.daemon.stdout:
         wait_until(lambda: level(stage) == "normal", "a measure")
         battery = stage.robot.status()["battery"]

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from motord.config import load_robot
 from motord.tools.demo import run_demo
 from motord_hal.paths import config_dir
 
@@ -34,7 +35,7 @@ def test_a_robot_on_two_drives_drives_its_course_and_stops_clean(tmp_path, name,
         text.replace(f'drive = "{profile}"', 'drive = "./patient.toml"'), encoding="utf-8"
     )
 
-    report = run_demo(robot, name, 8.0, lambda text: None).to_json()
+    report = run_demo(robot, load_robot(robot), 8.0, lambda text: None).to_json()
     assert report["engine"] == {line: "asyncio"}
     assert report["safety"]["final_state"] == "idle"
     assert report["safety"]["faults"] == []

@@ -68,7 +68,13 @@ def test_without_a_gyro_the_same_slip_turns_the_heading_away(tmp_path):
 
 
 def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
-    over = ("imu.up=-y", "imu.forward=z", *PATIENT, "publish.console.rate_hz=20")
+    over = (
+        "imu.up=-y",
+        "imu.forward=z",
+        *PATIENT,
+        "publish.console.kind=stdout",
+        "publish.console.rate_hz=20",
+    )
     with (
         running(tmp_path, *over, robot=ROBOT, stdout=subprocess.PIPE) as stage,
         stage.daemon.stdout,

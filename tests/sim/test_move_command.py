@@ -11,7 +11,8 @@ import sys
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
-from motord.client import ClientError
+from motord.client import ClientError, MoveFailed
+from motord.motion import Goal
 
 SETTINGS = (
     "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
@@ -59,7 +60,8 @@ def command(stage, *words):
 
 def ended(process):
     out, err = process.communicate(timeout=DEADLINE_S)
-    return process.returncode, json.loads(out) if out else None, err
+    found = json.loads(out)  # one object, whatever the end
+    return process.returncode, found, found.get("error", err)
 
 
 def under_way(stage):
@@ -118,13 +120,17 @@ def test_who_commands_already_keeps_the_command(armed):
     with command(armed, "move", "0.3") as process:
         code, told, err = ended(process)
     armed.robot.release()
-    assert (code, told) == (1, None)
+    assert (code, told) == (1, {"error": err, "exit_status": 1})
     assert "is in command" in err
 
 
 @pytest.mark.parametrize(
     ("words", "code", "why"),
-    [(("move", "0"), 2, "a way of 0"), (("turn", "nan"), 2, "finite"), (("move", "0.3"), 1, "arm")],
+    [
+        (("move", "0"), 2, "no distance to go"),
+        (("turn", "nan"), 2, "finite"),
+        (("move", "0.3"), 1, "arm"),
+    ],
 )
 def test_what_cannot_be_moves_nothing(stage, words, code, why):
     def idle():
@@ -135,6 +141,32 @@ def test_what_cannot_be_moves_nothing(stage, words, code, why):
     wait_until(idle, "idle")
     with command(stage, *words) as process:
         returned, told, err = ended(process)
-    assert (returned, told) == (code, None)
+    assert (returned, told) == (code, {"error": err, "exit_status": code})
     assert why in err
     assert stage.sim.truth().at_rest
+
+
+def test_a_program_drives_a_distance_and_turns_right_after_its_own_commands(armed):
+    before = armed.sim.truth()
+    armed.robot.drive(0.0, 0.0)
+    moved = armed.robot.move(0.3)
+    assert (moved.end.value, moved.why) == ("succeeded", "")
+    assert moved.distance_m == pytest.approx(0.3, abs=0.011)
+    after = armed.sim.truth()
+    assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(
+        0.3, abs=0.03
+    )
+    assert armed.robot.turn(-0.4).angle_rad == pytest.approx(-0.4, abs=0.021)
+    assert armed.robot.status()["leases"] == []
+
+
+def test_a_program_is_told_why_its_move_did_not_arrive(armed):
+    with pytest.raises(MoveFailed, match="fault is latched: estop") as failed:
+        armed.robot.carry_out(
+            Goal(axis="linear", way_u=20.0),
+            watch=lambda motion, _: motion.way_u > 0.02 and armed.robot.estop(),
+        )
+    assert failed.value.moved.distance_m == pytest.approx(0.1, abs=0.1)
+    assert failed.value.latched
+    with pytest.raises(ValueError, match="more than 0"):
+        armed.robot.move(1.0, speed_m_s=0.0)

@@ -2,6 +2,7 @@
 """The bridge for machines with ROS 2, as far as it goes without: all of it but rclpy's own part,
 against a daemon."""
 
+import contextlib
 import importlib.util
 import os
 import signal
@@ -69,6 +70,25 @@ def test_services_answer_with_the_state_or_with_why_not(stage, bridge):
     assert "emergency stop" in why
     assert bridge.call("reset") == (True, "idle")
     assert bridge.call("reset_odometry") == (True, "idle")
+
+
+def test_a_full_socket_ends_no_lease(stage, bridge):
+    bridge.drive(0.0, 0.0, now())
+    number = wait_until(lambda: stage.robot.status()["leases"], "the lease")[0]["number"]
+    os.kill(stage.daemon.pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(NotTaken, match="is full"):
+            while True:
+                bridge.drive(0.0, 0.0, now())
+    finally:
+        os.kill(stage.daemon.pid, signal.SIGCONT)
+
+    def goes_on():
+        with contextlib.suppress(NotTaken):
+            bridge.drive(0.0, 0.0, now())
+        return [lease["number"] for lease in stage.robot.status()["leases"]] == [number]
+
+    wait_until(goes_on, "the same lease")
 
 
 def test_every_service_is_a_method_of_the_daemon(stage, bridge):

@@ -2,16 +2,20 @@
 """A drive of a whole daemon, recorded and run through the core again."""
 
 import json
+import signal
 import struct
 import subprocess
 import sys
+import uuid
 
 import pytest
 import zstandard
-from daemon_stage import ROBOT, ROOT, running, set_off, wait_until
+from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
+
+from motord.page_file import FOLDER, PREFIX
 
 JOURNAL = "/core_journal"
 
@@ -147,15 +151,32 @@ def test_a_replay_is_played_to_the_buses_of_a_robot_file(recording, tmp_path):
     name = f"robot.name={tmp_path.name.replace('_', '-')}"
     overrides = [part for one in (name, *settings(again)) for part in ("--set", one)]
     assert outcome(recording, "--publish", ROBOT, *overrides)["identical"]
+    assert not (FOLDER / f"{PREFIX}{tmp_path.name.replace('_', '-')}").exists()
     (path,) = again.glob("*.mcap")
     was, now = odometry(recording), odometry(path)
     assert now[-1] == pytest.approx(was[-1], abs=0.005)
     assert len(now) > len(was) / 2
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_replay_that_is_ended_early_leaves_no_state_page(recording, number):
+    name = f"t{uuid.uuid4().hex[:12]}"
+    page = FOLDER / f"{PREFIX}{name}"
+    words = ["replay", str(recording), "--publish", str(ROBOT), "--set", f"robot.name={name}"]
+    with subprocess.Popen([sys.executable, "-m", "motord", *words], cwd=ROOT) as process:
+        try:
+            wait_until(lambda: page.exists() and page.stat().st_size > 0, "the state page")
+            process.send_signal(number)
+            assert process.wait(DEADLINE_S) == 128 + number
+            assert not page.exists()
+        finally:
+            process.kill()
+            page.unlink(missing_ok=True)
+
+
 def test_a_robot_that_runs_is_not_played_over(recording, tmp_path):
     with running(tmp_path) as stage:
         name = stage.robot.status()["robot"]
-        said = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=2)
+        said = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=1)
         assert "living daemon" in said.stderr
         assert stage.end() == 0

@@ -15,9 +15,6 @@ from motord.commands import RELEASE, datagram
 from motord_hal.rt import now_ns
 
 INPUTS = """
-[input.socket]
-kind = "socket"
-
 [input.autopilot]
 kind = "rt"
 priority = 50

@@ -2,7 +2,9 @@
 """A short soak: the robot of tests/soak, a moving one with four drives, in a few batches of seeded
 faults of every kind. The long one is `make soak`."""
 
+import re
 import sys
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "soak"))
 
-from fault_mix import SERIAL_KINDS, batches, kinds_of
+from fault_mix import SERIAL_KINDS, batches
 from hurt_robot import PROFILE, limit_m_s, live
 from said import Said
 
@@ -44,8 +46,14 @@ def test_a_script_is_made_again_by_its_seed():
         return list(batches(seed, 200, 20))
 
     assert script(5) == script(5) != script(6)
-    often = kinds_of([text for batch in script(5) for text in batch]).values()
+    often = Counter(kind for batch in script(5) for kind, _ in batch).values()
     assert max(often) - min(often) <= 1, "each kind as often as any other"
+
+
+def test_replies_late_for_long_and_exceptions_of_code_zero_are_among_the_kinds():
+    texts = dict(kind_and_text for batch in batches(5, 200, 20) for kind_and_text in batch)
+    assert re.search(r"delay:.*ms=\d", texts["late-for-long"])
+    assert "code=0" in texts["exception-code-0"].split(":")[1].split(",")
 
 
 def test_the_limit_is_the_fastest_wheel_s_and_a_tolerance_that_is_small():

@@ -187,7 +187,7 @@ def test_a_drive_whose_answers_are_lost_stops_all_the_same(stage):
 def test_an_adapter_that_is_gone_is_said(tmp_path):
     status, lines = stop_all(f'line.rs485.port="{tmp_path}/nothing"')
     assert status == 3
-    assert "No such file" in lines[0]["problems"][0]
+    assert "there is no such port" in lines[0]["problems"][0]
 
 
 def test_drives_behind_a_gateway_stop_too(tmp_path):
@@ -199,7 +199,7 @@ def test_drives_behind_a_gateway_stop_too(tmp_path):
     robot.write_text(
         text.replace('port = "/dev/ttyUSB0"\nbaudrate = 115200\n', ""), encoding="utf-8"
     )
-    with start_simulator(robot, options=("--tcp", "0")) as simulator:
+    with start_simulator(robot, options=("--tcp", "0"), timeout_s=DEADLINE_S) as simulator:
         port = int(simulator.ports["rs485"].rpartition(":")[2])
         with ModbusTcpClient("127.0.0.1", port=port) as master:
             for address, value in ((0x2000, 10000), (0x200D, 3), (0x200E, 8), (0x2088, 60)):
@@ -215,7 +215,9 @@ def test_drives_behind_a_gateway_stop_too(tmp_path):
 def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     robot = ROOT / "config/robots/odrive-two.toml"
     path = str(tmp_path / "can0")
-    with start_simulator(robot, options=("--can", f"unix:{path}")) as simulator:
+    with start_simulator(
+        robot, options=("--can", f"unix:{path}"), timeout_s=DEADLINE_S
+    ) as simulator:
         with UnixClient(path) as bus:
             for node in (1, 2):
                 for command, data in ODRIVE_SETS_OFF.items():
@@ -258,7 +260,7 @@ def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_told(tmp_pat
 
 def test_a_board_that_streams_is_told_zero_and_stop_by_its_own_line(tmp_path):
     robot = ROOT / "config/robots/esp32.toml"
-    with start_simulator(robot, link_dir=tmp_path) as simulator:
+    with start_simulator(robot, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
         port = json.dumps(simulator.ports["board"])
         status, lines = stop_all(f"line.board.port={port}", robot=robot)
         assert (status, lines[0]["problems"]) == (0, [])

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from motord_hal.sim.fault_kinds import KINDS
+from motord_hal.sim.faults import MOTOR_DEFECTS
 
 UNITS = 4
 BATCH_S = 1.6
@@ -19,16 +19,26 @@ among them and what is accepted there is seen; the others hit every one for a mo
 RARE_P = 0.02
 FAULT_BITS = (0, 2, 5, 10)
 """Of the profile, a warning among them."""
+VARIANTS = {
+    "late-for-long": ("delay", {"ms": (5.0, 100.0), "for_s": (0.2, BATCH_S), "p": (1.0, 1.0)}),
+    "exception-code-0": ("exception", {"code": (0.0, 0.0), "p": (RARE_P, 1.0)}),
+}
+"""Kinds of their own in the mix: a kind of the simulator, and the ranges of what is drawn for it.
+A drive that answers late for so long that replies meet newer requests; the code that the standard
+does not have."""
 UNTAGS = "encoder-wrap"
 """Takes the tags away that the counters have: it comes in the second half of a robot's life."""
-SERIAL_KINDS = tuple(kind for kind in KINDS if kind not in ("unheard", "bus-off"))
-"""All that can happen on a serial line: two belong to CAN alone."""
+_NOT_OF_LINES = ("unheard", "bus-off", *MOTOR_DEFECTS)
+SERIAL_KINDS = (*(kind for kind in KINDS if kind not in _NOT_OF_LINES), *VARIANTS)
+"""All that can happen on a serial line: two belong to CAN alone. Defects of motor and encoder break
+what is judged here, the wheel's speed and its counts: tests/sim/test_doubted_feedback.py has them.
+"""
 _OWN_KEYS = ("unit", "from_s", "at_s", "for_s", "p", "nth")
 
 
 # what is drawn evenly from a range instead of the kind's whole range
 _RANGES = {
-    ("delay", "ms"): (1, 80),
+    ("delay", "ms"): (1, 100),
     ("segments", "ms"): (1, 10),
     ("tear", "after_bytes"): (0, 12),
     ("exception", "code"): (1, 11),
@@ -46,8 +56,8 @@ _BITRATES = (9600, 38400, 57600, 230400)
 
 def batches(
     seed: int, faults: int, size: int, of: Sequence[str] = SERIAL_KINDS
-) -> Iterator[list[str]]:
-    """The faults of one robot's life; the same seed gives the same."""
+) -> Iterator[list[tuple[str, str]]]:
+    """Kind and text of the faults of one robot's life; the same seed gives the same."""
     dice = random.Random(seed)
     kinds = list(itertools.islice(itertools.cycle(_shuffled(dice, list(of))), faults))
     dice.shuffle(kinds)
@@ -57,7 +67,7 @@ def batches(
     late = kinds[half:] + later
     dice.shuffle(late)
     for batch in _cut(kinds[:half] + late, size):
-        yield [fault(dice, kind) for kind in batch]
+        yield [(kind, fault(dice, kind)) for kind in batch]
 
 
 def _cut(items: list[str], size: int) -> Iterator[list[str]]:
@@ -70,12 +80,9 @@ def _shuffled(dice: random.Random, items: list[str]) -> list[str]:
     return items
 
 
-def kinds_of(script: list[str]) -> Counter[str]:
-    return Counter(text.partition(":")[0] for text in script)
-
-
 def fault(dice: random.Random, kind: str) -> str:
     """One fault of that kind: short, somewhere in the batch, at one drive or at all."""
+    kind, ranges = VARIANTS.get(kind, (kind, {}))
     keys = KINDS[kind].keys
     values: dict[str, float] = {}
     begins = "at_s" if "at_s" in keys else "from_s"
@@ -90,6 +97,7 @@ def fault(dice: random.Random, kind: str) -> str:
     for name in keys:
         if name not in _OWN_KEYS:
             values |= _own(dice, kind, name)
+    values |= {name: dice.uniform(low, high) for name, (low, high) in ranges.items()}
     return f"{kind}:" + ",".join(f"{name}={value:.6g}" for name, value in values.items())
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fault_mix import BATCH_S, SERIAL_KINDS, batches, kinds_of
+from fault_mix import BATCH_S, SERIAL_KINDS, batches
 from said import Said
 
 from motord.client import Client, ClientError, Refused
@@ -306,9 +306,10 @@ def live(
         try:
             if not hurt.recover(time.monotonic() + DEADLINE_S):
                 raise Violation(f"it does not set off: {hurt.describe()}")
-            for script in batches(seed, faults, batch, kinds):
+            for drawn in batches(seed, faults, batch, kinds):
+                script = [text for _, text in drawn]
                 took_s = hurt.suffer(script)
-                outcome.faults += kinds_of(script)
+                outcome.faults.update(kind for kind, _ in drawn)
                 outcome.recoveries += 1
                 outcome.slowest_recovery_s = max(outcome.slowest_recovery_s, took_s)
         except (Violation, ClientError, ControlError) as violation:

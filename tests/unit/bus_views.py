@@ -110,7 +110,10 @@ def any_view(rng, count):
              "why": rng.choice(("", "in command: the only one"))}  # fmt: skip
     return view(
         rng.choice((0, 7, rng.randrange(10**9))),
-        status={"leases": [lease], "loop": any_loop(rng), "battery": any_battery(rng)},
+        status={
+            "leases": [lease], "loop": any_loop(rng), "battery": any_battery(rng),
+            "why": list(any_words(rng)),
+        },
         imu=any_imu(rng),
         machine_state=rng.randrange(12), owner=rng.choice((0, 1, 2)),
         armed=rng.random() < 0.5, at_rest=rng.random() < 0.5,

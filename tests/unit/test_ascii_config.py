@@ -20,7 +20,11 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
         (TEMPLATE, r'template = "{left:d}\n"', "line.board.template: it must say left, right"),
         (TEMPLATE, r'template = "{left},{mid}\n"', "line.board.template: {mid} is unknown"),
         ("{left_count},", "{left_counts},", "line.board.feedback: {left_counts} is unknown"),
-        ("{left_count},", "", "joint.left.counts_per_turn: must be 0: the feedback has no"),
+        (
+            "{left_count},",
+            "",
+            "joint.left.counts_per_turn: is not used: the line's feedback has no",
+        ),
         ("counts_per_turn = 1320\n", "", "joint.left.counts_per_turn: is missing: the board tells"),
         ("scale = 255.0", "scale = 0", "line.board.scale: 0 is out of range"),
         (

@@ -79,6 +79,46 @@ def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
     assert {joint["speed_loop"]["torque_max_n_m"] for joint in demo["joint"]} == {0.0}
 
 
+def test_feedback_is_checked_in_parts_of_the_speed_that_the_limits_ask_of_a_wheel():
+    overrides = ["limits.linear_m_s=0.33", "limits.angular_rad_s=0.001"]
+    _, _, config = assembled("demo", *overrides, "safety.feedback.following_part=0.5")
+    checks = config["joint"][0]["plausible"]
+    assert checks["setpoint_min_rad_s"] == pytest.approx(0.4, rel=1e-2)
+    assert checks["short_rad_s"] == pytest.approx(2.0, rel=0.03)
+    assert (checks["direction_s"], checks["stall_s"], checks["runaway_s"]) == (0.5, 1.0, 0.5)
+
+
+def test_a_check_of_the_feedback_that_is_switched_off_is_off_in_the_core():
+    names = ("direction", "stall", "following", "runaway", "implausible")
+    overrides = [f"safety.feedback.{name}_s=0" for name in names]
+    _, _, config = assembled("demo", *overrides, "safety.feedback.jumps_max=0")
+    checks = config["joint"][1]["plausible"]
+    times = [checks[f"{name}_s"] for name in ("direction", "stall", "following", "runaway")]
+    assert [*times, checks["apart_s"], checks["jumps_max"]] == [0] * 6
+
+
+def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_says_so():
+    _, _, config = assembled("pi4-encoders")
+    checks = config["joint"][0]["plausible"]
+    assert checks["following_s"] == 0
+    assert checks["setpoint_min_rad_s"] == pytest.approx(0.4 * 18.0)
+    assert checks["beyond_rad_s"] > 14.0
+    said = ["following_s=2", "setpoint_min_part=0.2", "runaway_part=0.5"]
+    _, _, config = assembled("pi4-encoders", *(f"safety.feedback.{one}" for one in said))
+    checks = config["joint"][0]["plausible"]
+    assert checks["following_s"] == 2
+    assert checks["setpoint_min_rad_s"] < 4.0
+    assert checks["beyond_rad_s"] < 9.5
+
+
+def test_a_coarse_encoder_widens_what_it_cannot_tell():
+    wheels = [f"joint.{side}.counts_per_turn=4" for side in ("left", "right")]
+    _, _, fine = assembled("esp32")
+    _, _, coarse = assembled("esp32", *wheels)
+    for name in ("setpoint_min_rad_s", "short_rad_s", "beyond_rad_s", "apart_rad_s"):
+        assert coarse["joint"][0]["plausible"][name] > 2 * fine["joint"][0]["plausible"][name]
+
+
 def test_a_speed_limit_that_is_not_given_is_what_the_drive_can_do_at_the_wheel():
     robot = load_robot(ROBOTS / "two-single-drives.toml")
     left = robot.joint["left"].model_copy(update={"velocity_max_rad_s": None})
@@ -117,7 +157,11 @@ def test_a_line_carries_its_joints_under_the_cores_numbers():
 
 
 def test_asyncio_is_woken_as_often_as_the_fastest_publisher_wants():
-    settings = loop_settings(load_robot(ROBOTS / "demo.toml", ["publish.console.rate_hz=200"]))
+    settings = loop_settings(
+        load_robot(
+            ROBOTS / "demo.toml", ["publish.console.kind=stdout", "publish.console.rate_hz=200"]
+        )
+    )
     assert settings.notify_hz == 200.0
     slow = loop_settings(load_robot(ROBOTS / "demo.toml", ["loop.rate_hz=10", "loop.cpu=[1, 2]"]))
     assert (slow.notify_hz, slow.rate_hz, slow.cpu) == (10.0, 10.0, (1, 2))

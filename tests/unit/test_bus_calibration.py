@@ -7,7 +7,7 @@ import pytest
 from tests.unit.bus_views import joint, view
 
 from motord.bus.calibration import REST_S, Calibration, measure
-from motord.bus.motion import End
+from motord.motion import End
 
 STALE_S = 0.25
 

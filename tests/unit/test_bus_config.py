@@ -109,7 +109,8 @@ def test_a_package_that_is_not_installed_is_a_warning_with_its_cure(tmp_path, mo
     assert [row for row in load_robot(path).warnings if "pip install" in row.text] == []
     monkeypatch.setattr("motord.config.bus_rules.find_spec", lambda name: None)
     (row,) = [row for row in load_robot(path).warnings if "pip install" in row.text]
-    assert (row.key, f"motord[{kind}]" in row.text) == ("publish.net.kind", True)
+    package = {"mqtt": "aiomqtt", "rosbridge": "websockets", "foxglove": "foxglove-sdk"}[kind]
+    assert (row.key, package in row.text) == ("publish.net.kind", True)
 
 
 def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(tmp_path):
@@ -187,3 +188,29 @@ def test_a_flight_recorder_that_memory_does_not_hold_is_warned_of(tmp_path, more
     rows = [row.text for row in found if row.key == "publish.tape.before_s"]
     assert len(rows) == warned
     assert all("memory holds" in row for row in rows)
+
+
+def warnings(robot):
+    return [f"{row.key}: {row.text}" for row in robot.warnings]
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604])
+def test_a_token_file_that_others_can_read_is_warned_of(tmp_path, mode):
+    token = tmp_path / "token"
+    token.write_text("0123456789abcdef", encoding="utf-8")
+    file = robot_file(tmp_path, BROKER + 'token_file = "token"\n')
+    token.chmod(mode)
+    (row,) = warnings(load_robot(file))
+    assert row == (
+        f"input.fleet.token_file: {token} can be read by others and is not used: chmod 600 {token}"
+    )
+    token.chmod(0o600)
+    assert warnings(load_robot(file)) == []
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_a_server_at_every_interface_is_warned_of(tmp_path, host):
+    text = f'[publish.figures]\nkind = "prometheus"\nhost = "{host}"\n'
+    (row,) = warnings(load_robot(robot_file(tmp_path, text)))
+    assert row.startswith(f"publish.figures.host: {host} is every network interface")
+    assert warnings(load_robot(robot_file(tmp_path, text.replace(host, "192.168.0.7")))) == []

@@ -102,6 +102,14 @@ def test_the_commander_is_who_holds_the_lease_of_the_snapshot():
     assert view(1, owner=4).commander() is None
 
 
+def test_why_a_fault_is_latched_is_told_as_long_as_it_is():
+    said = {"why": ["input.ros2: by /teleop"]}
+    message = TOPICS["motor_status"].build(view(1, said, faults=("estop",)), BODY, 0)
+    assert message.why == ("input.ros2: by /teleop",)
+    assert TOPICS["motor_status"].build(view(1, said), BODY, 0).why == ()
+    assert view(1, faults=("estop",)).why() == ()
+
+
 @given(value=st.floats() | st.text() | st.integers() | st.booleans())
 def test_json_has_no_nan_and_comes_back(value):
     said = decode(encode({"a": [value, (value,)]}))
@@ -190,7 +198,7 @@ def test_only_the_token_fits(tmp_path_factory, shown):
 
 
 @contextlib.asynccontextmanager
-async def answering(path, answer):
+async def answering(path, answer, *, stay=False):
     """Somebody at the daemon's socket who answers everything with that; what was asked."""
 
     asked = []
@@ -202,6 +210,8 @@ async def answering(path, answer):
             writer.write(b"\n")
             with contextlib.suppress(ConnectionError):
                 await writer.drain()
+            if stay:
+                await reader.read()
         finally:
             writer.close()
 
@@ -242,6 +252,29 @@ async def test_without_a_lease_a_command_is_lost_and_counted(tmp_path):
     source = Source(tmp_path / "sock", "web")
     assert not source.drive(0.1, 0.0)
     assert (source.ready, source.lost, source.sent) == (False, 1, 0)
+
+
+async def test_a_command_that_the_full_socket_does_not_take_is_not_said_to_be_without_a_lease(
+    tmp_path,
+):
+    grant = {"result": {"socket": str(tmp_path / "door"), "token": "00" * 16, "number": 1}}
+    source = Source(tmp_path / "sock", "web")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as door:
+        door.bind(grant["result"]["socket"])
+        async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(source.run())
+            async with answering(tmp_path / "sock", grant, stay=True):
+                while not source.ready:
+                    await asyncio.sleep(0.01)
+                while source.drive(0.1, 0.0):
+                    pass
+                assert "is full" in source.why_lost
+                door.close()
+                assert not source.drive(0.1, 0.0)
+                assert "Connection refused" in source.why_lost
+                running.cancel()
+    assert not source.drive(0.1, 0.0)
+    assert "no lease" in source.why_lost
 
 
 async def test_a_lease_that_is_refused_is_said_once_and_asked_for_again(

@@ -5,7 +5,7 @@ import asyncio
 import contextlib
 
 from motord.bus.inputs.urgent import Urgent
-from motord.client import REFUSED, ClientError, Refused
+from motord.local_rpc import REFUSED, ClientError, Refused
 
 DEADLINE_S = 30.0
 
@@ -18,8 +18,9 @@ class Door:
         self.calls = []
         self.answered = asyncio.Event()
 
-    async def call(self, method):
+    async def call(self, method, **params):
         self.calls.append(method)
+        self.params = params
         if self.errors:
             raise self.errors.pop(0)
         self.answered.set()
@@ -40,6 +41,7 @@ async def test_a_daemon_that_does_not_answer_is_asked_again(caplog):
         urgent.ask("by its button")
         await door.answered.wait()
     assert door.calls == ["estop"] * 3
+    assert door.params == {"why": "input.pad: by its button"}
     assert caplog.text.count("asked again until") == 1
     assert "input.pad: estop by its button" in caplog.text
 
@@ -57,13 +59,14 @@ async def test_a_refusal_is_an_answer_and_what_is_asked_for_after_it_is_done(cap
         urgent.ask("by topic")
         await door.answered.wait()
     assert door.calls == ["stop"] * 2
+    assert door.params == {}
     assert "refused: not now" in caplog.text
 
 
 async def test_what_is_asked_for_while_a_call_is_under_way_is_done_once_more():
     under_way, go_on, calls = asyncio.Event(), asyncio.Event(), []
 
-    async def call(method):
+    async def call(method, **_):
         calls.append(method)
         under_way.set()
         await go_on.wait()

@@ -70,7 +70,10 @@ def test_a_misspelt_command_or_option_is_wrong_usage_with_a_suggestion(motord, a
 def test_check_of_a_good_file_ends_well(motord):
     result = motord("check", DEMO)
     assert result.exit_code == Exit.DONE
-    assert result.stdout == f"{DEMO}: ok: demo, differential base, joints left, right\n"
+    assert result.stdout == (
+        f"{DEMO}: ok: demo, differential base, joints left, right\n"
+        "may command: local socket (socket, priority 100)\n"
+    )
 
 
 def test_check_with_a_warning_ends_well_and_says_it(motord):
@@ -158,10 +161,9 @@ def test_a_failure_ends_a_command_with_its_status(motord):
 
 
 def test_a_command_that_needs_a_robot_says_problems_and_warnings_on_stderr(capsys):
-    with pytest.raises(click.exceptions.Exit) as caught:
+    with pytest.raises(Failure, match=r"base.track_m: -1 is out of range") as caught:
         load_or_exit(DEMO, ["base.track_m=-1"])
     assert caught.value.exit_code == Exit.USAGE
-    assert "base.track_m: -1 is out of range" in capsys.readouterr().err
     assert load_or_exit(DEMO, ["limits.linear_m_s=1.3"]).limits.linear_m_s == 1.3
     assert "limits.linear_m_s: warning: " in capsys.readouterr().err
 
@@ -171,3 +173,72 @@ def test_json_that_is_printed_is_json(capsys):
     assert json.loads(capsys.readouterr().out) == {"a": 1.5, "text": "é"}
     with pytest.raises(ValueError, match="not JSON compliant"):
         print_json({"a": float("nan")})
+
+
+def test_a_shipped_robot_file_is_printed_ready_to_be_saved_anywhere(motord, tmp_path):
+    names = [row["name"] for row in json.loads(motord("robots", "--json").stdout)["robots"]]
+    assert "demo" in names
+    for name in names:
+        text = motord("robots", name).stdout
+        reference, _, rest = text.partition("\n")
+        assert Path(reference.removeprefix("#:schema file://")).is_file()
+        assert "stdout" not in rest
+        robot = tmp_path / f"{name}.toml"
+        robot.write_text(text, encoding="utf-8")
+        assert motord("check", robot).exit_code == 0
+
+
+def test_a_robot_file_that_motord_does_not_bring_is_refused_with_those_it_does(motord):
+    result = motord("robots", "demoo")
+    assert result.exit_code == Exit.USAGE
+    assert "did you mean" in result.stderr
+    assert "skid4" in result.stderr
+
+
+def test_a_drive_file_in_the_working_folder_is_shown(motord, tmp_path, monkeypatch):
+    profile = (ROOT / "config/drives/zlac8015d.toml").read_text(encoding="utf-8")
+    own = profile.replace('name = "zlac8015d"', 'name = "mine"')
+    (tmp_path / "mine.toml").write_text(own, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    result = motord("drives", "mine.toml")
+    assert result.exit_code == 0, result.output
+    assert "file      mine.toml" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "status"),
+    [
+        (
+            ["simulate", ROOT / "tests/golden/six-mistakes.toml", "--json"],
+            "rate_hz: 50000 is",
+            Exit.USAGE,
+        ),
+        (["status", "--json", "--socket", "/no.sock"], "no daemon has this socket", Exit.FAILED),
+        (["drive", "nan", "0", "--json"], "'nan' is not a finite number", Exit.USAGE),
+        (["move", "1", "--tolerance-m", "0", "--json"], "'0' has to be more than 0", Exit.USAGE),
+        (["params", "set", "limits.linear_m_s=fast", "--json", "--socket", "/no.sock"],
+         "no daemon has this socket", Exit.FAILED),
+    ],
+)  # fmt: skip
+def test_an_error_under_json_is_one_object_with_its_exit_status(motord, arguments, words, status):
+    result = motord(*arguments)
+    assert result.exit_code == status
+    found = json.loads(result.stdout)
+    assert words in found["error"]
+    assert found["exit_status"] == status
+
+
+def test_after_an_interrupt_a_command_ends_with_130_and_without_a_word():
+    code = (
+        "import signal, sys\n"
+        "from motord.__main__ import main\n"
+        "import motord.cli.check\n"
+        "signal.signal(signal.SIGALRM, signal.default_int_handler)\n"
+        "motord.cli.check.load_robot = lambda *_: signal.raise_signal(signal.SIGALRM)\n"
+        f"sys.argv = ['motord', 'check', {str(DEMO)!r}]\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "")

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord.config import ConfigError, load_robot
+from motord.config.wheels import profile_of
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
-DEMO = (ROBOTS / "demo.toml").read_text(encoding="utf-8").partition("\n")[2]
+DEMO = (ROBOTS / "demo.toml").read_text(encoding="utf-8") + '[publish.console]\nkind = "stdout"\n'
 MINIMAL = """\
 robot.name = "minimal"
 [base]
@@ -63,7 +64,7 @@ def test_what_is_not_said_is_slow_and_careful(tmp_path):
     assert robot.limits.linear_m_s3 == math.inf
     assert robot.safety.on_fault == "ramp"
     assert robot.joint["left"].velocity_max_rad_s is None
-    assert robot.input["socket"].lease_s == 0.3
+    assert robot.local_input.lease_s == 0.3
     assert not robot.publish
     assert robot.warnings == ()
 
@@ -91,7 +92,10 @@ def test_joints_keep_the_order_of_the_file():
         ("rate_hz = 9", "6: loop.rate_hz: 9 is out of range (10 to 20000 Hz)"),
         ("rate_hz = nan", "6: loop.rate_hz: nan is out of range (10 to 20000 Hz)"),
         ("rate_hz = inf", "6: loop.rate_hz: inf is out of range (10 to 20000 Hz)"),
-        ('rate_hz = "9"', '6: loop.rate_hz: "9" is not a number (10 to 20000 Hz)'),
+        (
+            'rate_hz = "9"',
+            '6: loop.rate_hz: "9" is not a number: write 9, without quotes (10 to 20000 Hz)',
+        ),
         ("rate_hz = true", "6: loop.rate_hz: true is not a number (10 to 20000 Hz)"),
         ("rate_hz = [9]", "6: loop.rate_hz: a list is not a number (10 to 20000 Hz)"),
         ("priority = 1.5", "6: loop.priority: 1.5 is not a whole number (0 to 99)"),
@@ -128,7 +132,7 @@ def test_a_kind_that_is_planned_is_told_from_one_that_is_unknown(problems_of, ri
         ('"demo"', '"x"\nnamespace = "a"', "robot.namespace: is not in this version of motord"),
         ("joint.left]", 'joint."L x"]', 'joint.L x: "L x": a name is letters, digits'),
         ('"/dev/ttyUSB0"', '""', "line.rs485.port: is empty"),
-        ('"/dev/ttyUSB0"', "3", "line.rs485.port: 3 is not a text"),
+        ('"/dev/ttyUSB0"', "3", 'line.rs485.port: 3 is not a string: write "3"'),
         ('name = "demo"', "colour = 1", "robot.colour: unknown key (known: name)"),
     ],
 )
@@ -279,3 +283,58 @@ def test_junk_in_a_line_is_refused_in_that_line_or_is_a_finite_number(tmp_path_f
         "joint": {"__all__": {"duty_slew_per_s"}},
     }
     assert all(math.isfinite(number) for number in numbers(robot.model_dump(exclude=infinite)))
+
+
+@pytest.mark.parametrize("drive", ["./mine.toml", "mine.toml"])
+def test_a_drive_file_beside_the_robot_file_is_found_from_any_folder(tmp_path, monkeypatch, drive):
+    profile = (ROBOTS.parent / "drives/zlac8015d.toml").read_text(encoding="utf-8")
+    own = profile.replace('name = "zlac8015d"', 'name = "mine"')
+    (tmp_path / "mine.toml").write_text(own, encoding="utf-8")
+    robot = tmp_path / "robot.toml"
+    robot.write_text(MINIMAL.replace('"zlac8015d"', f'"{drive}"'), encoding="utf-8")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for folder, file in ((tmp_path, "robot.toml"), (elsewhere, "../robot.toml"), ("/", robot)):
+        monkeypatch.chdir(folder)
+        assert load_robot(file).joint["left"].drive == drive
+
+
+def test_another_encoder_on_a_drive_that_counts_its_speed_in_edges_needs_no_profile(tmp_path):
+    claw = (ROBOTS / "roboclaw.toml").read_text(encoding="utf-8")
+    robot = load(tmp_path, claw.replace("channel =", "counts_per_turn = 2640\nchannel ="))
+    shipped = load(tmp_path, claw)
+    finer, usual = profile_of(robot, "roboclaw"), profile_of(shipped, "roboclaw")
+    assert usual.registers["target_velocity_1"].to_si(1320) == pytest.approx(2 * math.pi)
+    assert finer.registers["target_velocity_1"].to_si(2640) == pytest.approx(2 * math.pi)
+
+
+def test_two_encoders_on_one_drive_that_counts_in_edges_are_refused_with_the_cure(problems_of):
+    claw = (ROBOTS / "roboclaw.toml").read_text(encoding="utf-8")
+    (found,) = problems_of(claw.replace("channel = 2", "counts_per_turn = 2640\nchannel = 2"))
+    assert "joint.right.counts_per_turn: 2640 differs from another joint" in found
+    assert "copy the profile" in found
+
+
+def test_a_text_board_needs_no_address_and_no_counts_that_it_does_not_report(tmp_path):
+    text = (ROBOTS / "arduino-text.toml").read_text(encoding="utf-8")
+    text = text.replace('feedback = "{left_count},{right_count}\\n"\n', "")
+    robot = load(tmp_path, text.replace("counts_per_turn = 1320\n", ""))
+    assert "unit" not in robot.joint["left"].model_fields_set
+
+
+def test_a_drive_on_a_shared_line_needs_its_address(problems_of):
+    found = problems_of(MINIMAL.replace("unit = 1\n", ""))
+    assert [row.partition(" ")[2].partition(" (")[0] for row in found] == [
+        "joint.left.unit: is missing: the address of its drive on this line",
+        "joint.right.unit: is missing: the address of its drive on this line",
+    ]
+
+
+def test_the_local_socket_commands_beside_other_inputs_unless_it_is_switched_off(tmp_path):
+    ros = '[input.nav]\nkind = "rt"\npriority = 50\n'
+    names = [source["name"] for source in load(tmp_path, MINIMAL + ros).commanders()]
+    assert names == ["local socket", "nav"]
+    off = '[input.local]\nkind = "socket"\nenabled = false\n'
+    robot = load(tmp_path, MINIMAL + ros + off)
+    assert [source["name"] for source in robot.commanders()] == ["nav"]
+    assert not robot.local_input.enabled

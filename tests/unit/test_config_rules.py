@@ -308,8 +308,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
                 'line.rs485.baudrate: drive "zlac8015d" leaves the factory with 115200 '
                 "baud, parity "
                 "none, 1 stop bit(s); this line has 57600 baud, parity none, 1 stop "
-                "bit(s): has the "
-                "drive been set up so?"
+                "bit(s): it answers only if you have changed the drive; else write "
+                'baudrate = 115200, parity = "none", stop_bits = 1 here'
             ),
         ),
         (
@@ -335,6 +335,45 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
 )
 def test_what_deserves_a_look_is_a_warning(tmp_path, robot, edits, row):
     assert row in warnings(edited(tmp_path, robot, *edits))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "row"),
+    [
+        (
+            "angular_deceleration_rad_s2 = 4.0",
+            "angular_deceleration_rad_s2 = 1.5",
+            (
+                "limits.angular_deceleration_rad_s2: the angular axis lengthens a stop in a "
+                "curve: from full speed linear motion takes 0.85 s to rest and turning 1.38 s, "
+                "and the slower one sets the time; raise angular_deceleration_rad_s2 (and "
+                "angular_rad_s3, if it is limited)"
+            ),
+        ),
+        (
+            "linear_deceleration_m_s2 = 1.5",
+            "linear_deceleration_m_s2 = 0.5",
+            (
+                "limits.linear_deceleration_m_s2: the linear axis lengthens a stop in a curve: "
+                "from full speed linear motion takes 2.06 s to rest and turning 0.63 s, and the "
+                "slower one sets the time; raise linear_deceleration_m_s2 (and linear_m_s3, if "
+                "it is limited)"
+            ),
+        ),
+    ],
+)
+def test_an_axis_that_makes_the_other_one_stop_late_is_a_warning(tmp_path, old, new, row):
+    assert row in warnings(edited(tmp_path, "demo", (old, new)))
+
+
+def test_axes_that_stop_in_nearly_the_same_time_are_no_warning(tmp_path):
+    edits = ("angular_deceleration_rad_s2 = 4.0", "angular_deceleration_rad_s2 = 1.7")
+    assert not any("lengthens" in row for row in warnings(edited(tmp_path, "demo", edits)))
+
+
+@pytest.mark.parametrize("path", sorted(ROBOTS.glob("*.toml")), ids=lambda path: path.stem)
+def test_no_shipped_robot_has_an_axis_that_lengthens_a_stop(path):
+    assert not any("lengthens" in row for row in warnings(path))
 
 
 def test_a_drive_without_a_watchdog_is_said_once_with_what_to_do():

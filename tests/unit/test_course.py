@@ -2,6 +2,7 @@
 """The demonstration's course, its score, and what a person is shown of it."""
 
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -9,9 +10,12 @@ from hypothesis import strategies as st
 
 from motord.cli.common import Exit, Failure
 from motord.cli.demo import robot_path, show
-from motord.tools.course import COURSE, Pose, command_at, draw, score
-from motord.tools.demo import Result
+from motord.config import load_robot
+from motord.tools.course import COURSE, CURVES, Pose, command_at, draw, score
+from motord.tools.demo import Result, course_of, source_of
+from motord.tools.demo_words import Source, error_words, overrun_words
 
+WIDE_TRACK_M = 0.7
 HERE = Pose(1.0, 2.0, 0.5, 10.0)
 SOMEWHERE = st.floats(-100.0, 100.0)
 
@@ -78,11 +82,41 @@ def test_every_way_fits_the_picture(path):
     assert any("X" in row for row in rows)
 
 
-def result(**changes):
+def test_a_base_that_cannot_turn_on_the_spot_always_goes_forward():
+    for tick in range(1000):
+        linear_m_s, angular_rad_s = command_at(tick / 1000, 1.0, CURVES)
+        assert linear_m_s > abs(angular_rad_s) * WIDE_TRACK_M / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "course", "source"),
+    [
+        ("forward-only", CURVES, Source.SPEEDS),
+        ("two-single-drives", COURSE, Source.SPEEDS),
+        ("pi4-encoders", COURSE, Source.COUNTERS),
+        ("roboclaw", COURSE, Source.COUNTERS),
+    ],
+)
+def test_the_robot_file_says_which_course_it_is_and_what_odometry_comes_from(name, course, source):
+    robot = load_robot(robot_path(name))
+    assert course_of(robot) == course
+    assert source_of(robot) is source
+
+
+def test_a_wheel_without_any_measure_makes_odometry_that_of_set_points(tmp_path):
+    text = robot_path("pi5-bts7960").read_text(encoding="utf-8")
+    assert source_of(load_robot(robot_path("pi5-bts7960"))) is Source.COUNTERS
+    blind = tmp_path / "blind.toml"
+    blind.write_text(re.sub(r"\[joint\.right\.encoder\][^[]*", "", text), encoding="utf-8")
+    assert source_of(load_robot(blind)) is Source.SETPOINTS
+
+
+def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
     """As a run of the demonstration leaves it."""
     status = {
         "state": "idle",
         "faults": [],
+        "why": ["left: does not turn"],
         "stops": 1,
         "joints": {"left": {"jumps": 0}, "right": {"jumps": 0}},
         "loop": {
@@ -100,7 +134,66 @@ def result(**changes):
         },
     }  # fmt: skip
     path = [(0.0, 0.0), (1.0, 0.0)]
-    return Result("demo", 8.0, score(HERE, HERE), path, status | changes, clean_exit=True)
+    return Result(
+        "demo", 8.0, found or score(HERE, HERE), path, status | changes, clean_exit=True,
+        source=source, drives_held_up_s=held_up_s,
+    )  # fmt: skip
+
+
+def shown(capsys, **what):
+    show(result(**what))
+    return capsys.readouterr().out
+
+
+def test_an_estimate_that_is_far_off_is_ok_and_called_one(capsys):
+    off = score(Pose(2.0, 3.0, 0.9, 9.0), HERE)
+    assert not off.ok
+    said = shown(capsys, source=Source.SPEEDS, found=off)
+    assert "an estimate, not judged" in said
+    assert "at most" not in said
+    assert said.endswith("\nok\n")
+    assert shown(capsys, found=off).endswith("\nNOT ok\n")
+
+
+def test_an_estimate_of_a_robot_that_goes_elsewhere_is_not_ok(capsys):
+    lost = score(Pose(0.0, 0.0, 0.0, 1.0), HERE)
+    assert shown(capsys, source=Source.SPEEDS, found=lost).endswith("\nNOT ok\n")
+
+
+def test_skipped_ticks_and_lost_replies_are_explained(capsys):
+    said = shown(capsys)
+    assert "normal without SCHED_FIFO" in said
+    assert "no_reply: no reply in time" in said
+    assert "so few are normal here" in said
+
+
+@pytest.mark.parametrize(
+    ("overruns", "words"),
+    [(0, ""), (194, "normal on a computer with other work"), (4000, "many ticks were skipped")],
+)
+def test_how_many_ticks_were_skipped_decides_what_to_do(overruns, words):
+    loop = {"policy": "SCHED_FIFO", "ticks": 21105, "overruns": overruns}
+    assert words in overrun_words(loop)
+    assert bool(overrun_words(loop)) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("errors", "words"),
+    [({}, ""), ({"no_reply": 1}, "so few are normal"), ({"refused": 90}, "more than usual")],
+)
+def test_how_many_errors_a_line_had_decides_what_to_do(errors, words):
+    said = " ".join(error_words({"errors": errors, "exchanges": 900}))
+    assert words in said
+    assert bool(said) == bool(words)
+
+
+def test_a_machine_that_was_too_busy_is_said_to_be(capsys):
+    assert "this machine was busy" not in shown(capsys)
+    assert "simulated drives waited up to 0.80 s" in shown(capsys, held_up_s=0.8)
+
+
+def test_a_fault_at_the_end_is_shown_with_its_reason(capsys):
+    assert "left: does not turn" in shown(capsys, state="fault", faults=["stall"])
 
 
 def test_a_person_sees_what_was_measured_and_refused(capsys):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The log, as a journal at the other end of its socket takes it, and as a reader of stderr does."""
 
+import contextlib
 import os
 import socket
 import struct
@@ -63,3 +64,41 @@ def test_a_journal_that_is_away_stops_nobody(journal):
     path = journal.getsockname()
     os.unlink(path)
     assert said(journal, "nobody hears this") == ""
+
+
+TWO_LINES = """
+import logging, os, sys, time
+from motord import log
+log.set_up({})
+logger = logging.getLogger("x")
+logger.warning("lost")
+while not logging.getLogger().handlers[0]._lost:
+    time.sleep(0.001)
+print("lost", flush=True)
+sys.stdin.readline()
+logger.warning("%d of them", "no number")
+logger.warning("received")
+"""
+
+
+def test_a_full_stderr_loses_lines_and_not_the_log(tmp_path):
+    """A pipe that does not block and that nobody has read: what finds no room is counted."""
+    reading, writing = os.pipe2(os.O_NONBLOCK)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    command = [sys.executable, "-c", TWO_LINES]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=writing) as process:
+        os.close(writing)
+        assert process.stdout.readline() == b"lost\n"
+        with contextlib.suppress(BlockingIOError):
+            while os.read(reading, 1 << 16):
+                pass
+        process.stdin.close()
+        assert process.wait(30) == 0
+    with open(reading, "rb") as rest:
+        text = rest.read().lstrip(b"\0").decode()
+    assert "lines of the log were lost before this one" in text
+    assert "cannot be logged: %d format" in text
+    assert text.endswith("WARNING received\n")

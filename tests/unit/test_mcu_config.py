@@ -57,7 +57,7 @@ def test_a_drive_of_another_protocol_is_refused(load):
 
 
 def test_there_is_one_board_on_a_line(load):
-    found = rows(load, unit=("unit = 1\nchannel = 2", "unit = 2\nchannel = 1"))
+    found = rows(load, unit=("channel = 2", "unit = 2\nchannel = 1"))
     assert found == ['joint.right.unit: line "board" has one board: joint left is on unit 1']
 
 

@@ -224,13 +224,13 @@ def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
         (LEFT, 'pins = { rpwm = "pwm0" }', "joint.left.pins: pin lpwm of bts7960 is not given"),
         ('r_en = "GPIO16"', 'r_en = "GPIO5"', "joint.right.pins: pin r_en: GPIO5 is taken already"),
         (
-            "[publish.console]",
-            '[safety.estop]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO5"\n[publish.console]',
+            "[joint.left]",
+            '[safety.estop]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO5"\n[joint.left]',
             "safety.estop.gpio_line: GPIO5 is taken already (joint left, pin r_en)",
         ),
         (
-            "[publish.console]",
-            '[safety.watchdog]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO17"\n[publish.console]',
+            "[joint.left]",
+            '[safety.watchdog]\ngpio_chip = "pinctrl-rp1"\ngpio_line = "GPIO17"\n[joint.left]',
             "safety.watchdog.gpio_line: GPIO17 is taken already (joint left, encoder's a)",
         ),
         (
@@ -239,8 +239,8 @@ def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
             "joint.right.encoder: a: GPIO6 is taken already (joint left, pin l_en)",
         ),
         (
-            "[publish.console]",
-            f"{RS485}[publish.console]",
+            "[joint.left]",
+            f"{RS485}[joint.left]",
             "line.rs485.direction_gpio_line: GPIO24 is taken already (joint right, encoder's b)",
         ),
         ('pwm_chip = "1f00098000.pwm"\n', "", "line.pins.pwm_chip: is missing: joint left, pin"),

@@ -33,7 +33,7 @@ def test_names_are_below_the_namespace(namespace, name, full):
     ("name", "full"),
     [
         ("cmd_vel", "/cmd_vel_safe"), ("odom", "/r2/wheels/odom"), ("~/stop", "/r2/stop"),
-        ("/diagnostics", "/r2/diagnostics"), ("tf", "/r2/tf"), ("stop", "/r2/stop"),
+        ("/diagnostics", "/r2/diagnostics"), ("/tf", "/tf"), ("stop", "/r2/stop"),
     ],
 )  # fmt: skip
 def test_a_name_may_be_another(name, full):
@@ -51,6 +51,37 @@ def test_a_node_has_one_name_for_a_topic():
         robot(*both, "publish.ros2.remap.tf=/a", "input.ros2.remap.tf=/b")
     with pytest.raises(ConfigError, match="remap"):
         robot(*both, "publish.ros2.remap.tf=//a")
+
+
+@pytest.mark.parametrize(
+    ("settings", "prefix", "topic"),
+    [
+        ((), "", "/tf"),
+        (("namespace=/fleet/r2",), "fleet/r2/", "/tf"),
+        (("namespace=/r2", "frame_prefix=left_"), "left_", "/tf"),
+        (("namespace=/r2", 'frame_prefix=""'), "", "/tf"),
+        (("namespace=/r2", "namespaced_tf=true"), "", "tf"),
+        (("namespace=/r2", "namespaced_tf=true", "frame_prefix=r2/"), "r2/", "tf"),
+    ],
+)
+def test_frames_of_a_robot_in_a_namespace_are_told_apart_by_prefix_or_by_topic(
+    settings, prefix, topic
+):
+    from motord.bus.ros2.publisher import robot_topic
+
+    section = robot("publish.ros2.kind=ros2", *(f"publish.ros2.{one}" for one in settings)).publish[
+        "ros2"
+    ]
+    assert section.prefix_of_frames() == prefix
+    assert robot_topic("tf", section) == topic
+    assert robot_topic("tf_static", section) == f"{topic}_static"
+    assert robot_topic("odom", section) == "odom"
+
+
+@pytest.mark.parametrize("prefix", ["/r2", "r2 ", "räder/"])
+def test_a_prefix_makes_names_that_tf2_takes(prefix):
+    with pytest.raises(ConfigError, match="frame_prefix"):
+        robot("publish.ros2.kind=ros2", f"publish.ros2.frame_prefix={prefix}")
 
 
 def test_names_on_dds_have_the_prefixes_of_ros():
@@ -109,6 +140,17 @@ def test_a_domain_is_reached_in_one_way():
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.distribution=humble")
     with pytest.raises(ConfigError, match="of no use"):
         robot("publish.ros2.kind=ros2", "publish.ros2.interface=eth0")
+
+
+@pytest.mark.parametrize("kind", ["publish.one.kind=ros2", "publish.one.kind=foxglove"])
+def test_a_robot_without_imu_offers_none_on_any_bus(kind):
+    from motord.bus.station import of_this_robot
+
+    made = robot(kind)
+    assert "imu" not in of_this_robot(made.publish["one"], made).topics
+    assert "imu" not in of_this_robot(made.publish["one"], made).rates_hz()
+    with pytest.raises(ConfigError, match=r"\[imu\]"):
+        robot(kind, 'publish.one.topics=["odom", "imu"]')
 
 
 class Daemon:

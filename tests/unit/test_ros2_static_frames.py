@@ -31,6 +31,11 @@ def test_the_description_that_is_made_has_the_footprint_and_no_wheels():
     assert frame.header.stamp == STAMP
 
 
+def test_frames_have_the_prefix_that_tells_robots_apart():
+    (frame,) = static_transforms(fixed(), STAMP, "r2/").transforms
+    assert (frame.header.frame_id, frame.child_frame_id) == ("r2/base_link", "r2/lidar")
+
+
 def test_a_sensor_is_where_the_users_own_description_says():
     (frame,) = static_transforms(fixed('<origin xyz="0.1 -0.2 0.3"/>'), STAMP).transforms
     place = frame.transform.translation

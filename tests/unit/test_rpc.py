@@ -277,6 +277,26 @@ async def test_who_has_been_silent_longest_makes_room(path):
             peer.close()
 
 
+async def test_a_connection_that_stays_makes_room_for_nobody(path):
+    staying = set()
+    with listening(path) as listener:
+        host = Host()
+        async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+            server = tasks.create_task(
+                serve(listener, host.methods, host.closed.append, staying.__contains__)
+            )
+            source = await Peer.at(path)
+            staying.add((await source.call("who"))["result"]["connection"])
+            crowd = [await Peer.at(path) for _ in range(2 * rpc.CONNECTIONS_MAX)]
+            for peer in crowd:
+                peer.ask("add", a=1)
+            await until(lambda: len(host.closed) >= rpc.CONNECTIONS_MAX)
+            assert (await source.call("add", a=1))["result"] == 1
+            for peer in (source, *crowd):
+                peer.close()
+            server.cancel()
+
+
 async def test_what_ends_motion_gets_through_though_the_connection_made_room(path):
     async with hosted(path):
         panel = await asyncio.to_thread(Client, path)

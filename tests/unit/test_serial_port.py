@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from motord_hal.errors import PortError
 from motord_hal.gpio.chip import _LINE_INFO, _LINE_REQUEST, pack_request
 from motord_hal.ports import DirectionKind, DirectionSpec, LineSpec
-from motord_hal.serial.counters import Counters, quiet_hint, read_counters
+from motord_hal.serial.counters import Counters, Traffic, quiet_hint, read_counters
 from motord_hal.serial.direction import kept_problem, pack_rs485
 from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
@@ -105,7 +105,7 @@ def test_a_port_is_opened_once_and_again_after_it_was_closed(pty_path):
 
 
 def test_a_port_that_is_not_there_is_said(tmp_path):
-    with pytest.raises(PortError, match="No such file"):
+    with pytest.raises(PortError, match="there is no such port"):
         open_port(spec_of(tmp_path / "nothing"))
 
 
@@ -179,17 +179,22 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
 
 
 @pytest.mark.parametrize(
-    ("after", "noise_bytes", "said"),
+    ("after", "now", "said"),
     [
-        (Counters(9, 0, 0, 12), 0, "12 parity errors: parity"),
-        (Counters(9, 1, 0, 0), 0, "1 framing error: baud rate"),
-        (Counters(9, 0, 2, 0), 0, "2 overrun errors"),
-        (Counters(9, 0, 0, 0), 5, "bytes came, but no frame"),
-        (None, 5, "bytes came, but no frame"),
+        (Counters(9, 0, 0, 12), Traffic(), "12 parity errors: parity"),
+        (Counters(9, 1, 0, 0), Traffic(), "1 framing error: baud rate"),
+        (Counters(9, 0, 2, 0), Traffic(), "2 overrun errors"),
+        (Counters(9, 0, 0, 0), Traffic(noise_bytes=5), "bytes came, but no frame"),
+        (None, Traffic(noise_bytes=5), "bytes came, but no frame"),
+        (None, Traffic(noise_bytes=5, frames=1), "torn or damaged replies came among good ones"),
+        (None, Traffic(noise_bytes=5, late=1), "replies come after their time"),
+        (None, Traffic(frames=9), ""),
     ],
 )
-def test_a_hint_says_what_was_counted(after, noise_bytes, said):
-    assert quiet_hint(Counters(0, 0, 0, 0), after, noise_bytes).startswith(said)
+def test_a_hint_says_what_was_counted(after, now, said):
+    hint = quiet_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
+    assert hint.startswith(said)
+    assert bool(hint) == bool(said)
 
 
 def test_nothing_counted_hints_at_nothing():

@@ -3,6 +3,8 @@
 
 import logging
 
+import pytest
+
 from motord import sparing
 
 
@@ -21,3 +23,32 @@ def test_how_many_were_not_said_is_said(caplog, monkeypatch):
     monkeypatch.setattr(sparing.time, "monotonic", lambda: now_s + sparing.AGAIN_S)
     voice.say("not understood")
     assert caplog.messages == ["not understood", "not understood (3 more)"]
+
+
+@pytest.fixture
+def library():
+    """The log of a library that says each message that it drops, as aiomqtt does."""
+    log = logging.getLogger("test.library")
+    spared = sparing.Spared(log, "input.fleet")
+    log.addFilter(spared)
+    yield log
+    log.removeFilter(spared)
+
+
+def test_a_library_that_says_each_of_a_thousand_fills_no_log(caplog, library):
+    for _ in range(1000):
+        library.warning("Message queue is full. Discarding message.")
+        library.warning("There are %d pending publish calls.", 7)
+    assert caplog.messages == [
+        "input.fleet: Message queue is full. Discarding message.",
+        "input.fleet: There are 7 pending publish calls.",
+    ]
+
+
+def test_an_exception_of_a_library_is_said_with_its_traceback(caplog, library):
+    try:
+        raise IndexError("a mistake")
+    except IndexError:
+        library.exception("it failed")
+    (record,) = caplog.records
+    assert record.exc_info is not None

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from motord.bus.motion import End, Travel, problem
+from motord.motion import End, Travel, problem
 from motord.snapshot import Snapshot
 
 Quantity = Literal["wheel_radius", "track"]

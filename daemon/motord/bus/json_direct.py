@@ -197,6 +197,7 @@ class _MotorStatus(_Document):
         document["state"] = state_name(now)
         document["armed"], document["at_rest"] = now.armed, now.at_rest
         document["faults"], document["reasons"] = now.faults, now.reasons
+        document["why"] = view.why()
         document["command_age_s"] = now.command_age_s
         document["setpoint_linear_m_s"] = now.setpoint_linear_m_s
         document["setpoint_angular_rad_s"] = now.setpoint_angular_rad_s

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the second process to the daemon: calls on its local socket, and commands under a lease.
 
-Every call has a connection of its own and a deadline; what stops the robot has one more that is
-open beforehand. A lease lives as long as its connection; when
-the daemon ends it, another is asked for. Nobody answers a command: docs/commands.md.
+Every call has a connection of its own and a deadline; what stops the robot is sent as a datagram
+first. A lease lives as long as its connection; when the daemon ends it, another is asked for.
+Nobody answers a command: docs/commands.md.
 """
 
 from __future__ import annotations
@@ -14,22 +14,40 @@ import json
 import logging
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from motord.client import NOT_ALLOWED, REFUSED, ClientError, Refused
+from motord.client import ClientError, Refused
 from motord.commands import RELEASE, TWIST, datagram, joint_datagram
 from motord.deadline import within
+from motord.local_rpc import NOT_ALLOWED, REFUSED
+from motord.stop_request import AGAIN_S, open_sender, try_send
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
 LEASE_AGAIN_S = 0.5
-STANDBY_AGAIN_S = 0.5
+STOP_WITHIN_S = 1.0
 _LOOK_EVERY_S = 10.0
 _ANSWER_BYTES_MAX = 1 << 20
 
 _log = logging.getLogger(__name__)
+
+
+REASON_CHARS_MAX = 300
+"""Of an emergency stop; the daemon refuses more."""
+
+
+def reason(text: str) -> dict[str, str]:
+    """Parameters of an emergency stop with that reason."""
+    return {"why": text[:REASON_CHARS_MAX]}
+
+
+_NO_LEASE = "there is no lease: the daemon does not take commands now"
+SOCKET_FULL = (
+    "the daemon's command socket is full: commands come faster than its loop takes them; the next "
+    "one counts"
+)
 
 
 class NotConnected(ClientError):
@@ -77,58 +95,35 @@ async def call(path: Path, method: str, **params: Any) -> Any:
         raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
 
 
-class Standby:
-    """A connection that is there before it is needed: who has no descriptor left for another can
-    still have the robot stopped. Of one method, so that an emergency stop waits for none other."""
+class StopSender:
+    """Sends stop requests (motord.stop_request) from a socket that is open beforehand: it needs no
+    descriptor when it counts."""
 
-    def __init__(self, path: Path, method: str) -> None:
-        self._path, self._method = path, method
-        self._line: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
-        self._turn = asyncio.Lock()
-        self._unanswered = False
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._socket: socket.socket | None = None
 
-    @property
-    def ready(self) -> bool:
-        """It is connected, as far as is known."""
-        return self._line is not None
+    @contextlib.contextmanager
+    def open(self) -> Iterator[None]:
+        """Keep the socket."""
+        with open_sender() as self._socket:
+            try:
+                yield
+            finally:
+                self._socket = None
 
-    async def run(self) -> None:
-        """Be connected, again after each loss, until cancelled."""
-        while True:
-            with contextlib.suppress(ClientError, TimeoutError):
-                async with contextlib.AsyncExitStack() as cleanup:
-                    async with within(LEASE_WITHIN_S):
-                        line = await cleanup.enter_async_context(_connected(self._path))
-                    await self._offer(line)
-            await asyncio.sleep(STANDBY_AGAIN_S)
-
-    async def _offer(self, line: tuple[asyncio.StreamReader, asyncio.StreamWriter]) -> None:
-        """Until it is lost, or a late answer on it would be taken for that of the next call."""
-        self._line, self._unanswered = line, False
-        try:
-            while not line[0].at_eof() and (  # noqa: ASYNC110  a reader has none
-                self._turn.locked() or not self._unanswered
-            ):
-                await asyncio.sleep(STANDBY_AGAIN_S)
-        finally:
-            self._line = None
-
-    async def call(self) -> Any:
-        """Of its method. Raises Refused and ClientError."""
-        try:
-            async with within(CALL_WITHIN_S), self._turn:
-                if self._line is None or self._unanswered:
-                    raise NotConnected(f"{self._method}: no connection to the daemon is left")
-                self._unanswered = True
-                try:
-                    answer = await _ask(*self._line, self._method, {})
-                except Refused:
-                    self._unanswered = False
-                    raise
-                self._unanswered = False
-                return answer
-        except TimeoutError:
-            raise ClientError(f"{self._method}: no answer within {CALL_WITHIN_S:g} s") from None
+    async def send(self, method: str) -> bool:
+        """False: the daemon does not receive it."""
+        if self._socket is None:
+            return False
+        with contextlib.suppress(OSError, TimeoutError):
+            async with within(STOP_WITHIN_S):
+                while not try_send(  # noqa: ASYNC110  nothing says when it has room
+                    self._socket, self._path, method
+                ):
+                    await asyncio.sleep(AGAIN_S)
+            return True
+        return False
 
 
 class Source:
@@ -147,6 +142,10 @@ class Source:
         self.sent = 0
         self.lost = 0
         """Commands for which there was no lease, or that the socket did not take."""
+        self.why_lost = _NO_LEASE
+        """Why the newest of them was."""
+        self.rivals: Callable[[], dict[str, Any]] = dict
+        """Senders of this input that command against each other, by topic."""
         self.refused = 0
         """Commands and calls that were not passed on, as the input counts them."""
 
@@ -211,16 +210,21 @@ class Source:
 
     def _send(self, made: Callable[[bytes, int], bytes]) -> bool:
         if self._token is None or self._sender is None:
-            self.lost += 1
-            return False
+            return self._lose(_NO_LEASE)
         self._sequence += 1
         try:
             self._sender.send(made(self._token, self._sequence))
-        except OSError:  # full: the next one will do; gone: the connection's end says it
-            self.lost += 1
-            return False
+        except BlockingIOError:  # the next one will do
+            return self._lose(SOCKET_FULL)
+        except OSError as error:  # gone: the connection's end says it
+            return self._lose(f"the daemon's command socket does not take it: {error.strerror}")
         self.sent += 1
         return True
+
+    def _lose(self, why: str) -> bool:
+        self.lost += 1
+        self.why_lost = why
+        return False
 
     def _say(self, text: str) -> None:
         if not self._failing:

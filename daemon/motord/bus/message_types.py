@@ -215,6 +215,8 @@ class MotorStatus:
     at_rest: bool
     faults: tuple[str, ...]
     """What is latched."""
+    why: tuple[str, ...]
+    """What led to it, in words: who asked for an emergency stop, which drive failed."""
     reasons: tuple[str, ...]
     """Why the set-point is not what was asked for."""
     commander: str

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from motord.bus.message_types import (
@@ -36,10 +36,8 @@ from motord.bus.message_types import (
     TwistWithCovariance,
     Vector3,
 )
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
 
-STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
-"""By their numbers on the state page."""
 UNMEASURED = 1e6
 """Variance of what wheels cannot tell: height, roll, pitch. Filters give it no weight."""
 _NS = 1_000_000_000
@@ -53,6 +51,12 @@ class Body:
     joints: tuple[str, ...]
     odom_frame: str = "odom"
     base_frame: str = "base_link"
+
+    def with_frames(self, prefix: str) -> Body:
+        """The same, with the prefix before each frame name."""
+        return replace(
+            self, odom_frame=prefix + self.odom_frame, base_frame=prefix + self.base_frame
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -361,10 +365,14 @@ def state_name(snapshot: Snapshot) -> str:
 
 
 def motor_status(
-    snapshot: Snapshot, body: Body, wall_offset_ns: int, commander: Commander | None = None
+    snapshot: Snapshot,
+    body: Body,
+    wall_offset_ns: int,
+    commander: Commander | None = None,
+    why: tuple[str, ...] = (),
 ) -> MotorStatus:
     """Our own: all that a snapshot says of drives and command. `commander` is the daemon's word on
-    lease number `snapshot.owner`; None: nobody, or not known yet."""
+    lease number `snapshot.owner`; None: nobody, or not known yet. `why`: its word on the faults."""
     joints = snapshot.joints
     return MotorStatus(
         header=Header(wall_time(snapshot.stamp_ns, wall_offset_ns), body.base_frame),
@@ -372,6 +380,7 @@ def motor_status(
         armed=snapshot.armed,
         at_rest=snapshot.at_rest,
         faults=snapshot.faults,
+        why=why,
         reasons=snapshot.reasons,
         commander=commander.owner if commander else "",
         commander_priority=commander.priority if commander else 0,

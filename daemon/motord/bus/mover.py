@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source
-from motord.bus.motion import (
+from motord.client import ClientError
+from motord.motion import (
     STOPS_EVERY_S,
     Axis,
     Bounds,
@@ -28,7 +29,6 @@ from motord.bus.motion import (
     planned,
     problem,
 )
-from motord.client import ClientError
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 

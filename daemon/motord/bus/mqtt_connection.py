@@ -21,6 +21,7 @@ from motord.bus.mqtt_names import names_of
 from motord.bus.secret import read_secret
 from motord.bus.topics import Topic, View
 from motord.config import MqttBroker
+from motord.sparing import Spared
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -49,6 +50,10 @@ class MqttConnection:
         if section.password_file is not None:
             self._password = read_secret(station.beside_robot_file(section.password_file))
         self._tls = _tls_context(section, station) if section.tls else None
+        # it says every message that a full queue drops: whoever floods a topic would fill the log
+        self._library_log = logging.getLogger(f"{__name__}.{where}")
+        self._library_log.setLevel(logging.WARNING)
+        self._library_log.addFilter(Spared(self._library_log, where))
         self.encode = encoder(section.encoding)
         self.names = names_of(section, robot, self.encode)
         self.form: Form = json_encoder if section.encoding == "json" else self._as_cbor
@@ -100,6 +105,7 @@ class MqttConnection:
             keepalive=KEEPALIVE_S,
             timeout=ANSWER_WITHIN_S,
             tls_context=self._tls,
+            logger=self._library_log,
             max_queued_incoming_messages=QUEUED_MAX,
             max_queued_outgoing_messages=QUEUED_MAX,
         ) as client:

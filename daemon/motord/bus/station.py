@@ -5,6 +5,7 @@ the adapters. Nothing here can make the daemon wait."""
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Mapping
@@ -15,12 +16,13 @@ from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHE
 from motord.bus.feed import Feed, Form, as_message
 from motord.bus.guard import keep
 from motord.bus.inputs.gap import Gap
-from motord.bus.link import NotConnected, Source, Standby, call
+from motord.bus.link import Source, StopSender, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
-from motord.client import ClientError
+from motord.client import ClientError, Refused
 from motord.config import (
     BusInput,
+    BusPublish,
     OtherInput,
     OtherPublish,
     RclpyInput,
@@ -29,15 +31,18 @@ from motord.config import (
     UdpPublish,
 )
 from motord.deadline import within
+from motord.extras import how_to_install
+from motord.halting import outcome
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
+from motord.stop_request import KINDS
 
 ATTACH_AGAIN_S = 0.5
 STATUS_EVERY_S = 1.0
 LOOK_MIN_S, LOOK_MAX_S = 0.001, 0.1
 LOOKS_PER_SAMPLE = 2
-TO_REST = ("stop", "estop", "disarm")
-"""Calls for which a connection to the daemon is kept."""
+CONFIRM_WITHIN_S = 2.0
+CONFIRM_LOOK_EVERY_S = 0.02
 
 BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
@@ -46,6 +51,14 @@ BROKEN = (
 """How code of another package fails that was never tried."""
 
 _log = logging.getLogger(__name__)
+
+
+def of_this_robot(section: Any, robot: Robot) -> Any:
+    """The section without topics of sensors that the robot does not have."""
+    if robot.imu is not None or not isinstance(section, BusPublish):
+        return section
+    topics = tuple(topic for topic in section.topics if topic != "imu")
+    return section.model_copy(update={"topics": topics})
 
 
 class Station:
@@ -60,16 +73,22 @@ class Station:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Feed] = {}
         self.sources: dict[str, Source] = {}
-        self._standby = {method: Standby(path, method) for method in TO_REST}
+        self._stops = StopSender(path)
         self._gaps: list[Gap] = []
         self._failures: dict[str, int] = {}
         """How often the adapter of a section has failed, where it has."""
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
-    def feed(self, name: str, rates_hz: Mapping[str, float], form: Form = as_message) -> Feed:
-        """Topics by their rates, for the adapter of that name."""
-        self.feeds[name] = Feed(self.body, rates_hz, form)
+    def feed(
+        self,
+        name: str,
+        rates_hz: Mapping[str, float],
+        form: Form = as_message,
+        body: Body | None = None,
+    ) -> Feed:
+        """Topics by their rates, for the adapter of that name. `body`: `self.body` unless given."""
+        self.feeds[name] = Feed(body or self.body, rates_hz, form)
         return self.feeds[name]
 
     def source(self, name: str) -> Source:
@@ -84,13 +103,36 @@ class Station:
 
     async def call(self, method: str, **params: Any) -> Any:
         """Ask the daemon. Raises Refused and ClientError."""
+        if method in KINDS:
+            return await self._halt(method, params)
+        return await call(self.path, method, **params)
+
+    async def _halt(self, method: str, params: dict[str, Any]) -> Any:
+        """Requested by datagram, whatever hinders a connection; confirmed by the daemon's answer,
+        or by the state page where there is none."""
+        requested_ns = time.monotonic_ns()
+        sent = await self._stops.send(method)
         try:
             return await call(self.path, method, **params)
-        except NotConnected:
-            standby = self._standby.get(method)
-            if params or standby is None or not standby.ready:
+        except Refused:
+            raise
+        except ClientError:
+            state = await self._outcome(method, requested_ns) if sent else None
+            if state is None:
                 raise
-        return await standby.call()
+            return {"state": state}
+
+    async def _outcome(self, method: str, requested_ns: int) -> str | None:
+        """None: the state page does not show it in time."""
+        with contextlib.suppress(TimeoutError):
+            async with within(CONFIRM_WITHIN_S):
+                while True:
+                    if self.view is not None:
+                        state = outcome(self.view.snapshot, method, requested_ns)
+                        if state is not None:
+                            return state
+                    await asyncio.sleep(CONFIRM_LOOK_EVERY_S)
+        return None
 
     def beside_robot_file(self, name: str) -> Path:
         """A file that the robot file names: beside it, unless its path is absolute."""
@@ -108,6 +150,7 @@ class Station:
                 "lost": source.lost,
                 "refused": source.refused,
                 "lease": source.ready,
+                "rivals": source.rivals(),
             }
             for name, source in self.sources.items()
         }
@@ -117,15 +160,14 @@ class Station:
     async def run(self) -> None:
         """Until cancelled."""
         adapters = self._adapters()
-        async with asyncio.TaskGroup() as tasks:
-            for where, adapter in adapters.items():
-                tasks.create_task(keep(where, adapter, self._failures))
-            for standby in self._standby.values():
-                tasks.create_task(standby.run())
-            for gap in self._gaps:
-                tasks.create_task(gap.watch())
-            tasks.create_task(self._look())
-            tasks.create_task(self._ask())
+        with self._stops.open():
+            async with asyncio.TaskGroup() as tasks:
+                for where, adapter in adapters.items():
+                    tasks.create_task(keep(where, adapter, self._failures))
+                for gap in self._gaps:
+                    tasks.create_task(gap.watch())
+                tasks.create_task(self._look())
+                tasks.create_task(self._ask())
 
     def _adapters(self) -> dict[str, Adapter]:
         """By their sections."""
@@ -140,7 +182,10 @@ class Station:
             for name, section in self.robot.input.items()
             if isinstance(section, BusInput) and not isinstance(section, RclpyInput)
         ]
-        made = {where: self._adapter(where, section, *kinds) for where, section, kinds in sections}
+        made = {
+            where: self._adapter(where, of_this_robot(section, self.robot), *kinds)
+            for where, section, kinds in sections
+        }
         return {where: adapter for where, adapter in made.items() if adapter is not None}
 
     def _adapter(
@@ -154,7 +199,7 @@ class Station:
                 where.partition(".")[2], section, self
             )
         except ImportError as error:
-            _log.error("%s is off: %s: pip install 'motord[%s]'", where, error, kind)
+            _log.error("%s is off: %s: %s", where, error, how_to_install(kind))
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
         except BROKEN as error:
@@ -201,6 +246,8 @@ class Station:
         before = self.view
         if before is not None and before.snapshot.owner != snapshot.owner:
             self._asked.set()  # somebody else commands: who, only the daemon knows
+        if before is not None and before.snapshot.faults != snapshot.faults:
+            self._asked.set()  # so it is with the reason
         self.view = View(
             snapshot=snapshot,
             status=before.status if before else None,

@@ -28,6 +28,10 @@ class View:
         """As the daemon's status has it. None: no [battery], or the daemon has not said yet."""
         return (self.status or {}).get("battery")
 
+    def why(self) -> tuple[str, ...]:
+        """What led to the faults that are latched. Empty: none is, or the daemon has not said."""
+        return tuple((self.status or {}).get("why", ())) if self.snapshot.faults else ()
+
     def commander(self) -> Commander | None:
         """Who holds the lease that commands. None: nobody, or the daemon has not said yet."""
         for lease in (self.status or {}).get("leases", ()):
@@ -100,7 +104,7 @@ _ALL = (
         type_name="motord_msgs/msg/MotorStatus",
         message=message_types.MotorStatus,
         build=lambda view, body, offset_ns: messages.motor_status(
-            view.snapshot, body, offset_ns, view.commander()
+            view.snapshot, body, offset_ns, view.commander(), view.why()
         ),
     ),
     Topic(

@@ -6,8 +6,15 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
 
 import click
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it: 128 + SIGINT."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a course, and measure it."),
@@ -24,9 +31,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estop": ("motord.cli.talk:estop", "Emergency stop; stays until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "After a crash: tell every drive to stop."),
     "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop; stays disarmed."),
+    "reset-odometry": ("motord.cli.talk:reset_odometry", "Here is the origin of the pose."),
     "params": ("motord.cli.talk:params", "List, get and set limits of the running robot."),
     "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),
     "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
+    "robots": ("motord.cli.robots:robots", "Robot files to begin with: list, print."),
     "unit": ("motord.cli.unit:unit", "What systemd need allow a robot: its devices."),
     "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
     "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "The ROS 2 package of motord's own types."),
@@ -37,7 +46,31 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name and imports one when it is asked for."""
+    """A group that knows its commands by name and imports one when it is asked for. Under --json
+    an error is one JSON object too, and Ctrl-C ends without a word."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """As click has it; exits the process."""
+        words = list(sys.argv[1:] if args is None else args)
+        try:
+            status = super().main(words, prog_name, complete_var, standalone_mode=False, **extra)
+        except click.ClickException as error:
+            if not standalone_mode:
+                raise
+            show_error(error, as_json="--json" in words)
+            sys.exit(error.exit_code)
+        except (click.Abort, KeyboardInterrupt):
+            sys.exit(INTERRUPTED)
+        if standalone_mode:
+            sys.exit(status if isinstance(status, int) else 0)
+        return status
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  # click's signature
         return list(COMMANDS)
@@ -72,6 +105,16 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
+def show_error(error: click.ClickException, *, as_json: bool) -> None:
+    """In words on stderr; or as an object on stdout: error and exit_status."""
+    if as_json:
+        found = {"error": error.format_message(), "exit_status": error.exit_code}
+        found |= getattr(error, "result", {})
+        click.echo(json.dumps(found, ensure_ascii=False))
+    else:
+        error.show()
+
+
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if not wanted:
         return
@@ -102,5 +145,5 @@ def cli() -> None:
              motord check robot.toml && motord run robot.toml
 
     Exit status: 0 done, 1 it failed, 2 wrong usage or robot file, 3 a fault is latched or hardware
-    is missing.
+    is missing, 130 after Ctrl-C. With --json an error is an object too: error, exit_status.
     """

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, json_option, print_json, robot_argument, set_option
+from motord.cli.status_text import commanders_text
 from motord.config import ConfigError, Problem, Robot, load_robot
 
 
@@ -39,6 +40,7 @@ def check(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
                 "ok": robot is not None,
                 "file": str(robot_file),
                 "robot": robot.robot.name if robot else None,
+                "inputs": robot.commanders() if robot else [],
                 "problems": [asdict(problem) for problem in problems],
                 "warnings": [asdict(warning) for warning in warnings],
             }
@@ -62,3 +64,4 @@ def _print(
     if robot:
         joints = ", ".join(robot.joint)
         click.echo(f"{robot_file}: ok: {robot.robot.name}, {robot.base.kind} base, joints {joints}")
+        click.echo(f"may command: {commanders_text(robot.commanders())}")

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import enum
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 
@@ -29,9 +30,54 @@ class Exit(enum.IntEnum):
 class Failure(click.ClickException):
     """Ends a command: `Error: message` on stderr, and the exit status."""
 
-    def __init__(self, message: str, status: Exit = Exit.FAILED) -> None:
+    def __init__(
+        self,
+        message: str,
+        status: Exit = Exit.FAILED,
+        result: Mapping[str, Any] | None = None,
+    ) -> None:
+        """`result`: how far it came all the same, for the one object under --json."""
         super().__init__(message)
+        self.result = dict(result or {})
         self.exit_code = int(status)  # type: ignore[misc]  # click reads it from the instance
+
+
+class _Finite(click.ParamType):  # type: ignore[type-arg]  # generic in newer clicks only
+    """A number that is neither NaN nor infinite; `above`: the least one that it has to exceed."""
+
+    name = "float"
+
+    def __init__(self, above: float = -math.inf) -> None:
+        self._above = above
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """As click has it."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number, as 0.3 or -1.", param, ctx)
+        if number <= self._above:
+            self.fail(f"{value!r} has to be more than {self._above:g}.", param, ctx)
+        return number
+
+
+FINITE = _Finite()
+POSITIVE = _Finite(above=0.0)
+
+
+class BadRobotFile(Failure):
+    """The problems of a robot file, a line each."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, Exit.USAGE)
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """The lines as they are: each names its file."""
+        click.echo(self.message, file=file, err=file is None)
 
 
 robot_argument = click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
@@ -50,15 +96,22 @@ def print_json(value: Any) -> None:
     click.echo(json.dumps(value, ensure_ascii=False, allow_nan=False))
 
 
-def load_or_exit(robot_file: Path, overrides: Sequence[str] = ()) -> Robot:
-    """The robot; its problems go to stderr and end the command, its warnings only go to stderr."""
+def _to_stderr(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def load_or_exit(
+    robot_file: Path,
+    overrides: Sequence[str] = (),
+    warn: Callable[[str], None] = _to_stderr,
+) -> Robot:
+    """The robot; its problems go to stderr and end the command, its warnings only go to `warn`."""
     from motord.config import ConfigError, load_robot
 
     try:
         robot = load_robot(robot_file, overrides)
     except ConfigError as error:
-        click.echo(str(error), err=True)
-        raise click.exceptions.Exit(Exit.USAGE) from None
+        raise BadRobotFile(str(error)) from None
     for warning in robot.warnings:
-        click.echo(str(warning.as_warning()), err=True)
+        warn(str(warning.as_warning()))
     return robot

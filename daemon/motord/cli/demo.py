@@ -10,11 +10,18 @@ from pathlib import Path
 
 import click
 
-from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json
-from motord.cli.simulate import check_simulated
+from motord.cli.common import (
+    Exit,
+    Failure,
+    json_option,
+    load_or_exit,
+    print_json,
+    set_option,
+)
 from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
 from motord.tools.demo import DemoError, Result, Stage, run_demo
+from motord.tools.demo_words import error_words, held_up_words, overrun_words
 from motord_hal.paths import config_dir
 from motord_hal.sim.control import ControlError
 
@@ -34,14 +41,16 @@ from motord_hal.sim.control import ControlError
     metavar="NAME|FILE",
     help="A robot of config/robots, or a robot file.",
 )
+@set_option
 @click.option("--stay", is_flag=True, help="Afterwards leave drives and daemon up until Ctrl-C.")
 @json_option
-def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
+def demo(seconds: float, robot: str, overrides: tuple[str, ...], stay: bool, as_json: bool) -> None:
     """Drive a simulated robot over a course, and measure it.
 
     Starts the robot's drives in a process of their own (real Modbus RTU on a pty, paced at the baud
     rate, with motors and wheels), the daemon on them, and drives as any program would. Then it
-    compares odometry with where the simulated robot really is. No hardware, no root.
+    compares odometry with where the simulated robot really is. No hardware, no root. Odometry with
+    position counters is judged, without them it is an estimate.
 
     \b
     Example: motord demo
@@ -49,12 +58,11 @@ def demo(seconds: float, robot: str, stay: bool, as_json: bool) -> None:
              motord demo --robot skid4 --stay
     """
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
-    loaded = load_or_exit(path)
-    check_simulated(loaded)
+    loaded = load_or_exit(path, overrides)
     for number in (signal.SIGTERM, signal.SIGHUP):  # no way to end it leaves its daemon behind
         signal.signal(number, signal.default_int_handler)
     try:
-        result = run_demo(path, loaded.robot.name, seconds, progress, stay_up if stay else None)
+        result = run_demo(path, loaded, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:
         progress("")
         raise Failure(str(error)) from error
@@ -99,38 +107,58 @@ def stay_up(stage: Stage) -> None:
 
 
 def show(result: Result) -> None:
-    """For a person: the way, then what was measured."""
+    """For a person: the way, then what was measured and what it means."""
     report = result.to_json()
     odometry, loop = report["odometry"], report["loop"]
     click.echo(draw(result.path))
     click.echo()
     click.echo(f"{report['robot']}: {odometry['distance_m']:.2f} m in {report['seconds']:.1f} s")
-    click.echo(
-        f"  odometry   {odometry['position_error_m'] * 1000:.1f} mm and "
+    limit = f" (at most {DISTANCE_ERROR_MAX_PERCENT} %, {HEADING_ERROR_MAX_RAD} rad)"
+    row(
+        "odometry",
+        f"{odometry['position_error_m'] * 1000:.1f} mm and "
         f"{odometry['heading_error_rad']:.4f} rad from the truth: "
-        f"{odometry['drift_percent']:.3f} % of the way "
-        f"(at most {DISTANCE_ERROR_MAX_PERCENT} %, {HEADING_ERROR_MAX_RAD} rad)"
+        f"{odometry['drift_percent']:.3f} % of the way{limit if odometry['judged'] else ''}",
     )
+    row("", report["worth"])
+    if result.chip_imu:
+        row("", "nothing stands for the gyro on I2C here: the heading is that of the wheels")
     late = loop["lateness_us"]
-    click.echo(
-        f"  loop       {loop['rate_hz']:.0f} Hz {loop['policy']}: late {late['p50']:.0f} µs p50, "
+    row(
+        "loop",
+        f"{loop['rate_hz']:.0f} Hz {loop['policy']}: late {late['p50']:.0f} µs p50, "
         f"{late['p99']:.0f} p99, {late['max']:.0f} max; {loop['overruns']} of {loop['ticks']} "
-        f"ticks overran; {loop['step_ns']['p50']:.0f} ns a step"
+        f"ticks overran; {loop['step_ns']['p50']:.0f} ns a step",
     )
-    for refusal in loop.get("refusals", {}).values():
-        click.echo(f"             {refusal}")
+    for text in (*loop.get("refusals", {}).values(), overrun_words(loop)):
+        row("", text)
     for name, line in report["lines"].items():
         trip = line["round_trip_us"]
         errors = ", ".join(f"{count} {kind}" for kind, count in line["errors"].items() if count)
-        click.echo(
-            f"  {name:10} {line['exchanges']} exchanges on the {line['engine']} engine, "
+        row(
+            name,
+            f"{line['exchanges']} exchanges on the {line['engine']} engine, "
             f"{line['cycle_hz']:.0f} cycles/s (the wire carries {line['wire_limit_hz']:.0f}), "
-            f"{trip['p50'] / 1000:.1f} ms a round trip, errors: {errors or 'none'}"
+            f"{trip['p50'] / 1000:.1f} ms a round trip, errors: {errors or 'none'}",
         )
+        for text in error_words(line):
+            row("", text)
     safety = report["safety"]
     faults = ", ".join(safety["faults"]) or "none"
-    click.echo(
-        f"  safety     ends {safety['final_state']}, faults: {faults}, "
-        f"daemon {'ended well' if report['clean_exit'] else 'had to be killed'}"
+    row(
+        "safety",
+        f"ends {safety['final_state']}, faults: {faults}, "
+        f"daemon {'ended well' if report['clean_exit'] else 'had to be killed'}",
     )
+    if safety["faults"]:
+        for text in result.status["why"]:
+            row("", text)
+    busy = (result.drives_held_up_s, result.program_held_up_s, result.daemon_waited_part)
+    row("", held_up_words(*busy))
     click.echo("ok" if report["ok"] else "NOT ok")
+
+
+def row(name: str, text: str) -> None:
+    """Nothing where there is nothing to say."""
+    if text:
+        click.echo(f"  {name:10} {text}")

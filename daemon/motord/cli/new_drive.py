@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure
+from motord_hal import bounded
 from motord_hal.drives.load import load_profile
 from motord_hal.errors import ProfileError
 
@@ -128,7 +129,7 @@ def _ask() -> dict[str, str | int]:
 
 def _read(file: Path) -> dict[str, str | int]:
     try:
-        given: Mapping[str, object] = tomllib.loads(file.read_text(encoding="utf-8"))
+        given: Mapping[str, object] = bounded.toml(bounded.read(file).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise Failure(f"{file}: {error}", Exit.USAGE) from error
     answers = {key: default for key, _, default in QUESTIONS}

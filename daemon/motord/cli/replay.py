@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json, set_option
+from motord.extras import how_to_install
 
 if TYPE_CHECKING:
     from motord.rt_replay import ReplayedCore, ReplayPage
@@ -56,12 +58,12 @@ def replay(
         from motord.tools.replay import ReplayError
         from motord.tools.replay import replay as run
     except ImportError as error:
-        raise Failure(f"{error.name} is missing: pip install 'motord[mcap]'") from error
+        raise Failure(f"{error.name} is missing: {how_to_install('mcap')}") from error
     try:
         if robot_file is None:
             outcome = run(recording)
         else:
-            with _shown(robot_file, overrides) as player:
+            with _unwinding(), _shown(robot_file, overrides) as player:
                 outcome = run(recording, player.show)
     except (ReplayError, OSError) as error:
         raise Failure(str(error), Exit.USAGE) from error
@@ -110,7 +112,7 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
     try:
         page = ReplayPage(robot.robot.name)
     except PageInUse as error:
-        raise Failure(str(error), Exit.USAGE) from error
+        raise Failure(str(error)) from error
     # the socket does not exist: who wants to command a recording is told that nobody is there
     nobody = page.path.with_suffix(".replay")
     command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
@@ -130,6 +132,26 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
             time.sleep(LAST_SHOWN_S)
         finally:
             _end(bus)
+
+
+@contextlib.contextmanager
+def _unwinding() -> Iterator[None]:
+    """SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception: what was made for it,
+    above all the state page, is removed."""
+
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+
+    def ended(number: int, _: object) -> None:
+        for each in numbers:
+            signal.signal(each, signal.SIG_IGN)  # the clean-up is short, and comes to its end
+        sys.exit(128 + number)
+
+    before = {number: signal.signal(number, ended) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _end(bus: subprocess.Popen[bytes]) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 from pathlib import Path
 
@@ -24,6 +25,8 @@ from motord.page_file import FOLDER, PREFIX
 from motord.rpc import SocketInUse
 from motord.rt import ConfigRefused, PageInUse
 from motord_hal.errors import PortError, ProfileError
+
+_log = logging.getLogger(__name__)
 
 
 @click.command
@@ -57,15 +60,18 @@ def run(
     Example: motord run robot.toml
              motord run robot.toml --set line.rs485.port=/dev/ttyUSB1
     """
-    robot = load_or_exit(robot_file, overrides)
-    log.set_up()
+    log.set_up()  # first: whoever does not read stderr any more must not keep the robot waiting
+    robot = load_or_exit(robot_file, overrides, _log.warning)
 
     def say_ready(socket: Path) -> None:
         name = robot.robot.name
         page = FOLDER / f"{PREFIX}{name}"
-        print_json(
-            {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}
-        )
+        try:
+            print_json(
+                {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}
+            )
+        except OSError as error:
+            _log.warning("stdout: %s: nobody is told that it is ready", error.strerror)
 
     try:
         on_ready = say_ready if as_json else lambda _: None

@@ -155,7 +155,6 @@ def simulate(
     if tcp is not None and rtu_over_tcp is not None:
         raise click.UsageError("either --tcp or --rtu-over-tcp")
     robot = load_or_exit(robot_file, overrides)
-    check_simulated(robot)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
@@ -171,18 +170,6 @@ def simulate(
         _say_where(rig, robot, robot_file, as_json=as_json)
         until_fd_ends = sys.stdin.fileno() if stop_on_eof else None
         run(rig, stopped.is_set, until_fd_ends, spin_s=SPIN_S if priority else 0.0)
-
-
-def check_simulated(robot: Robot) -> None:
-    """Of pins, only PWM channels are files that something of ours can stand for."""
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
-    for spec in line_specs(robot, profiles):
-        for number, joint in enumerate(spec.joints if spec.kind == "pwm" else ()):
-            try:
-                channels_of(number, joint)
-            except ValueError as error:
-                text = f"line {spec.name}: joint {joint.name}: {error}; docs/pwm.md says what to do"
-                raise Failure(text, Exit.USAGE) from error
 
 
 def _set_pace(priority: int) -> None:
@@ -275,11 +262,12 @@ def _settings(line: AnySimulatedLine, robot: Robot) -> tuple[str, ...]:
 
 
 def _pin_settings(line: AnySimulatedLine, robot: Robot) -> Iterator[str]:
-    """The pins that are channels, and each encoder as a counter beside them."""
+    """Each pin as a channel of the simulated chip, and each encoder as a counter beside them."""
     counters = itertools.count()
-    for number, joint in enumerate(line.spec.joints):
-        channels = [place.pin for place in channels_of(number, joint)]
-        pins = ", ".join(f"{pin} = {json.dumps(joint.pins[pin])}" for pin in channels)
+    for joint, places in zip(line.spec.joints, channels_of(line.spec.joints), strict=True):
+        pins = ", ".join(
+            f'{place.pin} = "{"!" if place.inverted else ""}pwm{place.channel}"' for place in places
+        )
         yield f"joint.{joint.name}.pins={{ {pins} }}"
         encoder = robot.joint[joint.name].encoder
         if encoder is not None:

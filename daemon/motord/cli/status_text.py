@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -15,7 +16,7 @@ def show_status(found: dict[str, Any]) -> None:
         ("state", found["state"]),
         *(("because", reason) for reason in found["why"]),
         ("faults", ", ".join(found["faults"])),
-        ("reasons", ", ".join(found["reasons"])),
+        ("reasons", ", ".join(_telling(found["reasons"], found["state"]))),
         ("command", _command(found)),
         ("odometry", _odometry(found["odometry"])),
         *((f"joint {name}", _joint(joint)) for name, joint in found["joints"].items()),
@@ -24,13 +25,20 @@ def show_status(found: dict[str, Any]) -> None:
         ("loop", _loop(found["loop"])),
         ("e-stop", _contact(found["loop"]["estop_input"])),
         *(("", text) for text in found["loop"]["refusals"].values()),
-        *((f"line {name}", _line(line)) for name, line in found["lines"].items()),
+        *(row for name, line in found["lines"].items() for row in _line_rows(name, line)),
         *(("lease", _lease(lease)) for lease in found["leases"]),
+        ("may command", commanders_text(found["inputs"])),
     ]
     width = max(len(key) for key, _ in rows)
     for key, text in rows:
         if text:
             click.echo(f"{key:{width}}  {text}")
+
+
+def _telling(reasons: Sequence[str], state: str) -> list[str]:
+    """Without what is so of every robot that nobody drives."""
+    usual = () if state in ("armed", "moving", "stopping") else ("not_armed", "command_stale")
+    return [reason for reason in reasons if reason not in usual]
 
 
 def _command(found: dict[str, Any]) -> str:
@@ -112,6 +120,11 @@ def _loop(loop: dict[str, Any]) -> str:
     )
 
 
+def _line_rows(name: str, line: dict[str, Any]) -> list[tuple[str, str]]:
+    waits_for = line["waits_for"]
+    return [(f"line {name}", _line(line)), ("", f"waits: {waits_for}" if waits_for else "")]
+
+
 def _line(line: dict[str, Any]) -> str:
     trip = line["round_trip_us"]
     errors = ", ".join(f"{count} {kind}" for kind, count in line["errors"].items() if count)
@@ -121,6 +134,13 @@ def _line(line: dict[str, Any]) -> str:
         f"{trip['p50'] / 1000:.1f} ms p50 {trip['max'] / 1000:.1f} ms max a round trip, "
         f"{errors or 'no errors'}"
     )
+
+
+def commanders_text(inputs: Sequence[Mapping[str, Any]]) -> str:
+    """Who may command, the highest priority first; `inputs` as in the answer of `status`."""
+    rows = sorted(inputs, key=lambda source: -source["priority"])
+    texts = (f"{row['name']} ({row['kind']}, priority {row['priority']})" for row in rows)
+    return ", ".join(texts) or "nobody: every input of the robot file is switched off"
 
 
 def _lease(lease: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from dataclasses import asdict
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from motord.config import ConfigError, Robot, load_robot
 from motord.running_file import find, forget
 from motord.tools.stop_all import DaemonRuns, Halted
 from motord.tools.stop_all import stop_all as stop_everything
+from motord_hal import bounded
 from motord_hal.errors import ProfileError
 
 WITHIN_S = 5.0
@@ -74,13 +76,19 @@ def _as_it_ran(robot_file: Path) -> Robot | None:
         robot = load_robot(robot_file, ran.overrides, text=ran.text)
     except ConfigError:  # another version's
         return None
-    if not robot_file.exists() or robot_file.read_bytes() != ran.text.encode():
+    if _now(robot_file) != ran.text.encode():
         click.echo(
             f"{robot_file} has changed since motord was started by it: the drives that it had then "
             "are told",
             err=True,
         )
     return robot
+
+
+def _now(robot_file: Path) -> bytes | None:
+    with contextlib.suppress(OSError):
+        return bounded.read(robot_file)
+    return None
 
 
 def _say(halted: Halted) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import signal
 import sys
 import time
@@ -15,26 +16,34 @@ from typing import Any
 
 import click
 
-from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.common import FINITE, Exit, Failure, json_option, print_json
 from motord.cli.status_text import show_status
-from motord.client import Client, ClientError, Refused, find_socket
+from motord.client import Client, ClientError, Refused, find_socket, find_sockets
+from motord.halting import halt
+from motord.local_rpc import WrongParams
+from motord_hal import bounded
 
 SEND_PERIOD_S = 0.05
+WHY_WITHIN_S = 1.0
 _LATCHED = ("fault", "estop")
 _HINDERED = ("configuring", *_LATCHED)
+
+
+_robot_option = click.option("--robot", metavar="NAME", help="Which robot, where several run.")
+_socket_option = click.option(
+    "--socket",
+    "path",
+    metavar="PATH",
+    type=click.Path(path_type=Path),
+    help="Socket of the daemon, where it is not in its usual place.",
+)
 
 
 def talking(command: Callable[..., None]) -> Callable[..., None]:
     """Gives the command a connected client, and says in a sentence what goes wrong."""
 
-    @click.option("--robot", metavar="NAME", help="Which robot, where several run.")
-    @click.option(
-        "--socket",
-        "path",
-        metavar="PATH",
-        type=click.Path(path_type=Path),
-        help="Socket of the daemon, where it is not in its usual place.",
-    )
+    @_robot_option
+    @_socket_option
     @functools.wraps(command)
     def connected(*, robot: str | None, path: Path | None, **options: Any) -> None:
         try:
@@ -42,26 +51,65 @@ def talking(command: Callable[..., None]) -> Callable[..., None]:
                 try:
                     command(client, **options)
                 except Refused as error:
-                    raise Failure(str(error), _status_of_refusal(client)) from error
+                    raise Failure(str(error), status_of_refusal(client)) from error
+        except WrongParams as error:
+            raise Failure(str(error), Exit.USAGE) from error
         except ClientError as error:
             raise Failure(str(error)) from error
 
     return connected
 
 
-def _status_of_refusal(client: Client) -> Exit:
+def halting(command: Callable[..., None]) -> Callable[..., None]:
+    """As `talking`, for a command that stops the robot: it gets the daemon's socket, and no
+    connection, for others may leave none."""
+
+    @_robot_option
+    @_socket_option
+    @functools.wraps(command)
+    def located(*, robot: str | None, path: Path | None, **options: Any) -> None:
+        try:
+            command(path or find_socket(robot), **options)
+        except Refused as error:
+            raise Failure(str(error), _status_of_refusal_at(path or find_socket(robot))) from error
+        except ClientError as error:
+            raise Failure(str(error)) from error
+
+    return located
+
+
+def status_of_refusal(client: Client) -> Exit:
     """Refused because of what the robot is in, or because of how it was asked?"""
     return Exit.FAULT if client.status()["state"] in _HINDERED else Exit.FAILED
 
 
+def _status_of_refusal_at(path: Path) -> Exit:
+    with contextlib.suppress(ClientError), Client(path) as client:
+        return status_of_refusal(client)
+    return Exit.FAILED
+
+
+def _halted(path: Path, state: str, *, as_json: bool) -> None:
+    """As `_said`; why something is latched is left out where the daemon does not answer."""
+    why: list[str] = []
+    if state in _LATCHED:
+        with contextlib.suppress(ClientError), Client(path, timeout_s=WHY_WITHIN_S) as client:
+            why = client.status()["why"]
+    _show_state(state, why, as_json=as_json)
+
+
 def _said(client: Client, state: str, *, as_json: bool) -> None:
     """The state that an act has led to; a latched one ends with its own exit status."""
+    _show_state(state, client.status()["why"] if state in _LATCHED else [], as_json=as_json)
+
+
+def _show_state(state: str, why: list[str], *, as_json: bool) -> None:
     if as_json:
         print_json({"state": state})
     else:
         click.echo(state)
     if state in _LATCHED:
-        for reason in client.status()["why"]:
+        for reason in why:
             click.echo(reason, err=True)
         raise click.exceptions.Exit(Exit.FAULT)
 
@@ -99,44 +147,61 @@ def arm(client: Client, as_json: bool) -> None:
 
 @click.command
 @json_option
-@talking
-def disarm(client: Client, as_json: bool) -> None:
+@halting
+def disarm(path: Path, as_json: bool) -> None:
     """Come to rest and take the power off the drives.
 
     \b
     Example: motord disarm
     """
-    _said(client, client.disarm(), as_json=as_json)
+    _halted(path, halt(path, "disarm"), as_json=as_json)
 
 
 @click.command
 @json_option
-@talking
-def stop(client: Client, as_json: bool) -> None:
+@halting
+def stop(path: Path, as_json: bool) -> None:
     """Come to rest, and stay armed. Who goes on sending commands meanwhile is not obeyed until he
     has sent zero, or nothing for a moment.
 
     \b
     Example: motord stop
     """
-    _said(client, client.stop(), as_json=as_json)
+    _halted(path, halt(path, "stop"), as_json=as_json)
 
 
 @click.command
 @json_option
-@talking
-def estop(client: Client, as_json: bool) -> None:
-    """Emergency stop. Stays until motord reset. (Not a substitute for the button that cuts the
-    power.)
+@_robot_option
+@_socket_option
+def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
+    """Emergency stop of every robot that runs on this machine, or of one. Stays until motord reset.
+    (Not a substitute for the button that cuts the power.)
 
     \b
     Example: motord estop
+             motord estop --robot cart
     """
-    state = client.estop()
-    if as_json:
-        print_json({"state": state})
+    states, problems = {}, []
+    try:
+        sockets = [path] if path else find_sockets(robot)
+    except ClientError as error:
+        raise Failure(str(error)) from error
+    for socket in sockets:  # one that does not answer keeps no other from being stopped
+        try:
+            states[socket.name.removesuffix(".sock")] = halt(socket, "estop")
+        except ClientError as error:
+            problems.append(str(error))
+    if as_json and not problems:
+        one = {"state": next(iter(states.values()))} if len(states) == 1 else {}
+        print_json({**one, "robots": states})
+    elif len(sockets) == 1:
+        click.echo("".join(states.values()))
     else:
-        click.echo(state)
+        for name, state in states.items():
+            click.echo(f"{name}: {state}")
+    if problems:
+        raise Failure("; ".join(problems))
 
 
 @click.command
@@ -151,9 +216,21 @@ def reset(client: Client, as_json: bool) -> None:
     _said(client, client.reset(), as_json=as_json)
 
 
+@click.command("reset-odometry")
+@json_option
+@talking
+def reset_odometry(client: Client, as_json: bool) -> None:
+    """Make the robot's pose the origin: x, y and heading are 0 from now on.
+
+    \b
+    Example: motord reset-odometry && motord move 1
+    """
+    _said(client, client.reset_odometry(), as_json=as_json)
+
+
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("linear_m_s", metavar="V", type=float)
-@click.argument("angular_rad_s", metavar="W", type=float)
+@click.argument("linear_m_s", metavar="V", type=FINITE)
+@click.argument("angular_rad_s", metavar="W", type=FINITE)
 @click.option(
     "--seconds",
     type=click.FloatRange(0.0, min_open=True),
@@ -177,11 +254,13 @@ def drive(
     Example: motord drive 0.3 0
              motord drive -0.1 0.5 --seconds 2
     """
+    _say_limited(client, linear_m_s, angular_rad_s)
     start_s = due_s = time.monotonic()
-    sent = 0
+    sent, commanded, commander = 0, False, None
     with interruptible() as interrupts:
         while not interrupts and (seconds is None or time.monotonic() - start_s < seconds):
             answer = client.drive(linear_m_s, angular_rad_s, owner=owner)
+            commanded, commander = commanded or answer["in_command"], answer["owner"]
             if sent % 5 == 0:
                 _progress(client, answer, owner)
             sent += 1
@@ -189,9 +268,25 @@ def drive(
             time.sleep(max(due_s - time.monotonic(), 0.0))
     client.release(owner)
     _progress(client, None, owner, last=True)
+    found = client.status()
+    result = {"state": found["state"], "sent": sent, "odometry": found["odometry"]}
+    if found["state"] in _LATCHED:
+        raise Failure("; ".join(found["why"]), Exit.FAULT, result)
+    if sent and not commanded:
+        raise Failure(f"{commander} is in command", Exit.FAILED, result)
     if as_json:
-        found = client.status()
-        print_json({"state": found["state"], "sent": sent, "odometry": found["odometry"]})
+        print_json(result)
+
+
+def _say_limited(client: Client, linear_m_s: float, angular_rad_s: float) -> None:
+    """What is asked for above a limit, and what the robot does instead."""
+    limits = client.params_get("limits.linear_m_s", "limits.angular_rad_s")
+    for (name, most), asked, unit in zip(
+        limits.items(), (linear_m_s, angular_rad_s), ("m/s", "rad/s"), strict=True
+    ):
+        if most is not None and abs(asked) > most:
+            text = f"{asked:g} {unit} is above {name}: limited to {most:g} {unit}"
+            click.echo(f"{text} (motord params set {name}=...)", err=True)
 
 
 @contextlib.contextmanager
@@ -298,8 +393,8 @@ def params_dump(client: Client) -> None:
 def params_load(client: Client, file: Path, as_json: bool) -> None:
     """Set what a file of `dump` says, limits first: motord params load tuned.toml."""
     try:
-        wanted = dict(_leaves("", tomllib.loads(file.read_text(encoding="utf-8"))))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        wanted = dict(_leaves("", bounded.toml(bounded.read(file).decode())))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise click.UsageError(f"{file}: {error}") from error
     assignments = [_assignment(f"{name}={value}") for name, value in wanted.items()]
     of_drives = dict(one for one in assignments if one[0].startswith("drive."))
@@ -320,13 +415,15 @@ def _leaves(prefix: str, table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _assignment(text: str) -> tuple[str, float | None]:
     name, equals, value = text.partition("=")
+    if not equals:
+        raise click.UsageError(f"{text!r} is not NAME=VALUE, as in limits.linear_m_s=0.3")
     try:
         number = float(value)
     except ValueError:
-        equals = ""
-    if not equals or number != number:
-        raise click.UsageError(f"{text!r} is not NAME=VALUE, as in limits.linear_m_s=0.3")
-    return name, None if number == float("inf") else number
+        number = math.nan
+    if math.isnan(number):
+        raise click.UsageError(f"{name}: {value!r} is not a number, as 0.3 or inf (no limit)")
+    return name, None if number == math.inf else number
 
 
 def _show_values(values: dict[str, float | None], *, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 
@@ -26,8 +27,11 @@ from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.recording_rules import memory_holds_the_time_before_a_fault
 from motord.config.toml_lines import Path
+from motord.extras import how_to_install
 
 LEASE_COMMANDS = 2
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+EVERY_INTERFACE = ("0.0.0.0", "::")  # to warn of them
 _PACKAGES = {
     "ros2": "cyclonedds",
     "ros2-zenoh": "zenoh",
@@ -51,6 +55,30 @@ def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
             paths = (("input", name, key), ("input", name, "host"))
             text = f"commands by {section.host} would show their token to the network: {cure}"
             yield Finding(paths, text)
+
+
+def _secrets_are_secret(robot: Robot) -> Iterator[Finding]:
+    """motord-bus does not use a file that others can read."""
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            for key in ("token_file", "password_file"):
+                named = getattr(section, key, None)
+                file = robot.path.parent / named if named is not None else None
+                if file is not None and file.is_file() and file.stat().st_mode & OTHERS:
+                    text = f"{file} can be read by others and is not used: chmod 600 {file}"
+                    yield Finding(((table, name, key),), text, warning=True)
+
+
+def _servers_on_every_interface(robot: Robot) -> Iterator[Finding]:
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if isinstance(section, AnyServer) and section.host in EVERY_INTERFACE:
+                risk = "who has the token commands" if table == "input" else "anybody can read it"
+                text = (
+                    f"{section.host} is every network interface of this machine, and {risk} from "
+                    "there: name one address, or close the port to others in the firewall"
+                )
+                yield Finding(((table, name, "host"),), text, warning=True)
 
 
 def _mqtt(robot: Robot) -> Iterator[tuple[Path, MqttBroker]]:
@@ -87,6 +115,18 @@ def _rates_of_published_topics(robot: Robot) -> Iterator[Finding]:
                 if topic not in section.topics:
                     path = ("publish", name, "topic_rate_hz", topic)
                     yield Finding((path,), "this topic is not published (topics)")
+
+
+def _topics_of_sensors(robot: Robot) -> Iterator[Finding]:
+    if robot.imu is not None:
+        return
+    for table, sections in (("publish", robot.publish), ("input", robot.input)):
+        for name, section in sections.items():
+            if not isinstance(section, BusPublish) or "topics" not in section.model_fields_set:
+                continue
+            if "imu" in section.topics:
+                text = "imu is named, but the robot file has no [imu]: leave it out, or add it"
+                yield Finding(((table, name, "topics"),), text)
 
 
 def _servers(robot: Robot) -> Iterator[tuple[Path, AnyServer]]:
@@ -179,7 +219,7 @@ def _packages_are_there(robot: Robot) -> Iterator[Finding]:
         for name, section in sections.items():
             package = _PACKAGES.get(section.kind)
             if package is not None and find_spec(package) is None:
-                text = f"is off here: it needs {package} (pip install 'motord[{section.kind}]')"
+                text = f"is off here: it needs {package} ({how_to_install(section.kind)})"
                 yield Finding(((table, name, "kind"),), text, warning=True)
 
 
@@ -235,9 +275,12 @@ def _remaps_agree(robot: Robot) -> Iterator[Finding]:
 
 BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _commands_are_encrypted,
+    _secrets_are_secret,
+    _servers_on_every_interface,
     _mqtt_credentials,
     _groups_are_sparkplugs,
     _rates_of_published_topics,
+    _topics_of_sensors,
     _one_port_a_server,
     _certificates,
     _joystick_lives_long_enough,

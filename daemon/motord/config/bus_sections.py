@@ -298,12 +298,25 @@ class ZenohNode(RosNode):
         return self.router.startswith("tls/")
 
 
-class RosTopics(BusPublish):
+class RosTopics(BusPublish, RosNode):
     """Topics of a ROS 2 node. No ROS is needed here."""
 
+    namespaced_tf: bool = False
+    """tf and tf_static are below the namespace, for listeners that remap /tf to tf. Otherwise they
+    are /tf and /tf_static, where tf2 listens."""
+    frame_prefix: str | None = Field(default=None, pattern=r"^([A-Za-z][A-Za-z0-9_/]*)?$")
+    """Goes before each frame name, as in "r2/" for r2/odom and r2/base_link. Where it is not given:
+    the namespace, or nothing with namespaced_tf."""
     urdf_file: str | None = None
     """Robot description that is published; one made from the robot file where it is not given. A
     path that is not absolute is beside the robot file."""
+
+    def prefix_of_frames(self) -> str:
+        """`frame_prefix`, or what follows from the namespace."""
+        if self.frame_prefix is not None:
+            return self.frame_prefix
+        space = self.namespace.strip("/")
+        return f"{space}/" if space and not self.namespaced_tf else ""
 
 
 class Ros2Publish(RosTopics, Ros2Node):

@@ -13,7 +13,7 @@ from motord.config.model import Joint, Robot
 from motord.config.problems import nearest
 from motord.config.robot_rules import ROBOT_RULES
 from motord.config.wheels import Profiles, profile_of
-from motord_hal.drives.load import list_profiles
+from motord_hal.drives.load import is_file_name, list_profiles
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.errors import ProfileError
 from motord_hal.modbus.codec import UNIT_MAX
@@ -41,7 +41,7 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
     known = list_profiles()
     for name, joint in robot.joint.items():
         path = ("joint", name, "drive")
-        if "/" not in joint.drive and joint.drive not in known:
+        if not is_file_name(joint.drive) and joint.drive not in known:
             meant = nearest(joint.drive, known)
             hint = f'did you mean "{meant}"?' if meant else f"known: {', '.join(known)}"
             wrong.append(Finding((path,), f'there is no drive profile "{joint.drive}" ({hint})'))

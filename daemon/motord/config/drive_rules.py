@@ -171,15 +171,23 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """A drive whose speeds are counted in encoder edges has their number in its profile."""
+    """A drive that counts its speeds in encoder edges needs one number for all of its joints."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
-        if profile.protocol != "roboclaw" or joint.counts_per_turn is None:
+        counts = counts_per_turn(joint, profile)
+        path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+        if not profile.speed_in_counts or joint.encoder is not None:
             continue
-        if joint.counts_per_turn != profile.counts_per_turn:
-            path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
-            text = f'drive "{joint.drive}" counts its speed in edges, {profile.counts_per_turn} a'
-            yield Finding((path, drive), f"{text} turn: copy its profile to change that")
+        if counts == 0:
+            text = f'must not be 0: drive "{joint.drive}" counts its speed in encoder edges'
+            yield Finding((path, drive), text)
+        elif counts != profile.counts_per_turn:
+            text = (
+                f'{counts} differs from another joint with drive "{joint.drive}", which counts its '
+                "speed in encoder edges: copy the profile for the other encoder "
+                "(docs/drives/your-own-drive.md)"
+            )
+            yield Finding((path, drive), text)
 
 
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -218,11 +226,19 @@ def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             words = "{} bit/s" if on_can else "{} baud, parity {}, {} stop bit(s)"
             text = (
                 f'drive "{joint.drive}" leaves the factory with {words.format(*factory)}; this '
-                f"line has {words.format(*ours)}: has the drive been set up so?"
+                f"line has {words.format(*ours)}: it answers only if you have changed the drive; "
+                f"else write {_as_keys(factory, on_can)} here"
             )
             key = "bitrate" if on_can else "baudrate"
             paths = (("line", joint.line, key), ("joint", name, "drive"))
             yield Finding(paths, text, warning=True)
+
+
+def _as_keys(factory: tuple[int, str, int], on_can: bool) -> str:
+    baudrate, parity, stop_bits = factory
+    if on_can:
+        return f"bitrate = {baudrate}"
+    return f'baudrate = {baudrate}, parity = "{parity}", stop_bits = {stop_bits}'
 
 
 def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

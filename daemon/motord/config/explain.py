@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,8 @@ from typing import Any
 from pydantic_core import ErrorDetails
 
 from motord.config.bus_sections import HOST, ROUTER
-from motord.config.problems import nearest
+from motord.config.problems import candidates, nearest
+from motord.config.quantities import conversion
 from motord.config.schema import Node, allowed, choices, describe, robot_schema
 from motord.config.toml_lines import Path
 
@@ -31,7 +33,7 @@ _NOT_A = {
     "float_type": "a number",
     "int_type": "a whole number",
     "bool_type": "true or false",
-    "string_type": "a text",
+    "string_type": "a string",
     "tuple_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
@@ -50,12 +52,13 @@ _NOTHING = object()
 @dataclass(frozen=True, slots=True)
 class Complaint:
     """A problem at a path; `stand_in` would do for the value (`_NOTHING`: without it), `rename`
-    for the key."""
+    for the key, and then `factor` times the value for the value."""
 
     path: Path
     text: str
     stand_in: Any = _NOTHING
     rename: str | None = None
+    factor: float = 1.0
 
 
 def explain(errors: Sequence[ErrorDetails]) -> list[Complaint]:
@@ -88,7 +91,8 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
             continue
         value = around.pop(key, None)
         if hit.rename is not None:
-            around.setdefault(hit.rename, value)
+            scales = hit.factor != 1.0 and isinstance(value, int | float)
+            around.setdefault(hit.rename, value * hit.factor if scales else value)
         elif hit.stand_in is not _NOTHING:
             around[key] = hit.stand_in
     return data
@@ -106,7 +110,7 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     path, node, around = describe(schema, error["loc"])
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
-        return _unknown_key(path, around)
+        return _unknown_key(path, around, value)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         path = (*path, "kind")
         value = value.get("kind") if isinstance(value, dict) else value
@@ -120,7 +124,7 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
         text = f"{_shown(value)} is out of range{_hint(allowed(node))}"
         return Complaint(path, text, stand_in)
     if kind in _NOT_A:
-        text = f"{_shown(value)} is not {_NOT_A[kind]}{_hint(allowed(node))}"
+        text = f"{_shown(value)} is not {_NOT_A[kind]}{_quotes(kind, value)}{_hint(allowed(node))}"
         return Complaint(path, text, stand_in)
     if kind == "string_pattern_mismatch":
         bad = _BAD_TEXT.get(error.get("ctx", {}).get("pattern", ""))
@@ -131,22 +135,41 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     return Complaint(path, f"{_shown(value)}: {error['msg']}", stand_in)
 
 
-def _unknown_key(path: Path, around: Node) -> Complaint:
+def _quotes(kind: str, value: Any) -> str:
+    """How the same value is written as what it has to be."""
+    if kind == "string_type" and isinstance(value, int | float):
+        return f": write {_shown(str(value))}"
+    if kind in ("float_type", "int_type") and isinstance(value, str):
+        number = value.strip().replace(",", ".")
+        if re.fullmatch(r"[+-]?\d+(\.\d+)?", number):
+            return f": write {number}, without quotes"
+    return ""
+
+
+def _unknown_key(path: Path, around: Node, value: Any) -> Complaint:
     key = str(path[-1])
     if key in _LATER.get(_general(path[:-1]), ()):
         return Complaint(path, "is not in this version of motord")
     known = list(around.get("properties", ()))
+    if meant := conversion(key, known):
+        text = f"unknown key (motord takes {meant.key}: {meant.how}"
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            text += f", {meant.key} = {value * meant.factor:.4g}"
+        return Complaint(path, f"{text})", rename=meant.key, factor=meant.factor)
     near = nearest(key, known)
     if near is None:
         return Complaint(path, f"unknown key{_hint('known: ' + ', '.join(known))}")
-    return Complaint(path, f"unknown key (did you mean {near}?)", rename=near)
+    unit = around["properties"][near].get("unit", "1")
+    last = near.rpartition("_")[2]
+    in_unit = "" if unit == "1" or key.endswith(last) else f", in {unit}"
+    return Complaint(path, f"unknown key (did you mean {near}{in_unit}?)", rename=near)
 
 
 def _no_choice(path: Path, node: Node, value: Any) -> str:
     if isinstance(value, str) and value in _LATER.get(_general(path), ()):
         return f"{_shown(value)} is not in this version of motord{_hint(allowed(node))}"
-    near = nearest(value, choices(node)) if isinstance(value, str) else None
-    meant = f'; did you mean "{near}"?' if near else ""
+    near = candidates(value, choices(node)) if isinstance(value, str) else []
+    meant = f"; did you mean {' or '.join(map(_shown, near))}?" if near else ""
     return f"{_shown(value)} is unknown{_hint(allowed(node) + meant)}"
 
 
@@ -167,7 +190,8 @@ def _stand_in(node: Node, value: Any) -> Any:
 
 
 def _description(node: Node) -> str:
-    return f": {node['description'].rstrip('.')}" if "description" in node else ""
+    said = " ".join(node.get("description", "").split())
+    return f": {said.rstrip('.')}" if said else ""
 
 
 def _hint(text: str) -> str:

@@ -69,6 +69,16 @@ def _adapter(robot: Robot) -> Iterator[Finding]:
                 yield Finding(paths, problem)
 
 
+def _unit(robot: Robot) -> Iterator[Finding]:
+    """A board is alone on its line; everything else is found by its address."""
+    for name, joint in robot.joint.items():
+        line = robot.line.get(joint.line)
+        if "unit" in joint.model_fields_set or isinstance(line, McuLine | AsciiLine | None):
+            continue
+        text = "is missing: the address of its drive on this line"
+        yield Finding((("joint", name, "unit"), ("joint", name, "line")), f"{text} (0 to 255)")
+
+
 def _one_board(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
         alone = isinstance(robot.line.get(first.line), McuLine | AsciiLine)
@@ -128,9 +138,9 @@ def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> It
         told, given = joint + COUNT in heard, robot.joint[joint].counts_per_turn
         if told and not given:
             yield Finding(at, "is missing: the board tells a count")
-        elif not told and given != 0:
-            text = f"must be 0: the feedback has no {{{joint}{COUNT}}}"
-            yield Finding(at, text)
+        elif not told and given:
+            text = f"is not used: the line's feedback has no {{{joint}{COUNT}}}"
+            yield Finding(at, f"{text}; add it there, or leave this key out")
 
 
 def _gap(robot: Robot) -> Iterator[Finding]:
@@ -174,6 +184,7 @@ LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_line,
     _engine,
     _adapter,
+    _unit,
     _one_board,
     _templates,
     _gap,

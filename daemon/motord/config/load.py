@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path as File
@@ -16,7 +15,9 @@ from motord.config.explain import Complaint, explain, mended, touched
 from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.problems import ConfigError, Problem, dotted
+from motord.config.syntax import explain_syntax
 from motord.config.toml_lines import Path, line_of, lines_of
+from motord_hal import bounded
 
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 
@@ -89,7 +90,7 @@ def _all_problems(
 
 def _read(file: File) -> str:
     try:
-        return file.read_bytes().decode()
+        return bounded.read(file).decode()
     except OSError as error:
         problem = Problem(str(file), 0, "", f"cannot be read: {error.strerror}")
     except UnicodeDecodeError as error:
@@ -100,19 +101,19 @@ def _read(file: File) -> str:
 
 def _parse(file: File, text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return bounded.toml(text)
     except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error))
-        words = said[1] if said else str(error)
-        line = int(said[2]) if said and said[2] else text.count("\n") + 1
+        line, words = explain_syntax(text, error)
         raise ConfigError([Problem(str(file), line, "syntax", words)]) from None
+    except (ValueError, RecursionError) as error:  # thousands of digits, or of brackets
+        raise ConfigError([Problem(str(file), 0, "syntax", str(error))]) from None
 
 
 def _override(data: dict[str, Any], option: str) -> Path:
     """Put KEY=VALUE into the data; returns the key as a path."""
     key, equals, value = option.partition("=")
     try:
-        table: Any = tomllib.loads(f"{key} = 0") if equals and "\n" not in key else None
+        table: Any = bounded.toml(f"{key} = 0") if equals and "\n" not in key else None
     except tomllib.TOMLDecodeError:
         table = None
     if table is None:
@@ -133,6 +134,6 @@ def _override(data: dict[str, Any], option: str) -> Path:
 
 def _value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return bounded.toml(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text

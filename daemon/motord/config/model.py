@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr
 
@@ -38,12 +38,14 @@ from motord.config.bus_sections import (
     ZenohPublish,
 )
 from motord.config.encoder_section import AnyEncoder
+from motord.config.feedback_section import FeedbackChecks
 from motord.config.guard_sections import EstopInput, WatchdogOutput
 from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Name, Section, number
 from motord.config.speed_loop_section import SpeedLoop
+from motord_hal.ports import REST_VELOCITY_RAD_S
 
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 
@@ -130,19 +132,24 @@ class Limits(Section):
     )
     angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
 
+    def axes_rest_s(self) -> tuple[float, float]:
+        """How long each axis alone takes from full speed to rest: linear, angular."""
+        linear_s = _ramp_s(self.linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
+        angular_s = _ramp_s(
+            self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
+        )
+        return linear_s, angular_s
+
     def rest_s(self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0) -> float:
         """How long a stop takes at most: from full speed, or from these where they are more."""
-        linear_s = _ramp_s(
-            max(self.linear_m_s, abs(linear_m_s)),
-            self.linear_deceleration_m_s2,
-            self.linear_m_s3,
+        linear = max(self.linear_m_s, abs(linear_m_s))
+        angular = max(self.angular_rad_s, abs(angular_rad_s))
+        # both axes keep to one straight line: shares of it, by the axis that has the least room
+        deceleration = min(
+            self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
         )
-        angular_s = _ramp_s(
-            max(self.angular_rad_s, abs(angular_rad_s)),
-            self.angular_deceleration_rad_s2,
-            self.angular_rad_s3,
-        )
-        return max(linear_s, angular_s)
+        jerk = min(self.linear_m_s3 / linear, self.angular_rad_s3 / angular)
+        return _ramp_s(1.0, deceleration, jerk)
 
 
 REST_MAX_S = 20.0
@@ -174,7 +181,7 @@ class Safety(Section):
         0.5,
     )
     rest_velocity_rad_s: float = number(
-        "a wheel slower than this is at rest", 0.001, 10, "rad/s", 0.05
+        "a wheel slower than this is at rest", 0.001, 10, "rad/s", REST_VELOCITY_RAD_S
     )
     on_timeout: StopAction = "ramp"
     """How to stop when the command is old."""
@@ -184,6 +191,7 @@ class Safety(Section):
     """How to stop at the emergency stop."""
     estop: EstopInput | None = None
     watchdog: WatchdogOutput | None = None
+    feedback: FeedbackChecks = Field(default_factory=FeedbackChecks)
     on_battery_critical: Literal["none", "stop"] = "none"
     """What a critical battery does: "none" says it, "stop" stops the robot by on_fault and lets
     nobody arm. "none" is the default because a robot that still drives can drive to its charger."""
@@ -222,8 +230,11 @@ class Joint(Section):
     line: str
     """Name of the line that it is connected to."""
     drive: str
-    """Name of its drive profile (motord drives), or a profile's path with a slash in it."""
-    unit: int = number("Modbus address, or node on the CAN bus, of its drive", 0, 255, "1")
+    """Name of its drive profile (motord drives), or a profile's file (NAME.toml) beside the robot
+    file."""
+    unit: int = number(
+        "Modbus address, or node on the CAN bus, of its drive; a board has none", 0, 255, "1", 1
+    )
     channel: int = number("which motor of the drive", 1, 8, "1", 1)
     side: Literal["left", "right"]
     gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
@@ -288,9 +299,12 @@ class Joint(Section):
 
 
 class SocketInput(Section):
-    """Commands from the local socket."""
+    """Commands from the local socket: motord drive, move, turn, and motord.client. They are taken
+    whether or not the robot file has this section, unless it says enabled = false."""
 
     kind: Literal["socket"]
+    enabled: bool = True
+    """Whether the local socket may move the robot. Stop, e-stop and disarm work all the same."""
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number(
         "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
@@ -354,9 +368,8 @@ class Robot(Section):
     """The wires."""
     joint: dict[Name, Joint]
     """The driven wheels; their order is that of the core's joints."""
-    input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(
-        default_factory=lambda: dict[str, Input](socket=SocketInput(kind="socket"))
-    )
+    input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(default_factory=dict)
+    """Who may command. The local socket may, unless a section of kind "socket" disables it."""
     publish: dict[Name, Annotated[AnyPublish, Field(discriminator="kind")]] = Field(
         default_factory=dict
     )
@@ -385,6 +398,23 @@ class Robot(Section):
     def overrides(self) -> tuple[str, ...]:
         """The --set options with which it was read: another process needs them too."""
         return self._overrides
+
+    @property
+    def local_input(self) -> SocketInput:
+        """How the local socket commands; see its `enabled`."""
+        own = (found for found in self.input.values() if isinstance(found, SocketInput))
+        return next(own, SocketInput(kind="socket"))
+
+    def commanders(self) -> list[dict[str, Any]]:
+        """Name, kind, priority and lease_s of every source that may command the robot, the local
+        socket first."""
+        found: dict[str, Input] = {"local socket": self.local_input}
+        found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
+        return [
+            {"name": name, **section.model_dump(include={"kind", "priority", "lease_s"})}
+            for name, section in found.items()
+            if not isinstance(section, SocketInput) or section.enabled
+        ]
 
     @property
     def has_bus(self) -> bool:

@@ -19,7 +19,8 @@ class Problem:
 
     def __str__(self) -> str:
         where = f"{self.file}:{self.line}" if self.line else self.file
-        return f"{where}: {self.key}: {self.text}" if self.key else f"{where}: {self.text}"
+        row = f"{where}: {self.key}: {self.text}" if self.key else f"{where}: {self.text}"
+        return " ".join(row.splitlines())  # one problem, one line, whatever a key holds
 
     def as_warning(self) -> Problem:
         """The same, marked for a reader."""
@@ -38,6 +39,14 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known word that was probably meant."""
     found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     return found[0] if found else None
+
+
+def candidates(word: str, known: Iterable[str]) -> list[str]:
+    """The known words that may be meant: those that begin with it, or else the nearest one."""
+    words = list(known)
+    begun = [other for other in words if len(word) > 2 and other.startswith(word)]
+    near = nearest(word, words)
+    return begun or ([near] if near else [])
 
 
 def dotted(path: Iterable[str | int]) -> str:

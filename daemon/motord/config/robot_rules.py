@@ -10,9 +10,14 @@ from motord.config.finding import Finding
 from motord.config.imu_rules import imu_axes, imu_line, imu_rates
 from motord.config.model import REST_MAX_S, Robot, SkidBase
 from motord.config.problems import nearest
+from motord.config.toml_lines import Path
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
 LINES_MAX = 4
+_WHEEL_RADIUS_USUAL_M, _TRACK_USUAL_M = 0.4, 3.0
+"""Small robots have less; more is allowed, and asked about."""
+REST_RATIO_MAX = 1.5
+"""Between the stopping times of the two axes."""
 
 
 def _joint_count(robot: Robot) -> Iterator[Finding]:
@@ -50,10 +55,52 @@ def _stops_in_time(robot: Robot) -> Iterator[Finding]:
         yield Finding((("limits",),), f"{text}: more deceleration and jerk, or less speed")
 
 
+def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
+    """A stop keeps its curvature, so the slower axis sets the time of both."""
+    linear_s, angular_s = robot.limits.axes_rest_s()
+    fast_s, slow_s = sorted((linear_s, angular_s))
+    if slow_s <= REST_RATIO_MAX * fast_s:
+        return
+    slow, keys = ("angular", ("angular_deceleration_rad_s2", "angular_rad_s3"))
+    if linear_s > angular_s:
+        slow, keys = ("linear", ("linear_deceleration_m_s2", "linear_m_s3"))
+    text = (
+        f"the {slow} axis lengthens a stop in a curve: from full speed linear motion takes "
+        f"{linear_s:.2f} s to rest and turning {angular_s:.2f} s, and the slower one sets the "
+        f"time; raise {keys[0]} (and {keys[1]}, if it is limited)"
+    )
+    yield Finding((("limits", keys[0]), ("limits",)), text, warning=True)
+
+
 def _slip_factor(robot: Robot) -> Iterator[Finding]:
     if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
         text = "a skid base without track_slip_factor turns less than it is told (1.5 is usual)"
         yield Finding((("base", "track_slip_factor"),), text, warning=True)
+
+
+def _geometry(robot: Robot) -> Iterator[Finding]:
+    """A base of another size than it is drives at another speed than it is told."""
+    base = robot.base
+    radii: list[tuple[Path, float]] = [(("base", "wheel_radius_m"), base.wheel_radius_m)]
+    radii += [
+        (("joint", name, "wheel_radius_m"), joint.wheel_radius_m)
+        for name, joint in robot.joint.items()
+        if joint.wheel_radius_m is not None
+    ]
+    for path, radius_m in radii:
+        if radius_m > _WHEEL_RADIUS_USUAL_M:
+            text = f"{radius_m:g} m is a wheel of {2 * radius_m:.3g} m across: is that so?"
+            yield Finding((path,), text, warning=True)
+    track: Path = ("base", "track_m")
+    if base.track_m > _TRACK_USUAL_M:
+        text = f"{base.track_m:g} m between left and right wheels: is that so?"
+        yield Finding((track,), text, warning=True)
+    elif base.track_m < min(radius_m for _, radius_m in radii):
+        text = (
+            f"{100 * base.track_m:.3g} cm between left and right wheels is less than a wheel's "
+            "radius: is it in metres, from the middle of one tyre to that of the other?"
+        )
+        yield Finding((track, radii[0][0]), text, warning=True)
 
 
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
@@ -68,7 +115,9 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _known_lines,
     _line_count,
     _stops_in_time,
+    _axes_stop_alike,
     _slip_factor,
+    _geometry,
     battery_alone,
     imu_axes,
     imu_line,

@@ -12,11 +12,15 @@ from motord.config.toml_lines import Path
 
 Node = Mapping[str, Any]
 
+SCHEMA_ID = "urn:motord:robot-file:1"
+"""The schema's name, which does not change with the place of its file."""
+
 
 def robot_schema() -> dict[str, Any]:
     """JSON Schema, draft 2020-12; each number's SI unit stands beside it as `unit`."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA_ID,
         **Robot.model_json_schema(),
         "title": "motord robot file",
     }

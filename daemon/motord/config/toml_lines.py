@@ -4,17 +4,12 @@ tomllib has already accepted (https://toml.io/en/v1.0.0)."""
 
 from __future__ import annotations
 
-import re
 import tomllib
+
+from motord_hal.bounded import TOKEN
 
 Path = tuple[str | int, ...]
 """Keys, and indices in arrays, from the top: ("joint", "left", "unit")."""
-
-_TOKEN = re.compile(
-    r'(?P<skip>[ \t\r]+|\#[^\n]*)|(?P<text>"""(?:\\.|[^\\])*?"{3,5}|\'\'\'.*?\'{3,5}'
-    r'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|[^\s"\'\[\]{}=.,\#]+)|(?P<mark>[\n\[\]{}=.,])',
-    re.DOTALL,
-)
 
 
 def lines_of(text: str) -> dict[Path, int]:
@@ -33,7 +28,7 @@ class _Reader:
     def __init__(self, text: str) -> None:
         self.tokens: list[tuple[str, int]] = []
         line = 1
-        for match in _TOKEN.finditer(text):
+        for match in TOKEN.finditer(text):
             if match.lastgroup != "skip":
                 self.tokens.append((match[0], line))
             line += match[0].count("\n")

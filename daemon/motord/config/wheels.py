@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 
 from motord.config.model import Joint, Robot
-from motord_hal.drives.load import find_profile
+from motord_hal.drives.load import find_profile, is_file_name, load_profile
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]
@@ -15,8 +15,20 @@ Profiles = Mapping[str, DriveProfile]
 
 
 def profile_of(robot: Robot, drive: str) -> DriveProfile:
-    """The profile by name, or by path from the robot file's folder. Raises ProfileError."""
-    return find_profile(str(robot.path.parent / drive) if "/" in drive else drive)
+    """The profile by name, or by path from the robot file's folder, for the encoders that its
+    joints have. Raises ProfileError."""
+    file = robot.path.parent / drive
+    profile = load_profile(file) if is_file_name(drive) else find_profile(drive)
+    encoders = encoders_of(robot, drive, profile)
+    if len(encoders) == 1 and profile.counts_per_turn not in encoders:
+        return load_profile(profile.path, encoders.pop())
+    return profile
+
+
+def encoders_of(robot: Robot, drive: str, profile: DriveProfile) -> set[int]:
+    """Counts of a motor turn of the encoders that the joints with this drive have on it."""
+    joints = [joint for joint in robot.joint.values() if joint.drive == drive]
+    return {counts_per_turn(joint, profile) for joint in joints if joint.encoder is None}
 
 
 def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
@@ -88,6 +100,14 @@ def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
     backward = joint.inverted != (joint.encoder is not None and joint.encoder.reversed)
     sign = -1.0 if backward else 1.0
     return sign * 2 * math.pi / (counts * joint.gear_ratio) if counts else sign
+
+
+def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
+    """The fastest that the limits ask of a wheel, at most its own."""
+    limits = robot.limits
+    turn_m_s = limits.angular_rad_s * robot.base.effective_track_m / 2.0
+    asked_rad_s = (limits.linear_m_s + turn_m_s) / robot.wheel_radius_m(name)
+    return min(asked_rad_s, velocity_range_rad_s(robot.joint[name], profile)[1])
 
 
 def _setpoint(joint: Joint, profile: DriveProfile) -> Register:

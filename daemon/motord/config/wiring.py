@@ -54,6 +54,7 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
         data_baudrate=line.data_bitrate if isinstance(line, CanLine) else None,
         joints=joints,
         watchdog_s=robot.safety.drive_watchdog_s,
+        rest_velocity_rad_s=robot.safety.rest_velocity_rad_s,
     )
     if isinstance(robot.imu, LineImu) and robot.imu.line == name:
         mounting = Mounting(up=robot.imu.up, forward=robot.imu.forward)

@@ -63,7 +63,10 @@ class Bridge:
         """One of TRIGGERS: whether it was done, and the state or why not."""
         try:
             with Client(self._path) as daemon:
-                return True, str(daemon.call(method)["state"])
+                params = (
+                    {"why": f"input.{self._owner}: by a service call"} if method == "estop" else {}
+                )
+                return True, str(daemon.call(method, **params)["state"])
         except ClientError as error:
             return False, str(error)
 
@@ -81,6 +84,8 @@ class Bridge:
             heard_s = now_s - self._silence_ended_s
             if stamp is not None or heard_s >= max(lease.lifetime_s, DRAINED_AFTER_S):
                 lease.send(linear_m_s, angular_rad_s, stamp_ns)
+        except BlockingIOError:  # the lease goes on, and the next command counts
+            raise NotTaken("the daemon's command socket is full") from None
         except (ClientError, OSError) as error:
             self.close()
             raise NotTaken(f"no lease: {error}") from error

@@ -16,14 +16,21 @@ COURSE = (
     (0.06, 0.0, 1.2),
     (0.10, 0.50, 0.6),
 )
+CURVES = tuple(
+    (share, linear_m_s or 0.45, angular_rad_s) for share, linear_m_s, angular_rad_s in COURSE
+)
+"""For a base that cannot turn on the spot."""
+Course = tuple[tuple[float, float, float], ...]
 DISTANCE_ERROR_MAX_PERCENT = 1.0
 HEADING_ERROR_MAX_RAD = 0.02
+ESTIMATE_ERROR_MAX_PERCENT = 50.0
+"""Of the distance, where odometry is only an estimate: a wheel that goes the wrong way is found."""
 
 
-def command_at(elapsed_s: float, seconds: float) -> tuple[float, float]:
+def command_at(elapsed_s: float, seconds: float, course: Course = COURSE) -> tuple[float, float]:
     """The course's (linear m/s, angular rad/s) at this moment; zero after its end."""
     left = elapsed_s / seconds
-    for share, linear_m_s, angular_rad_s in COURSE:
+    for share, linear_m_s, angular_rad_s in course:
         if left < share:
             return linear_m_s, angular_rad_s
         left -= share
@@ -55,6 +62,11 @@ class Score:
         return (
             worst <= DISTANCE_ERROR_MAX_PERCENT and self.heading_error_rad <= HEADING_ERROR_MAX_RAD
         )
+
+    @property
+    def ok_as_estimate(self) -> bool:
+        """Only whether odometry goes the way that the robot goes."""
+        return self.distance_error_percent <= ESTIMATE_ERROR_MAX_PERCENT
 
 
 def score(odometry: Pose, truth: Pose) -> Score:

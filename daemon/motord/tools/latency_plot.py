@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from motord.extras import how_to_install
 from motord.tools.latency_report import CLASSES, Bar, LatencyReport, Spread
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class PlotMissing(RuntimeError):
 def require_matplotlib() -> None:
     """Before the measurement, not after it. Raises PlotMissing."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise PlotMissing("a plot needs matplotlib: pip install 'motord[plot]'")
+        raise PlotMissing(f"a plot needs matplotlib: {how_to_install('plot')}")
 
 
 def plot(report: LatencyReport, path: Path) -> None:

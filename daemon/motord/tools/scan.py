@@ -209,7 +209,7 @@ def scan(
 def _look(asker: Asker, unit: int, say: Callable[[str], None]) -> Iterator[Found]:
     reply = asker.ask(Request(unit, Function.READ_HOLDING, 0, count=1))
     if reply is not None:
-        said = "answers" if reply.exception == 0 else f"refuses register 0 ({reply.exception})"
+        said = "answers" if reply.exception is None else f"refuses register 0 ({reply.exception})"
         say(f"unit {unit} {said}: looking which drive it may be")
         yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="modbus-rtu",
                     said=said, matches=fingerprint(asker, unit))  # fmt: skip
@@ -258,7 +258,7 @@ def _fits(
             reply = asker.ask(request)
             if reply is not None:
                 break
-        read[place] = None if reply is None or reply.exception else reply.values
+        read[place] = None if reply is None or reply.exception is not None else reply.values
     words = read[place]
     if words is None:
         return False

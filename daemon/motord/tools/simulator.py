@@ -68,7 +68,11 @@ def start_simulator(
     if not line.endswith(b"\n"):
         _stop(process)
         raise ControlError(f"the simulator did not start: {' '.join(command)}: see stderr")
-    return Simulator(process, json.loads(line))
+    hello = json.loads(line)
+    if "error" in hello:
+        _stop(process)
+        raise ControlError(f"the simulator did not start: {hello['error']}")
+    return Simulator(process, hello)
 
 
 def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:

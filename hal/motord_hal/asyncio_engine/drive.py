@@ -23,7 +23,6 @@ from motord_hal.rt import Exchange
 
 STOPPING_WITHIN_S = 1.0
 """After a quick stop the power stays on until the wheel is at rest, so long at most."""
-REST_VELOCITY_RAD_S = 0.1
 
 AnyPlan = TypeVar("AnyPlan", bound=Plan, covariant=True)
 
@@ -40,6 +39,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         *,
         setup: tuple[Step, ...],
         watchdog_s: float,
+        rest_velocity_rad_s: float,
     ) -> None:
         self.plan = plan
         self.state = DriveState.UNKNOWN
@@ -59,6 +59,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._say = say
         self._setup = setup
         self._watchdog_s = watchdog_s
+        self._rest_velocity_rad_s = rest_velocity_rad_s
         self._values: dict[str, int] = {}
         """Register → the newest raw value."""
         self._epoch = 0
@@ -158,6 +159,10 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
                 self._say(EventKind.DRIVE_WARNING, self.names, text)
             self._take_power()
 
+    def _rests_at(self, velocity_rad_s: float) -> bool:
+        """Of a wheel; NaN is not at rest: the time decides then."""
+        return abs(velocity_rad_s) < self._rest_velocity_rad_s
+
     def _end_stopping(self, *, at_rest: bool) -> None:
         """The power goes off at the end of a quick stop."""
         if self._power_off_by_s is not None and (at_rest or now_s() > self._power_off_by_s):
@@ -182,9 +187,16 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
     def configure(self, why: str) -> None:
-        """Forget what was known, and set the drive up again. It ends READY, never ARMED."""
+        """Forget what was known, and set the drive up again. It ends READY, never ARMED. The
+        power-off comes first where it is pending, and where the drive may have power."""
+        pending = [job for job in self.jobs if job.name == "disarm"]
+        for job in pending:
+            self.jobs.remove(job)
+        if (self.is_stopping or self.state in PRESENT) and not pending:
+            pending = [Job("disarm", self.plan.profile.disarm, urgent=True)]
         self._forget(NoReply(why))
         self.state = DriveState.UNKNOWN
+        self.jobs.extend(pending)
         self.submit(Job("configure", self._setup))
 
     def _drop(self, job: Job) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 from collections.abc import Sequence
 from typing import TypeVar
 
@@ -27,6 +28,9 @@ from motord_hal.rt import Exchange
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+POWER_OFF_EACH_S = 0.1
+"""So long the power-off of one drive may take that does not answer, beyond SHUTDOWN_WITHIN_S where
+there are many: each is sent its power-off at least once."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
@@ -114,7 +118,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
     def _wanted(self, drive: AnyDrive) -> Wanted:
         """The newest set-points, or nothing at all: the drive is then told zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
-        if drive.state is not DriveState.ARMED or not newest.enabled or not fresh(newest.stamp_ns):
+        good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
+        if drive.state is not DriveState.ARMED or not newest.enabled or not good:
             return {}
         return {
             joint.index: newest.joints[joint.index]
@@ -129,7 +134,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
             return
         count = self._exchange.enabled_count(self.spec.index)
         newest = self._exchange.take_setpoints(self.spec.index)
-        good = fresh(newest.stamp_ns)
+        good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         for drive in armed:
             if not good or drive.has_stopped_itself:
                 await drive.quick_stop()
@@ -139,23 +144,39 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await drive.power_off()
 
     async def _shut_down(self) -> None:
-        """Quick stop, then power off, on every drive; within SHUTDOWN_WITHIN_S."""
+        """Quick stop, then power off, on every drive. The power-off is sent whatever the stop ends
+        in, also in a mistake of this program."""
         # a quiet drive may hear it all the same, but it shall not keep the others waiting
         left = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
+        end_s = now_s() + SHUTDOWN_WITHIN_S
+        try:
+            with contextlib.suppress(TimeoutError, PortError):
+                async with within(SHUTDOWN_STOPPING_S):
+                    await self._come_to_rest(left)
+        finally:
+            await self._switch_all_off(left, end_s)
+
+    async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
+        """Until each has got it, or it is too late. Whoever has got it is taken from `left`."""
         why = self.deaf
         try:
-            async with within(SHUTDOWN_WITHIN_S):
-                await self._come_to_rest(left)
+            async with within(max(end_s - now_s(), POWER_OFF_EACH_S * len(left))):
                 while left:
-                    for drive in list(left):
-                        if await self._switch_off(drive):
-                            left.remove(drive)
+                    # all of them, also where a mistake with one ends it
+                    async with contextlib.AsyncExitStack() as each:
+                        for drive in reversed(left):
+                            each.push_async_callback(self._try_to_switch_off, drive, left)
                     await asyncio.sleep(STOPPING_CYCLE_S if left else 0.0)
         except TimeoutError:
             pass  # what is left is said
         except PortError as error:
             why = str(error)
-        self._say_left_on(left, why)
+        finally:
+            self._say_left_on(left, why)
+
+    async def _try_to_switch_off(self, drive: AnyDrive, left: list[AnyDrive]) -> None:
+        if await self._switch_off(drive):
+            left.remove(drive)
 
     async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:
         """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""

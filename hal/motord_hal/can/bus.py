@@ -78,6 +78,8 @@ class CanBus:
         self._bad_in_a_row = 0
         self._fd_frames = data_bitrate is not None
         self._bus_off = BusOffWatch(address)
+        self._emptied_ns = 0
+        """The newest look that found nothing to read: what is read now has come since."""
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
@@ -104,6 +106,7 @@ class CanBus:
             raise PortError(f"{self.address}: {error}") from error
 
     def _listen(self, bus: can.BusABC) -> None:
+        self._emptied_ns = now_ns()
         try:
             self._fd = bus.fileno()
         except RuntimeError:  # python-can's word for: it has none
@@ -136,14 +139,16 @@ class CanBus:
         for _ in range(frames_max):
             if self._bus is None or self.trouble is not None:
                 return
+            looked_ns = now_ns()
             try:
                 message = self._bus.recv(timeout=0)
             except _UNREADABLE as error:
                 self._fail(error)
                 return
             if message is None:
+                self._emptied_ns = looked_ns
                 return
-            self._take_in(message, came_ns(message))
+            self._take_in(message, came_ns(message, self._emptied_ns))
 
     def _take_in(self, message: can.Message, stamp_ns: int) -> None:
         self._bad_in_a_row = 0
@@ -215,12 +220,14 @@ def hears_own(address: str) -> bool:
     return split_address(address)[0] == "socketcan"
 
 
-def came_ns(message: can.Message) -> int:
+def came_ns(message: can.Message, emptied_ns: int) -> int:
     """When it came: CLOCK_MONOTONIC, by the age that the kernel's or the adapter's stamp gives it.
     Those stamps are of the wall clock, which may be set meanwhile, or count from the adapter's
-    start; one that cannot be is not used, and the frame has come now."""
+    start; one that cannot be is not used, and the frame has come now. None is older than the look
+    that found nothing to read."""
     age_s = time.time() - message.timestamp
-    return now_ns() - (round(age_s * 1e9) if 0.0 <= age_s <= AGE_MAX_S else 0)
+    age_ns = round(age_s * 1e9) if 0.0 <= age_s <= AGE_MAX_S else 0
+    return max(now_ns() - age_ns, emptied_ns)
 
 
 def _filter(identifier: int, extended: bool) -> dict[str, Any]:
@@ -279,15 +286,20 @@ class _ReaderThread:
         self._stopped.set()
 
     def _run(self) -> None:
+        emptied_ns = now_ns()
         while not self._stopped.is_set():
+            looked_ns = now_ns()
             try:
-                message = self._bus.recv(timeout=THREAD_LOOKS_S)
+                message = self._bus.recv(timeout=0)
+                if message is None:
+                    emptied_ns = looked_ns
+                    message = self._bus.recv(timeout=THREAD_LOOKS_S)
             except _UNREADABLE as error:
                 self._tell(self._fail, error)
                 self._stopped.wait(THREAD_LOOKS_S)
                 continue
             if message is not None:
-                self._queue.append((message, came_ns(message)))
+                self._queue.append((message, came_ns(message, emptied_ns)))
                 self._tell(self.drain)
         _shut(self._bus)
 

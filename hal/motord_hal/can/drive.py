@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from motord_hal.asyncio_engine.drive import (
-    REST_VELOCITY_RAD_S,
     STOPPING_WITHIN_S,
     AsyncioDrive,
 )
@@ -24,7 +23,7 @@ from motord_hal.engine.job import Job, configure_steps
 from motord_hal.engine.line import PRESENT
 from motord_hal.engine.plan import Wanted
 from motord_hal.errors import DriveFault, HalError, NoReply, Refused
-from motord_hal.ports import DriveState
+from motord_hal.ports import DriveState, LineSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
 
@@ -51,17 +50,17 @@ class CanDrive(AsyncioDrive[CanPlan]):
         send: Send,
         exchange: Exchange,
         *,
-        cycle_hz: float,
-        watchdog_s: float,
+        spec: LineSpec,
         say: Say,
     ) -> None:
-        cycle_s = 1.0 / cycle_hz
+        cycle_s = 1.0 / spec.cycle_hz
         super().__init__(
             plan,
             exchange,
             say,
-            setup=configure_steps(with_cycle(plan.profile, cycle_s), watchdog_s),
-            watchdog_s=watchdog_s,
+            setup=configure_steps(with_cycle(plan.profile, cycle_s), spec.watchdog_s),
+            watchdog_s=spec.watchdog_s,
+            rest_velocity_rad_s=spec.rest_velocity_rad_s,
         )
         self._send = send
         self._cycle_s = cycle_s
@@ -341,9 +340,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _is_at_rest(self) -> bool:
         readings = [self.plan.reading(joint, self._values) for joint in self.plan.joints]
-        return all(
-            one is not None and abs(one.velocity_rad_s) < REST_VELOCITY_RAD_S for one in readings
-        )
+        return all(one is not None and self._rests_at(one.velocity_rad_s) for one in readings)
 
     def _write_all(self, steps: Sequence[Step]) -> bool:
         """All writes at once, each of them also where the bus has not taken the one before it."""

@@ -31,9 +31,10 @@ LOOK_EVERY_S = 0.005
 class _Unit:
     """halt.Unit on a bus."""
 
-    def __init__(self, plan: CanPlan, bus: CanBus) -> None:
+    def __init__(self, plan: CanPlan, bus: CanBus, rest_velocity_rad_s: float) -> None:
         self.name = ", ".join(joint.name for joint in plan.joints)
         self.profile = plan.profile
+        self.rest_velocity_rad_s = rest_velocity_rad_s
         self._plan = plan
         self._bus = bus
         self._held: dict[str, int] = {}
@@ -124,7 +125,7 @@ async def halt_line(spec: LineSpec) -> list[str]:
     bus = CanBus(spec.port, spec.baudrate, spec.data_baudrate, identifiers, take)
     await bus.open()
     try:
-        units += [_Unit(plan, bus) for plan in plans]
+        units += [_Unit(plan, bus, spec.rest_velocity_rad_s) for plan in plans]
         problems = await asyncio.gather(*(unit.halt() for unit in units))
     finally:
         bus.close()

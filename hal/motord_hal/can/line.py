@@ -47,8 +47,7 @@ class CanLine(AsyncioLine[CanDrive]):
                 plan,
                 self._send,
                 exchange,
-                cycle_hz=spec.cycle_hz,
-                watchdog_s=spec.watchdog_s,
+                spec=spec,
                 say=self._say,
             )
             for plan in plans

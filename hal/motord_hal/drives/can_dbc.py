@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from motord_hal import bounded
 from motord_hal.drives.toml_table import Problems, Table, did_you_mean
 from motord_hal.errors import ProfileError
 
@@ -88,7 +89,9 @@ class _Reader:
         from cantools.database.can import Database
 
         try:
-            text = self._file.read_text(encoding=_ENCODING, errors="replace")
+            text = bounded.read(self._file, bounded.DESCRIPTION_BYTES_MAX).decode(
+                _ENCODING, errors="replace"
+            )
         except OSError as error:
             self._problems.add("dbc.file", f"{self._file}: cannot be read: {error.strerror}")
             return {}

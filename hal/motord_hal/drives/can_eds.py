@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from motord_hal import bounded
 from motord_hal.drives.toml_table import Problems, Table
 from motord_hal.errors import ProfileError
 
@@ -53,6 +54,7 @@ def _load(file: Path, problems: Problems) -> ObjectDictionary | None:
     import canopen  # only a robot that has such a drive pays for it
 
     try:
+        bounded.read(file, bounded.DESCRIPTION_BYTES_MAX)
         return canopen.import_od(str(file))
     except OSError as error:
         problems.add("eds.file", f"{file}: cannot be read: {error.strerror}")

@@ -258,7 +258,9 @@ def _check_direction(
 
 
 def _check_counter(profile: DriveProfile, problems: Problems) -> None:
-    if (profile.counts_per_turn == 0) != (profile.counter_bits == 0):
+    # of a text board the robot file alone knows whether it reports counts, and how many
+    by_joint = profile.protocol == "ascii" and profile.counts_per_turn == 0
+    if (profile.counts_per_turn == 0) != (profile.counter_bits == 0) and not by_joint:
         problems.add("motor", "counts_per_turn and counter_bits are both zero or both not")
     for number, channel in profile.channels.items():
         if (channel.position is None) != (profile.counter_bits == 0):

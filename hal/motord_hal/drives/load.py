@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from motord_hal import bounded
 from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_dbc import with_dbc
 from motord_hal.drives.can_eds import with_eds
@@ -63,9 +64,15 @@ def list_profiles(extra_dirs: Iterable[Path] = ()) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
+def is_file_name(name: str) -> bool:
+    """Whether a drive is named by its file and not by the name of a shipped profile."""
+    return "/" in name or name.endswith(".toml")
+
+
 def find_profile(name: str, extra_dirs: Iterable[Path] = ()) -> DriveProfile:
-    """The profile of that name, or the file where the name has a slash. Raises ProfileError."""
-    if "/" in name:
+    """The shipped profile of that name, or the file where `is_file_name` holds. Raises
+    ProfileError."""
+    if is_file_name(name):
         return load_profile(Path(name))
     profiles = list_profiles(extra_dirs)
     if name not in profiles:
@@ -76,12 +83,16 @@ def find_profile(name: str, extra_dirs: Iterable[Path] = ()) -> DriveProfile:
     return load_profile(profiles[name])
 
 
-def load_profile(path: Path) -> DriveProfile:
+def load_profile(path: Path, counts_per_turn: int | None = None) -> DriveProfile:
     """Read and check one file. Raises one ProfileError with a `file:line: key: problem` row for
-    each problem in it."""
+    each problem in it.
+
+    `counts_per_turn` replaces that of the file: another encoder on the same drive. Registers in
+    "count/s" are speeds by that number, so it has to be known when they are read.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
+        text = bounded.read(path).decode()
+        values = bounded.toml(text)
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -92,11 +103,21 @@ def load_profile(path: Path) -> DriveProfile:
         raise ProfileError(f"{path}:{number}: toml: {error}") from error
     problems = Problems(path, text)
     values = with_eds(with_dbc(values, path, problems), path, problems)
-    profile = _profile(Table("", values, problems), path)
+    if counts_per_turn and isinstance(values.get("motor"), dict):
+        values = {**values, "motor": {**values["motor"], "counts_per_turn": counts_per_turn}}
+    profile = replace(
+        _profile(Table("", values, problems), path), speed_in_counts=_has_speed_in_counts(values)
+    )
     check_profile(profile, problems)
     if problems.rows:
         raise ProfileError("\n".join(dict.fromkeys(problems.rows)))
     return profile
+
+
+def _has_speed_in_counts(values: dict[str, Any]) -> bool:
+    registers = values.get("register")
+    rows = registers.values() if isinstance(registers, dict) else ()
+    return any(isinstance(row, dict) and row.get("unit") == "count/s" for row in rows)
 
 
 def _profile(root: Table, path: Path) -> DriveProfile:

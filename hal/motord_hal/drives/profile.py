@@ -305,6 +305,8 @@ class DriveProfile:
     """The drive obeys writes to unit 0: one frame stops all drives of the line."""
     counts_per_turn: int
     """Of the motor shaft; 0: no position counter."""
+    speed_in_counts: bool = False
+    """Its speeds are counts a second on the wire: they mean nothing without `counts_per_turn`."""
     counter_bits: int
     registers: dict[str, Register]
     channels: dict[int, Channel]

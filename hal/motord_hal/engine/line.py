@@ -10,11 +10,9 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from motord_hal.clock import now_ns
 from motord_hal.engine.faults import FaultWatch
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.ports import (
-    SETPOINT_TIMEOUT_S,
     DriveState,
     EventKind,
     LineEvent,
@@ -23,6 +21,7 @@ from motord_hal.ports import (
     Listener,
 )
 from motord_hal.retry import Backoff
+from motord_hal.rt import is_fresh
 
 REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
@@ -30,9 +29,9 @@ PRESENT = (DriveState.READY, DriveState.ARMED)
 """Set up, and heard."""
 
 
-def fresh(stamp_ns: int) -> bool:
+def fresh(stamp_ns: int, timeout_s: float) -> bool:
     """Whether set-points of this time may move anything; 0: there never were any."""
-    return stamp_ns > 0 and now_ns() - stamp_ns <= SETPOINT_TIMEOUT_S * 1e9
+    return is_fresh(stamp_ns, timeout_s)
 
 
 class DriveOnLine(Protocol):
@@ -142,7 +141,7 @@ class LineTask(abc.ABC):
 
     def _check_fresh(self, stamp_ns: int) -> None:
         """Nothing is armed without a loop that says what it shall do. Raises HalError."""
-        if not fresh(stamp_ns):
+        if not fresh(stamp_ns, self.spec.setpoint_timeout_s):
             raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
 
 

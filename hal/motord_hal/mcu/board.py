@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from motord_hal.asyncio_engine.drive import REST_VELOCITY_RAD_S, AsyncioDrive
+from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.clock import now_ns, now_s
 from motord_hal.drives.profile import Step
 from motord_hal.engine.faults import Say
@@ -43,6 +43,7 @@ class Board(AsyncioDrive[DrivePlan]):
             say,
             setup=configure_steps(plan.profile, spec.watchdog_s),
             watchdog_s=watchdog_time_s(plan.profile, spec.watchdog_s),
+            rest_velocity_rad_s=spec.rest_velocity_rad_s,
         )
         self.quiet_after_s = self.tries * period_s + QUIET_ALLOWANCE_S
         self._line = spec.name
@@ -119,7 +120,7 @@ class Board(AsyncioDrive[DrivePlan]):
         enabled, moving = None, False
         for joint in self.plan.joints:
             enabled, velocity_rad_s = self._publish_joint(joint)
-            moving |= not abs(velocity_rad_s) < REST_VELOCITY_RAD_S
+            moving |= not self._rests_at(velocity_rad_s)
         if self.state is DriveState.ARMED and enabled is False and fresh:
             self._lost_its_power()
         self._end_stopping(at_rest=not moving)

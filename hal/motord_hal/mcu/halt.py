@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from motord_hal.clock import now_ns, now_s
 from motord_hal.drives.profile import Step
-from motord_hal.halt import REST_VELOCITY_RAD_S, STOPPING_WITHIN_S
+from motord_hal.halt import STOPPING_WITHIN_S
 from motord_hal.mcu.dialect import Dialect, Said
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
@@ -22,6 +22,7 @@ OFF_WITHIN_S = 0.3
 class _Halt:
     def __init__(self, spec: LineSpec, dialect: Dialect) -> None:
         self._dialect = dialect
+        self._rest_velocity_rad_s = spec.rest_velocity_rad_s
         self._plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
         self._stream = Stream(spec, self._take_in)
         self._period_s = period_s(spec, dialect.wire_bytes())
@@ -67,7 +68,8 @@ class _Halt:
         if said is None:
             return False
         readings = [self._plan.reading(joint, said.values, {}) for joint in self._plan.joints]
-        return all(abs(reading.velocity_rad_s) < REST_VELOCITY_RAD_S for reading in readings)
+        rest_rad_s = self._rest_velocity_rad_s
+        return all(abs(reading.velocity_rad_s) < rest_rad_s for reading in readings)
 
     def _is_off(self, since_ns: int) -> bool:
         said = self._heard_since(since_ns)

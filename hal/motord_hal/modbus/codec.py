@@ -205,7 +205,8 @@ class Reply:
     """What a drive answered: words of a read, nothing of a write, or an exception code."""
 
     values: tuple[int, ...] = ()
-    exception: int = 0
+    exception: int | None = None
+    """No code of the standard is 0, but a drive may send it: a refusal like any other."""
 
 
 def reply_bytes(request: Request) -> int:

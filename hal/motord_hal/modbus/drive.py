@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from motord_hal.asyncio_engine.drive import REST_VELOCITY_RAD_S, AsyncioDrive
+from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
 from motord_hal.engine.faults import Say
@@ -18,7 +18,7 @@ from motord_hal.modbus.codec import Request
 from motord_hal.modbus.guard import Answer
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
-from motord_hal.ports import SETPOINT_TIMEOUT_S, DriveState, EventKind
+from motord_hal.ports import DriveState, EventKind, LineSpec
 from motord_hal.retry import Backoff
 from motord_hal.rt import Exchange
 
@@ -30,16 +30,18 @@ class Drive(AsyncioDrive[DrivePlan]):
     """One unit. All that waits runs in the line's one task."""
 
     def __init__(
-        self, plan: DrivePlan, link: Link, exchange: Exchange, watchdog_s: float, say: Say
+        self, plan: DrivePlan, link: Link, exchange: Exchange, spec: LineSpec, say: Say
     ) -> None:
         super().__init__(
             plan,
             exchange,
             say,
-            setup=configure_steps(plan.profile, watchdog_s),
-            watchdog_s=watchdog_time_s(plan.profile, watchdog_s),
+            setup=configure_steps(plan.profile, spec.watchdog_s),
+            watchdog_s=watchdog_time_s(plan.profile, spec.watchdog_s),
+            rest_velocity_rad_s=spec.rest_velocity_rad_s,
         )
         self.probe_at_s = 0.0
+        self._setpoint_timeout_s = spec.setpoint_timeout_s
         self._link = link
         self._kept = kept_steps(self._setup)
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
@@ -53,6 +55,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         """It has been armed since it was last seen set up: at rest and without power."""
         self._probes: deque[Request] = deque()
         self._probes_at_once = 0
+        self._usual_s = 0.0
+        """Twice the longest round trip of late: neighbours wait no longer for their stop."""
         self._asked_s = 0.0
         """When it got the newest request that it has answered."""
         self._left_alone = False
@@ -64,12 +68,23 @@ class Drive(AsyncioDrive[DrivePlan]):
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
 
     # ------------------------------------------------------------------------------------ talking
-    async def _ask(self, request: Request, send_by_s: float = math.inf) -> Answer:
+    async def _ask(
+        self,
+        request: Request,
+        send_by_s: float = math.inf,
+        *,
+        urgent: bool = False,
+        others_wait: bool = False,
+    ) -> Answer:
         given = [j.reply_timeout_s for j in self.plan.joints if j.reply_timeout_s is not None]
         turnaround_s = self.plan.profile.turnaround_s
         default_s = self._link.client.reply_deadline_s(request, turnaround_s)
-        answer = await self._link.ask(request, max(given, default=default_s), send_by_s)
+        within_s = max(given, default=default_s)
+        if others_wait:
+            within_s = min(within_s, max(default_s, self._usual_s))
+        answer = await self._link.ask(request, within_s, send_by_s, urgent=urgent)
         self._failures = 0
+        self._usual_s = max(2.0 * answer.round_trip_s, 0.9 * self._usual_s)
         self._stamp_ns = answer.stamp_ns
         asked_s = answer.stamp_ns * 1e-9 - 0.5 * answer.round_trip_s
         self._left_alone |= asked_s - self._asked_s > self._watchdog_s
@@ -89,9 +104,9 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._values.update(values)
         self._stamps_ns.update(dict.fromkeys(values, answer.stamp_ns))
 
-    async def _write(self, raw: Mapping[str, int], send_by_s: float = math.inf) -> None:
+    async def _write(self, raw: Mapping[str, int], *, urgent: bool = False) -> None:
         for request in self.plan.writes(raw):
-            await self._ask(request, send_by_s)
+            await self._ask(request, urgent=urgent)
 
     # ----------------------------------------------------------------------------- the cyclic part
     async def cycle(self, wanted: Callable[[], Wanted]) -> None:
@@ -112,7 +127,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         motion = any(raw.values())
         self.told_motion |= motion
         # made before a pause of the process, motion is not told after it
-        good_for_s = min(self._watchdog_s, SETPOINT_TIMEOUT_S + self.plan.slowest_cycle_s())
+        good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
         ways = self.plan.directions(wanted, raw) if armed else {}
@@ -166,7 +181,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             measured = channel.position or channel.velocity or ""
             self._put_feedback(joint, reading, self._stamps_ns.get(measured, self._stamp_ns))
             enabled = reading.enabled
-            moving |= not abs(reading.velocity_rad_s) < REST_VELOCITY_RAD_S
+            moving |= not self._rests_at(reading.velocity_rad_s)
         if self.state is DriveState.ARMED and enabled is False:
             self._lost_its_power()
         self._end_stopping(at_rest=not moving)
@@ -218,7 +233,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     async def _step(self, job: Job, step: Step) -> None:
         if step.value is not None:
-            await self._write({step.register: step.value})
+            await self._write({step.register: step.value}, urgent=job.urgent)
             if job.name != "write":
                 self._forget_enabled()
             self._ways.pop(step.register, None)
@@ -292,7 +307,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         request = self._probes[0]
         self._probes.rotate(-1)
         try:
-            await self._ask(request)
+            await self._ask(request, urgent=bool(request.values))
         except (NoReply, BadReply, Refused):
             return
         self.configure(f"{self} is being configured")
@@ -322,7 +337,8 @@ class Drive(AsyncioDrive[DrivePlan]):
             if step.value is None:
                 continue
             try:
-                await self._write({step.register: step.value})
+                for request in self.plan.writes({step.register: step.value}):
+                    await self._ask(request, urgent=True, others_wait=True)
             except (NoReply, BadReply, Refused) as error:
                 self._failed(error)
                 return steps[number:]

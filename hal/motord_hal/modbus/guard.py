@@ -50,7 +50,7 @@ from motord_hal.modbus.codec import (
     silent_interval_s,
 )
 from motord_hal.ports import Echo
-from motord_hal.serial.counters import Witness
+from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.sysfs import device_file
 
 SCHEDULING_ALLOWANCE_S = 0.02
@@ -60,6 +60,11 @@ BROADCAST_TURNAROUND_S = 0.1
 """Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
 NEVER_SILENT_S = 0.25
 """A line on which bytes come for so long, unasked, has another master or a broken transceiver."""
+URGENT_NOISE_S = 0.02
+URGENT_UNIT_S = 0.05
+"""An urgent request waits so much longer than its gap at a line that is never silent, and so long
+for a unit that is to be left alone. Then it goes out all the same: a stop that may collide is
+better than one that is never sent."""
 _PARITY = {"none": "N", "even": "E", "odd": "O"}
 
 # One failing try is no line in the log: the line says once when a drive goes quiet.
@@ -184,6 +189,7 @@ class GuardedClient:
         self._unit_quiet_until_s: dict[int, float] = {}
         self._witness = Witness()
         self._heard_bytes = 0
+        self._frames = 0
         self._noise_bytes = 0
         """Heard since the request; heard since opening without an answer among them."""
 
@@ -251,15 +257,20 @@ class GuardedClient:
         return data
 
     async def exchange(
-        self, request: Request, within_s: float, send_by_s: float = math.inf
+        self,
+        request: Request,
+        within_s: float,
+        send_by_s: float = math.inf,
+        *,
+        urgent: bool = False,
     ) -> Answer:
         """Send and return the answer, `within_s` after the request's last byte. After `send_by_s`
-        it is not sent any more: NoReply.
+        it is not sent any more: NoReply. An urgent one stops a drive: no noise keeps it back.
 
         Raises NoReply, BadReply, Refused, PortError. A broadcast answers at once with nothing.
         """
         async with self._lock:
-            await self._wait_for_silence(request.unit)
+            await self._wait_for_silence(request.unit, urgent=urgent)
             if now_s() > send_by_s:
                 raise NoReply(f"{self.port} unit {request.unit}: too old to be sent")
             self._framer.arm(request)
@@ -267,6 +278,7 @@ class GuardedClient:
             try:
                 await self._transmit(request, within_s)
                 answered = self._framer.reply is not None
+                self._frames += answered
             finally:
                 self._framer.disarm()
                 if not answered:
@@ -333,7 +345,7 @@ class GuardedClient:
             if self._framer.refused:
                 raise BadReply(f"{what}: {self._framer.refused}")
             raise NoReply(f"{what}: nothing within {round_trip_s * 1e3:.1f} ms")
-        if reply.exception:
+        if reply.exception is not None:
             text = EXCEPTION_TEXT.get(reply.exception, "unknown exception")
             raise Refused(f"{what}: {text} (exception {reply.exception})", reply.exception)
         return Answer(reply.values, stamp_ns, round_trip_s)
@@ -348,11 +360,16 @@ class GuardedClient:
         else:
             self._unit_quiet_until_s[request.unit] = max(now, sent + within_s) + within_s
 
-    async def _wait_for_silence(self, unit: int) -> None:
-        """Until the line was silent for the gap and nobody is to be left alone."""
+    async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
+        """Until the line was silent for the gap and nobody is to be left alone. Raises BadReply
+        when it is never silent; an urgent request is sent then."""
         asked_s = self._unit_quiet_until_s.get(unit, 0.0)
+        patience_s = NEVER_SILENT_S
+        if urgent:
+            asked_s = min(asked_s, now_s() + URGENT_UNIT_S)
+            patience_s = self.gap_s + URGENT_NOISE_S
         quiet_s = max(self._line_quiet_until_s, asked_s)
-        give_up_s = max(now_s(), quiet_s) + NEVER_SILENT_S
+        give_up_s = max(now_s(), quiet_s) + patience_s
         while True:
             self._drain()
             free_s = max(self._last_byte_s + self.gap_s, quiet_s)
@@ -360,13 +377,19 @@ class GuardedClient:
             if now >= free_s:
                 return
             if now > give_up_s:
+                if urgent:
+                    return
                 raise BadReply(f"{self.port} is never silent: another master, or noise")
-            await sleep_until_s(free_s)
+            await sleep_until_s(min(free_s, max(give_up_s, now)))
+
+    @property
+    def _traffic(self) -> Traffic:
+        return Traffic(noise_bytes=self._noise_bytes, frames=self._frames)
 
     def quiet_hint(self) -> str:
         """What the UART's driver has to say of a drive that is quiet; empty: nothing."""
         port = self._serial_port()
-        return "" if port is None else self._witness.hint(port.fileno(), self._noise_bytes)
+        return "" if port is None else self._witness.hint(port.fileno(), self._traffic)
 
     def _serial_port(self) -> Serial | None:
         transport = self._client.ctx.transport if self._client else None
@@ -378,7 +401,7 @@ class GuardedClient:
         port = self._serial_port()
         if port is None:
             raise PortError(f"{self.port} is not open")
-        self._witness.look(port.fileno(), self._noise_bytes)
+        self._witness.look(port.fileno(), self._traffic)
         try:
             if port.read(4096):
                 self._last_byte_s = now_s()

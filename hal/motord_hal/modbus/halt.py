@@ -17,16 +17,17 @@ from motord_hal.ports import LineSpec
 class _Unit:
     """halt.Unit by one request at a time; the client sees to that."""
 
-    def __init__(self, plan: DrivePlan, client: GuardedClient) -> None:
+    def __init__(self, plan: DrivePlan, client: GuardedClient, rest_velocity_rad_s: float) -> None:
         self.name = ", ".join(joint.name for joint in plan.joints)
         self.profile = plan.profile
+        self.rest_velocity_rad_s = rest_velocity_rad_s
         self._plan = plan
         self._client = client
 
     async def write(self, raw: Mapping[str, int]) -> None:
         for request in self._plan.writes(raw):
             within_s = self._client.reply_deadline_s(request, self.profile.turnaround_s)
-            await self._client.exchange(request, within_s)
+            await self._client.exchange(request, within_s, urgent=True)
 
     async def read(self, register: str) -> int:
         found = self.profile.registers[register]
@@ -47,7 +48,8 @@ async def halt_units(spec: LineSpec, client: GuardedClient) -> list[str]:
     await client.open()
     try:
         plans = (DrivePlan(j, client.gap_s, client.wire_time_s) for j in joints_by_unit(spec))
-        problems = await asyncio.gather(*(halt_unit(_Unit(plan, client)) for plan in plans))
+        units = (_Unit(plan, client, spec.rest_velocity_rad_s) for plan in plans)
+        problems = await asyncio.gather(*map(halt_unit, units))
     finally:
         client.close()
     return [problem for problem in problems if problem]

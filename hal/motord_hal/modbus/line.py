@@ -40,7 +40,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
                 DrivePlan(joints, client.gap_s, client.wire_time_s),
                 self._link,
                 exchange,
-                spec.watchdog_s,
+                spec,
                 self._say,
             )
             for joints in joints_by_unit(spec)

@@ -23,10 +23,17 @@ class Link:
         self.errors: Counter[str] = Counter()
         self.round_trips = RoundTripTally()
 
-    async def ask(self, request: Request, within_s: float, send_by_s: float = math.inf) -> Answer:
+    async def ask(
+        self,
+        request: Request,
+        within_s: float,
+        send_by_s: float = math.inf,
+        *,
+        urgent: bool = False,
+    ) -> Answer:
         """As GuardedClient.exchange."""
         try:
-            answer = await self.client.exchange(request, within_s, send_by_s)
+            answer = await self.client.exchange(request, within_s, send_by_s, urgent=urgent)
         except (NoReply, BadReply, Refused, PortError) as error:
             kind = next(word for cls, word in _KINDS if isinstance(error, cls))
             self.errors[kind] += 1

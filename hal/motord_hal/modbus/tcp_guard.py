@@ -16,6 +16,7 @@ import fcntl
 import math
 import socket
 import struct
+import sys
 import termios
 from typing import cast
 
@@ -47,6 +48,9 @@ SILENT_S = 5.0
 _HEADER_BYTES = 7
 _LENGTH_MAX = 254
 """Unit and PDU: Implementation Guide V1.0b, 3.1.3, and Application Protocol V1.1b3, 4.1."""
+_UNREAD_MAX = 4096
+"""Of a gateway that has one request to answer at a time: its own answer, and some late ones."""
+_SHOWN_BYTES = 16
 _GATEWAY_EXCEPTIONS = (10, 11)
 """V1.1b3, 7: the gateway itself says that its drive is not to be had."""
 
@@ -57,22 +61,26 @@ class StrictTcpFramer(Strict, FramerSocket):
     def __init__(self) -> None:
         super().__init__()
         self._buffer = b""
-        self.lost = False
-        """What came is no Modbus TCP: where its frames begin is not known any more."""
+        self.lost = ""
+        """Why it is not known any more where frames begin: what came is no Modbus TCP."""
 
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
     ) -> tuple[int, ModbusPDU | None]:
         """Called by pymodbus with all bytes not yet used; returns how many are used up."""
         del exp_devid  # the armed request says it
+        if len(data) > _UNREAD_MAX:
+            self._lose(f"{len(data)} bytes at once are no Modbus TCP")
+        if self.lost:
+            return len(data), None
         # pymodbus forgets the first half of a late reply when it sends: kept here, so that the
         # other half is not taken for the beginning of a frame
         self._buffer += data
         found = None
-        while found is None and len(self._buffer) >= _HEADER_BYTES and not self.lost:
+        while found is None and len(self._buffer) >= _HEADER_BYTES:
             transaction, protocol, length = struct.unpack_from(">HHH", self._buffer)
             if protocol or not 2 <= length <= _LENGTH_MAX:
-                self.lost, self.refused = True, f"{self._buffer.hex(' ')} is no Modbus TCP"
+                self._lose(f"{self._buffer[:_SHOWN_BYTES].hex(' ')} is no Modbus TCP")
                 break
             if len(self._buffer) < 6 + length:
                 break
@@ -81,6 +89,10 @@ class StrictTcpFramer(Strict, FramerSocket):
             if found is not None:
                 found.transaction_id = transaction
         return len(data), found
+
+    def _lose(self, why: str) -> None:
+        self.lost = self.refused = why
+        self._buffer = b""
 
     def _judge(self, expected: bool, body: bytes) -> ModbusPDU | None:
         request = self._request
@@ -121,6 +133,8 @@ class GatewayClient(GuardedClient):
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = framer
+        # pymodbus throws away what is more than a frame without a word; the framer judges it
+        client.ctx.max_buffer_size = sys.maxsize
         with contextlib.ExitStack() as undo:
             undo.callback(client.close)
             try:
@@ -173,23 +187,33 @@ class GatewayClient(GuardedClient):
             self._last_byte_s = 0.0  # the gateway keeps the silence of the wire behind it
         return data
 
-    async def _wait_for_silence(self, unit: int) -> None:
-        """Until the request before has arrived, too. Raises PortError when it does not."""
+    async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
+        """Until the request before has arrived, too. Raises PortError when it does not. For an
+        urgent one a connection that is of no use any more is made anew."""
         if now_s() - self._silent_since_s > SILENT_S:
             await self.open()
+        try:
+            await self._wait_for_delivery()
+            await super()._wait_for_silence(unit, urgent=urgent)
+        except PortError:
+            if not urgent:
+                raise
+            await self.open()
+            await super()._wait_for_silence(unit, urgent=urgent)
+
+    async def _wait_for_delivery(self) -> None:
         give_up_s = now_s() + DELIVERED_WITHIN_S
         while self._undelivered():
             if now_s() > give_up_s:
                 self.close()
                 raise PortError(f"{self.port} takes no bytes any more")
             await sleep_until_s(now_s() + LOOK_EVERY_S)
-        await super()._wait_for_silence(unit)
 
     def _drain(self) -> None:
         """What nobody asked for has gone to the framer, which drops it. Raises PortError."""
         if isinstance(self._framer, StrictTcpFramer) and self._framer.lost:
             self.close()
-            raise PortError(f"{self.port}: {self._framer.refused}")
+            raise PortError(f"{self.port}: {self._framer.lost}")
         if not self.connected:
             raise PortError(f"{self.port} went away")
 

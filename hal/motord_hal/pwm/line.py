@@ -14,7 +14,6 @@ from motord_hal.encoder.board import CountingBoard
 from motord_hal.engine.line import LineTask
 from motord_hal.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.ports import (
-    SETPOINT_TIMEOUT_S,
     BoardEncoder,
     DriveState,
     EventKind,
@@ -25,7 +24,7 @@ from motord_hal.ports import (
 )
 from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
 from motord_hal.rt import Exchange
-from motord_hal.rt_pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Wish
+from motord_hal.rt_pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Demoted, Wish
 
 STOPPING_S = 0.3
 """A quick stop brakes for so long, then the power goes off."""
@@ -155,7 +154,7 @@ class PwmLine(LineTask):
             priority=self.spec.priority,
             cpu=self.spec.cpu,
             period_s=1.0 / self.spec.cycle_hz,
-            setpoint_timeout_s=SETPOINT_TIMEOUT_S,
+            setpoint_timeout_s=self.spec.setpoint_timeout_s,
             stopping_s=STOPPING_S,
             epoch=self._epoch,
             joints=joints,
@@ -231,13 +230,16 @@ class PwmLine(LineTask):
                 raise DriveFault(f"{name} reports {', '.join(words)}")
         armed = False
         try:
-            armed = (await self._obeyed(Wish.ARMED)).armed
+            report = await self._obeyed(Wish.ARMED)
+            armed = report.armed
         finally:
             self._was_armed = armed
             if not armed:
                 self._thread.wish(Wish.OFF)
         if not armed:  # the thread alone reads set-points: their mailbox has one reader
-            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
+            old = report.demoted & Demoted.OLD
+            why = "no fresh set-points: is the loop running?" if old else "stopped: arm it again"
+            raise HalError(f"{self.spec.name}: {why}")
 
     async def disarm(self) -> None:
         """As ports.Line.disarm. From the call on, no pin gives power."""

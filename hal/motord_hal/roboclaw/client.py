@@ -16,7 +16,12 @@ from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.errors import BadReply, NoReply, PortError
 from motord_hal.mcu.link import Stream
 from motord_hal.modbus.codec import Request
-from motord_hal.modbus.guard import SCHEDULING_ALLOWANCE_S, Answer, GuardedClient
+from motord_hal.modbus.guard import (
+    SCHEDULING_ALLOWANCE_S,
+    URGENT_UNIT_S,
+    Answer,
+    GuardedClient,
+)
 from motord_hal.ports import LineSpec
 from motord_hal.roboclaw import codec
 
@@ -57,11 +62,17 @@ class RoboclawClient(GuardedClient):
         return turnaround_s + self.wire_time_s(size) + SCHEDULING_ALLOWANCE_S
 
     async def exchange(
-        self, request: Request, within_s: float, send_by_s: float = math.inf
+        self,
+        request: Request,
+        within_s: float,
+        send_by_s: float = math.inf,
+        *,
+        urgent: bool = False,
     ) -> Answer:
         """As GuardedClient.exchange."""
         async with self._lock:
-            await sleep_until_s(self._alone_until_s)
+            alone_for_s = URGENT_UNIT_S if urgent else math.inf
+            await sleep_until_s(min(self._alone_until_s, now_s() + alone_for_s))
             if now_s() > send_by_s:
                 raise NoReply(f"{self._what(request)}: too old to be sent")
             request = self._at_rest(request)

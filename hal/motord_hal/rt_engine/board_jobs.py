@@ -13,8 +13,8 @@ from motord_hal.errors import DriveFault, HalError, NoReply
 from motord_hal.mcu.board import WAIT_LEAST_S
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.rt_board import BoardSays, BoardThread
+from motord_hal.rt_engine.asks import Check, always
 from motord_hal.rt_engine.board_table import Layout, write
-from motord_hal.rt_engine.jobs import Check, always
 
 SENT_WITHIN_S = 0.5
 """So long a write may wait while the port takes nothing."""

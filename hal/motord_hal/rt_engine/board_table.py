@@ -19,7 +19,7 @@ from motord_hal.errors import ProfileError
 from motord_hal.mcu.board import QUIET_ALLOWANCE_S
 from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_bytes
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
+from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine import board_text
 from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
 from motord_hal.rt_engine.table import raw_limits, si_per_raw
@@ -138,7 +138,8 @@ def board_table(spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float
         "tries": tries,
         "period_ns": round(period_s * _NS_PER_S),
         "silence_ns": round((tries * period_s + QUIET_ALLOWANCE_S) * _NS_PER_S),
-        "setpoint_timeout_ns": round(SETPOINT_TIMEOUT_S * _NS_PER_S),
+        "setpoint_timeout_ns": round(spec.setpoint_timeout_s * _NS_PER_S),
+        "rest_velocity_rad_s": spec.rest_velocity_rad_s,
         "watchdog_ns": round(watchdog_s * _NS_PER_S),
         **layout.dialect,
         "imu": _imu(spec, layout),

@@ -15,8 +15,8 @@ from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job
 from motord_hal.errors import HalError, NoReply
 from motord_hal.rt_can import CanDriveReport, CanThread
+from motord_hal.rt_engine.asks import Check, always
 from motord_hal.rt_engine.can_table import packet, write
-from motord_hal.rt_engine.jobs import Check, always
 from motord_hal.rt_thread import Plain
 
 ORDER_WITHIN_S = 0.5

@@ -17,7 +17,7 @@ from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
 from motord_hal.drives.profile import SI_UNITS, Step
-from motord_hal.ports import SETPOINT_TIMEOUT_S, JointSpec, LineSpec
+from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_can import EXTENDED, REMOTE
 from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
 from motord_hal.rt_table import FieldKind
@@ -39,7 +39,8 @@ def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
         "sync": [packet(sync) for sync in syncs],
         "drive_count": len(plans),
         "period_ns": round(_NS_PER_S / spec.cycle_hz),
-        "setpoint_timeout_ns": round(SETPOINT_TIMEOUT_S * _NS_PER_S),
+        "setpoint_timeout_ns": round(spec.setpoint_timeout_s * _NS_PER_S),
+        "rest_velocity_rad_s": spec.rest_velocity_rad_s,
         "drive": [drive_table(plan, spec) for plan in plans],
     }
 

@@ -20,8 +20,8 @@ from motord_hal.engine.job import VERIFY_WITHIN_S, clear_steps, configure_steps,
 from motord_hal.errors import HalError, PortError
 from motord_hal.ports import DriveState, EventKind, JointSpec
 from motord_hal.retry import Backoff
-from motord_hal.rt_engine.asks import exception_text
-from motord_hal.rt_engine.jobs import Check, DriveJobs
+from motord_hal.rt_engine.asks import Check, exception_text
+from motord_hal.rt_engine.jobs import DriveJobs
 from motord_hal.rt_engine.news import News
 from motord_hal.rt_line import AnswerKind, Demoted, DriveReport, LineThread, Mode
 
@@ -338,5 +338,7 @@ def _last_failure(report: DriveReport) -> str:
             return exception_text(report.last_exception)
         case AnswerKind.BAD_REPLY:
             return "what came is no answer"
+        case AnswerKind.NEVER_SILENT:
+            return "the line is never silent: another master, or noise"
         case _:
             return f"nothing within {report.deadline_ns / 1e6:.1f} ms"

@@ -28,9 +28,12 @@ SLOT_WITHIN_S = 0.5
 class _Unit:
     """halt.Unit by requests outside the cycle."""
 
-    def __init__(self, index: int, frames: DriveFrames, asks: Asks) -> None:
+    def __init__(
+        self, index: int, frames: DriveFrames, asks: Asks, rest_velocity_rad_s: float
+    ) -> None:
         self.name = ", ".join(joint.name for joint in frames.joints)
         self.profile = frames.profile
+        self.rest_velocity_rad_s = rest_velocity_rad_s
         self._index = index
         self._frames = frames
         self._asks = asks
@@ -53,7 +56,8 @@ async def halt_line(spec: LineSpec) -> list[str]:
     frames = frames_of(spec)
     thread = LineThread(spec.index, Exchange.private())
     asks = Asks(spec.name, thread, SLOT_WITHIN_S)
-    units = [_Unit(index, each, asks) for index, each in enumerate(frames)]
+    rest_rad_s = spec.rest_velocity_rad_s
+    units = [_Unit(index, each, asks, rest_rad_s) for index, each in enumerate(frames)]
     async with _running(spec, thread, frames, asks):
         problems = await asyncio.gather(*map(halt_unit, units))
     return [problem for problem in problems if problem]

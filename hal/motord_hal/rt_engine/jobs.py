@@ -3,21 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
 from motord_hal.errors import BadReply, DriveFault, NoReply
-from motord_hal.rt_engine.asks import Asks
+from motord_hal.rt_engine.asks import Asks, Check, always
 from motord_hal.rt_engine.frames import DriveFrames
 from motord_hal.rt_table import LineFrame
-
-Check = Callable[[], None]
-"""Raises HalError where a request must not be made any more."""
-
-
-def always() -> None:
-    """The Check of what may be asked at any time."""
 
 
 class DriveJobs:
@@ -46,7 +39,7 @@ class DriveJobs:
         urgent: bool = False,
         check: Check = always,
     ) -> None:
-        """Step by step; `check` is made before each request. Raises HalError."""
+        """Step by step; `check` is made right before each request. Raises HalError."""
         for step in steps:
             if step.value is None:
                 await self._wait_for(name, step, check)
@@ -77,9 +70,10 @@ class DriveJobs:
         turnaround_s = self.frames.profile.turnaround_s
         tries = 1
         while True:
-            check()
             try:
-                return await self._asks.ask(self._index, frame, turnaround_s, urgent=urgent)
+                return await self._asks.ask(
+                    self._index, frame, turnaround_s, urgent=urgent, check=check
+                )
             except (NoReply, BadReply):
                 if tries == self.tries:
                     raise

@@ -17,11 +17,12 @@ from motord_hal.rt_engine.jobs import DriveJobs
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
 from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
-from motord_hal.serial.counters import Witness
+from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
 
-SLOT_ALLOWANCE_S = 0.1
-"""On top of the slowest cycle: lost replies of this drive or of its neighbours."""
+SLOT_ALLOWANCE_S = 0.3
+"""On top of the slowest cycle: lost replies of this drive or of its neighbours, and the silence in
+which a late one may still come."""
 
 
 class RtLine(RtLineBase[LineReport, SerialDrive]):
@@ -84,7 +85,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
     def _quiet_hint(self) -> str:
         if self._port is None or self._report is None:
             return ""
-        return self._witness.hint(self._port.fd, self._report.noise_bytes)
+        return self._witness.hint(self._port.fd, _traffic(self._report))
 
     def _close_port(self) -> None:
         if self._report is not None:
@@ -111,7 +112,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         self._asks.take_answers()
         report = self._take_report()
         if self._port is not None:
-            self._witness.look(self._port.fd, report.noise_bytes)
+            self._witness.look(self._port.fd, _traffic(report))
         self._news.looked()
         return report
 
@@ -121,3 +122,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         found = readable(drive.jobs.profile, register)
         self._check_open()
         return found.to_si(await drive.jobs.read(register))
+
+
+def _traffic(report: LineReport) -> Traffic:
+    late = sum(drive.late for drive in report.drives)
+    return Traffic(noise_bytes=report.noise_bytes, frames=report.answers, late=late)

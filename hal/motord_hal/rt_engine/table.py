@@ -15,7 +15,7 @@ from motord_hal.engine.job import configure_steps, kept_steps, watchdog_time_s
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import SETPOINT_TIMEOUT_S, Echo, JointSpec, LineSpec
+from motord_hal.ports import Echo, JointSpec, LineSpec
 from motord_hal.rt_engine.frames import DriveFrames, PlannedFrame
 from motord_hal.rt_engine.meaning import harmless, setpoint_kind, sources_of
 from motord_hal.rt_table import (
@@ -43,7 +43,8 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
         echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo to look for
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
-        setpoint_timeout_ns=round(SETPOINT_TIMEOUT_S * _NS_PER_S),
+        setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
+        rest_velocity_rad_s=spec.rest_velocity_rad_s,
         broadcast_stop=_broadcast_stop(drives),
         drive=tuple(drive_table(frames, spec) for frames in drives),
     )

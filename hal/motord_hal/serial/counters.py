@@ -44,9 +44,29 @@ def _times(count: int, what: str) -> str:
     return f"{count} {what} error{'' if count == 1 else 's'}"
 
 
-def quiet_hint(before: Counters | None, after: Counters | None, noise_bytes: int = 0) -> str:
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What came over the line since the port was opened."""
+
+    noise_bytes: int = 0
+    """No frame, nor the copy of a request."""
+    frames: int = 0
+    """Good replies and refusals, of any drive."""
+    late: int = 0
+    """Good replies that came after their time."""
+
+
+NOTHING = Traffic()
+
+
+def quiet_hint(
+    before: Counters | None,
+    after: Counters | None,
+    seen: Traffic = NOTHING,
+    now: Traffic = NOTHING,
+) -> str:
     """Why a drive may be quiet, to stand behind "is quiet"; empty: nothing hints at anything.
-    `noise_bytes` came since `before` and belonged to no answer."""
+    `seen` is of the time of `before`."""
     if before is not None and after is not None:
         framing, parity = after.framing - before.framing, after.parity - before.parity
         if parity > 0 and parity >= framing:
@@ -56,31 +76,39 @@ def quiet_hint(before: Counters | None, after: Counters | None, noise_bytes: int
         if after.overrun > before.overrun:
             lost = _times(after.overrun - before.overrun, "overrun")
             return f"{lost}: this machine lost bytes"
-    if noise_bytes > 0:
-        return "bytes came, but no frame: baud rate or parity?"
-    return ""
+    if now.late > seen.late:
+        return (
+            "replies come after their time: the drive or the adapter is slow, see reply_timeout_s"
+        )
+    if now.noise_bytes == seen.noise_bytes:
+        return ""
+    if now.frames > seen.frames:
+        return (
+            "torn or damaged replies came among good ones: wiring, noise, one address twice, "
+            "or this drive's baud rate or parity?"
+        )
+    return "bytes came, but no frame: baud rate or parity?"
 
 
 class Witness:
     """Remembers what an open port counted lately, for the moment when a drive falls quiet."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, Counters | None, int]] = deque(maxlen=LOOKS_KEPT)
+        self._seen: deque[tuple[float, Counters | None, Traffic]] = deque(maxlen=LOOKS_KEPT)
 
     def forget(self) -> None:
         """The port is another one."""
         self._seen.clear()
 
-    def look(self, fd: int, noise_bytes: int = 0) -> None:
-        """To be called often: it looks at the driver when it is time. `noise_bytes`: bytes since
-        opening that belonged to no answer."""
+    def look(self, fd: int, traffic: Traffic = NOTHING) -> None:
+        """To be called often: it looks at the driver when it is time."""
         now = now_s()
         if not self._seen or now - self._seen[-1][0] >= LOOK_EVERY_S:
-            self._seen.append((now, read_counters(fd), noise_bytes))
+            self._seen.append((now, read_counters(fd), traffic))
 
-    def hint(self, fd: int, noise_bytes: int = 0) -> str:
+    def hint(self, fd: int, traffic: Traffic = NOTHING) -> str:
         """As quiet_hint, from the oldest look that is remembered to now."""
         if not self._seen:
             return ""
-        _, before, noise_before = self._seen[0]
-        return quiet_hint(before, read_counters(fd), noise_bytes - noise_before)
+        _, before, seen = self._seen[0]
+        return quiet_hint(before, read_counters(fd), seen, traffic)

@@ -5,6 +5,7 @@ set, and without waiting in the adapter."""
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import termios
 from dataclasses import dataclass
@@ -94,4 +95,17 @@ def open_exclusively(path: str) -> int:
 def _reason(path: str, error: OSError) -> str:
     if busy(error):
         return f"another program has it open: {', '.join(holders(path)) or 'who, cannot be seen'}"
+    if isinstance(error, PermissionError):
+        return (
+            "this user may not use it: run this with sudo, or sudo usermod -aG dialout $USER and "
+            "log in again"
+        )
+    if isinstance(error, FileNotFoundError):
+        # only here: a line of pins or boards goes without pyserial
+        from serial.tools.list_ports import comports
+
+        found = sorted({port.device for port in comports()})
+        return f"there is no such port (ports here: {', '.join(found) or 'none'})"
+    if error.errno in (errno.ENOTTY, errno.EINVAL):
+        return "it is no serial port"
     return error.strerror or str(error)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit
@@ -51,6 +52,11 @@ class Motor:
     braking: bool = False
     told_raw: int = 0
     """The set-point that it obeys, where one counts only with what is written beside it."""
+    defects: Mapping[str, float] = field(default_factory=dict)
+    """What is wrong with it now: `FaultScript.defects`."""
+    _frozen: int = 0
+    _turned_at_rad: float = 0.0
+    _forward: bool = False
 
     @property
     def stopped_by_fault(self) -> bool:
@@ -59,7 +65,35 @@ class Motor:
     @property
     def count(self) -> int | None:
         """The position counter as it is now; None: it has none."""
-        return None if self.encoder is None else self.encoder.count(self.axis.shaft_rad)
+        if self.encoder is None:
+            return None
+        if "frozen-counter" in self.defects:
+            return self._frozen
+        return self.encoder.count(self._shaft_rad)
+
+    @property
+    def shown_rad_s(self) -> float:
+        """The velocity that it reports."""
+        if "false-velocity" in self.defects:
+            self._forward = not self._forward
+            return self.defects["false-velocity"] * (1.0 if self._forward else -1.0)
+        return self.axis.shaft_rad_s * (-1.0 if "turned-encoder" in self.defects else 1.0)
+
+    @property
+    def _shaft_rad(self) -> float:
+        """As its encoder sees it."""
+        shaft_rad = self.axis.shaft_rad
+        if "turned-encoder" in self.defects:
+            return 2.0 * self._turned_at_rad - shaft_rad
+        return shaft_rad
+
+    def suffer(self, defects: Mapping[str, float]) -> None:
+        """From now on these are wrong with it, and nothing else."""
+        self._frozen = self.count or 0
+        if "turned-encoder" not in self.defects:
+            self._turned_at_rad = self.axis.shaft_rad
+        self.axis.wheel.blocked = "blocked" in defects
+        self.defects = defects
 
     def restart_counter(self) -> None:
         if self.encoder is not None:

@@ -267,6 +267,9 @@ class SimulatedDrive:
 
     def _follow_setpoint(self, motor: Motor) -> None:
         channel, axis = motor.channel, motor.axis
+        if "runaway" in motor.defects:
+            axis.wheel.turn(motor.defects["runaway"])
+            return
         name = channel.setpoint
         raw = motor.told_raw if channel.setpoint_with else self.registers.stored(name)
         value = self.profile.registers[name].to_si(raw) * self._way(channel)
@@ -347,6 +350,13 @@ class SimulatedDrive:
         if motor.stopped_by_fault:
             motor.switched_on = self._always_on
         self._apply()
+
+    def suffer(self, defects: Mapping[str, float]) -> None:
+        """From now on these are wrong with its motors."""
+        for motor in self._motors.values():
+            if motor.defects != defects:
+                motor.suffer(defects)
+                self._apply()
 
     def start_near_wrap(self) -> None:
         """Set the counters so that a quarter turn forward wraps them, now and at each power-up."""

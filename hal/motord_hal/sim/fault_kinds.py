@@ -75,7 +75,7 @@ KINDS = MappingProxyType(
         "wrong-unit": _reply("a good reply with another unit's address"),
         "exception": _reply(
             "this exception instead of the reply; the request is obeyed",
-            code=Key(1, 255, whole=True, default=4),
+            code=Key(0, 255, whole=True, default=4),
         ),
         "stuck-de": _reply(
             "the adapter goes on driving after a request: what is replied meanwhile is lost",
@@ -113,6 +113,19 @@ KINDS = MappingProxyType(
             "this part of the way of one side's wheels (0 left, 1 right) is none on the ground",
             side=Key(0, 1, whole=True, needed=True),
             part=Key(0.0, 1.0, default=0.5),
+        ),
+        "frozen-counter": _state("the position counters stand still", unit=_UNIT),
+        "turned-encoder": _state("the encoders count backward, velocities too", unit=_UNIT),
+        "false-velocity": _state(
+            "the reported velocity of the motor is this, forward and backward in turn",
+            unit=_UNIT,
+            rad_s=Key(0.0, 1e6, default=343.0),
+        ),
+        "blocked": _state("the wheels cannot turn", unit=_UNIT),
+        "runaway": _state(
+            "while it has power the motor turns at this speed, whatever the set-point is",
+            unit=_UNIT,
+            rad_s=Key(-1e6, 1e6, default=15.0),
         ),
         "tcp-stall": _once(
             "TCP: nothing passes in or out, then all of it", for_s=Key(0.0, 1e6, default=1.0)

@@ -18,6 +18,8 @@ from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, parse_fault
 from motord_hal.sim.framing import Rewriting
 
+MOTOR_DEFECTS = ("frozen-counter", "turned-encoder", "false-velocity", "blocked", "runaway")
+
 
 @dataclass(slots=True)
 class Fault:
@@ -119,6 +121,16 @@ class FaultScript:
             if fault.kind == kind and fault.matches(unit, now_s):
                 fault.fired += 1
                 yield fault
+
+    def defects(self, unit: int, now_s: float) -> dict[str, float]:
+        """What is wrong with this unit's motors now: kind → its value, 0 where it has none."""
+        if not self.faults:
+            return {}
+        return {
+            fault.kind: fault.values.get("rad_s", 0.0)
+            for kind in MOTOR_DEFECTS
+            for fault in self.states(kind, unit, now_s)
+        }
 
     def silent(self, unit: int, now_s: float) -> bool:
         """Whether this unit hears nothing now."""

@@ -4,9 +4,10 @@ counter. Files tell nobody that they were written, so they are looked at often."
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from motord_hal.ports import JointSpec, LineSpec
@@ -19,19 +20,27 @@ LOOK_EVERY_S = 0.001
 """As often as the physics goes on."""
 
 
-def channels_of(number: int, joint: JointSpec) -> list[Place]:
-    """The pins of a bridge that are PWM channels. Raises ValueError for a bridge that a GPIO line
-    tells more than that it has power."""
+def channels_of(joints: Sequence[JointSpec]) -> list[list[Place]]:
+    """By joint, the pins of its bridge that are PWM channels here. GPIO lines that only give power
+    are taken as wired to the supply. One that selects the direction gets a channel of its own,
+    above those of the robot file: its duty is none or all of a period, which is a level."""
+    every = [places_of(number, joint) for number, joint in enumerate(joints)]
+    used = [place.channel for places in every for place in places if place.channel is not None]
+    free = itertools.count(max(used, default=-1) + 1)
+    return [
+        [
+            place if place.channel is not None else replace(place, channel=next(free), gpio="")
+            for place in places
+            if place.channel is not None or selects_direction(joint, place)
+        ]
+        for joint, places in zip(joints, every, strict=True)
+    ]
+
+
+def selects_direction(joint: JointSpec, place: Place) -> bool:
+    """A pin of the bridge, not `fault` or `pump`, that does more than give it power."""
     bridge = bridge_of(joint)
-    places = places_of(number, joint)
-    for place in places:
-        needed = place.pin in bridge.levels and not may_be_left_out(bridge, place.pin)
-        if place.channel is None and needed:
-            raise ValueError(
-                f"pin {place.pin} of {joint.profile.name} is a GPIO line ({place.gpio}) and tells "
-                "the bridge which way to turn: GPIO lines cannot be simulated"
-            )
-    return [place for place in places if place.channel is not None]
+    return place.pin in bridge.levels and not may_be_left_out(bridge, place.pin)
 
 
 @dataclass(slots=True)
@@ -53,7 +62,7 @@ class SimulatedPins:
         self.drives = drives
         self.port = port
         self.counters = PinCounters()
-        self._places = [channels_of(number, joint) for number, joint in enumerate(spec.joints)]
+        self._places = channels_of(spec.joints)
         self._counted = [joint for joint in spec.joints if joint.encoder is not None]
         for joint in self._counted:
             if joint.encoder is not None:

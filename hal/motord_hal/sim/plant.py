@@ -81,6 +81,8 @@ class Wheel:
         self._duty = 0.0
         self._full_duty_rad_s = 1.0
         self._asked_n_m = 0.0
+        self.blocked = False
+        """It cannot turn."""
 
     @property
     def current_a(self) -> float:
@@ -155,7 +157,8 @@ class Wheel:
         drag = 1.0 + dt_s * model.viscous_n_m_s_rad / model.inertia_kg_m2
         free = (self.velocity_rad_s + dt_s * self.torque_n_m / model.inertia_kg_m2) / drag
         held = dt_s * model.coulomb_n_m / model.inertia_kg_m2 / drag
-        self.velocity_rad_s = 0.0 if abs(free) <= held else free - math.copysign(held, free)
+        stands = self.blocked or abs(free) <= held
+        self.velocity_rad_s = 0.0 if stands else free - math.copysign(held, free)
         self.position_rad += self.velocity_rad_s * dt_s
 
 

@@ -47,7 +47,7 @@ class Reports:
 
     def _bind_motor(self, motor: Motor) -> None:
         axis, channel = motor.axis, motor.channel
-        self._bind(channel.velocity, lambda: axis.shaft_rad_s)
+        self._bind(channel.velocity, lambda: motor.shown_rad_s)
         self._bind(channel.current, lambda: axis.wheel.current_a * axis.sign)
         self._bind(channel.temperature, lambda: axis.wheel.winding_c)
         if channel.position is not None:

@@ -8,6 +8,7 @@ the clock by hand. In real time: `runner`.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import tempfile
 import time
@@ -124,6 +125,8 @@ class Rig:
         self._punctual = any(line.kind in PUNCTUAL_KINDS for line in spec.lines)
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
+        self.held_up_max_s = 0.0
+        """Longest time without a processor since reset_truth, as the runner found."""
         if spec.tagged:
             self._tag()
         for text in spec.faults:
@@ -221,7 +224,7 @@ class Rig:
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive], link_dir: Path
     ) -> SimulatedPins:
         bridges = {u: each for u, each in drives.items() if isinstance(each, SimulatedBridge)}
-        places = [place for n, joint in enumerate(line.joints) for place in channels_of(n, joint)]
+        places = itertools.chain.from_iterable(channels_of(line.joints))
         channels = [place.channel for place in places if place.channel is not None]
         counters = sum(joint.encoder is not None for joint in line.joints)
         return SimulatedPins(line, bridges, PinFolder(link_dir / line.name, channels, counters))
@@ -296,6 +299,7 @@ class Rig:
         }
         self.plant.substep()
         for drive in self._drives:
+            drive.suffer(self.script.defects(drive.unit, self.plant.time_s))
             drive.tick(self.plant.time_s)
         self._do_due(self.plant.time_s)
 
@@ -396,9 +400,14 @@ class Rig:
             },
         }
 
+    def reset_truth(self) -> None:
+        self.plant.reset_truth()
+        self.held_up_max_s = 0.0
+
     def stats(self) -> dict[str, Any]:
         return {
             "seed": self.script.seed,
+            "held_up_max_s": self.held_up_max_s,
             "lines": {name: line.stats() for name, line in self.lines.items()},
             "past_faults": dict(self.script.past),
             "faults": [{"spec": fault.text, "fired": fault.fired} for fault in self.script.faults],
@@ -418,7 +427,7 @@ class Rig:
             "journal": lambda params: self.journal(
                 params["line"], int(params["unit"]), int(params.get("since", 0))
             ),
-            "reset_truth": lambda _: self.plant.reset_truth(),
+            "reset_truth": lambda _: self.reset_truth(),
             "inject": lambda params: self.inject(params["spec"]),
             "clear_faults_script": lambda _: self.script.clear(),
             "pull": lambda params: self.pull(params.get("line")),

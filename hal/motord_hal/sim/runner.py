@@ -12,6 +12,7 @@ import contextlib
 import gc
 import os
 import select
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -48,6 +49,23 @@ def set_pace(priority: int) -> None:
             os.setpriority(os.PRIO_PROCESS, 0, NICE)
     gc.collect()
     gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
+
+
+def may_be_punctual() -> bool:
+    """Whether this process may have SCHED_FIFO, and a processor is left for others meanwhile."""
+    granted: list[bool] = []
+
+    def ask() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            granted.append(True)
+        except OSError:
+            granted.append(False)
+
+    asking = threading.Thread(target=ask)  # the policy is a thread's and ends with it
+    asking.start()
+    asking.join()
+    return granted[0] and len(os.sched_getaffinity(0)) > 1
 
 
 def run(
@@ -87,6 +105,7 @@ class _Runner:
         self._clock = clock
         self._watched = [] if until_fd_ends is None else [until_fd_ends]
         self._spin_s = spin_s
+        self._woke_s = time.monotonic()
 
     def run(self, stopped: Callable[[], bool]) -> None:
         rig, clock = self._rig, self._clock
@@ -104,8 +123,11 @@ class _Runner:
         now_s = clock()
         due_s = rig.due_s(now_s)
         files = [*rig.filenos(now_s), *self._watched]
-        wait_s = min(due_s - self._spin_s - now_s, WAIT_MAX_S)
-        ready = select.select(files, [], [], max(0.0, wait_s))[0]
+        wait_s = max(0.0, min(due_s - self._spin_s - now_s, WAIT_MAX_S))
+        ready = select.select(files, [], [], wait_s)[0]
+        woke_s = time.monotonic()
+        rig.held_up_max_s = max(rig.held_up_max_s, woke_s - self._woke_s - wait_s)
+        self._woke_s = woke_s
         if self._spin_s > 0.0 and not ready:
             while (left_s := due_s - clock()) > 0.0 and left_s <= self._spin_s:
                 pass

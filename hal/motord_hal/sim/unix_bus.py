@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus on this machine without CAN in the kernel: a SOCK_SEQPACKET socket at a path, whose
 datagrams are struct can_frame and canfd_frame (linux/can.h). Who made it hears all; what one says
-all others hear. Nothing waits: a reader whose buffer is full loses the frame, as on a bus."""
+all others hear. Nothing waits: a reader whose buffer is full loses the frame, as on a bus.
+
+One thread receives, any number send, any may close. A socket is closed under the lock that its
+users hold, so nobody ever uses a closed descriptor, or one that another file has got since."""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ import contextlib
 import os
 import select
 import socket
+import struct
+import threading
 import time
 
 import can
@@ -26,12 +31,18 @@ class UnixBus(can.BusABC):
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path)
         self._path = path
+        self._receiving = threading.Lock()
+        """Of the listening socket, the poll set and the event; taken before `_sending`."""
+        self._sending = threading.Lock()
+        """Of the clients' sockets."""
         self._clients: dict[int, socket.socket] = {}
         self._door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._door.bind(path)
         self._door.listen(_LATEST)
+        self._closing = os.eventfd(0)
         self._ready = select.epoll()
         self._ready.register(self._door, select.EPOLLIN)
+        self._ready.register(self._closing, select.EPOLLIN)
         super().__init__(channel=path)
 
     def fileno(self) -> int:
@@ -39,12 +50,19 @@ class UnixBus(can.BusABC):
         return self._ready.fileno()
 
     def shutdown(self) -> None:
+        """Ends a `recv` that waits, waits for every thread that is inside, and closes. Later calls
+        of `recv` and `send` raise CanOperationError."""
+        if self._is_shutdown:
+            return
         super().shutdown()
-        for client in self._clients.values():
-            client.close()
-        self._clients.clear()
-        self._ready.close()
-        self._door.close()
+        os.eventfd_write(self._closing, 1)
+        with self._receiving, self._sending:
+            for client in self._clients.values():
+                client.close()
+            self._clients.clear()
+            self._ready.close()
+            self._door.close()
+            os.close(self._closing)
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._path)
 
@@ -53,23 +71,36 @@ class UnixBus(can.BusABC):
         self._spread(packed(msg), None)
 
     def _spread(self, frame: bytes, sender: socket.socket | None) -> None:
-        for client in list(self._clients.values()):
-            if client is not sender:
-                with contextlib.suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):
-                    client.send(frame)
+        with self._sending:
+            self._check_open()
+            for client in self._clients.values():
+                if client is not sender:
+                    with contextlib.suppress(
+                        BlockingIOError, BrokenPipeError, ConnectionResetError
+                    ):
+                        client.send(frame)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        wait_s = -1.0 if timeout is None else timeout
-        for fd, _ in self._ready.poll(wait_s):
-            if fd == self._door.fileno():
-                client, _ = self._door.accept()
-                client.settimeout(0.0)
-                self._clients[client.fileno()] = client
-                self._ready.register(client, select.EPOLLIN)
-                continue
-            if (message := self._take(self._clients[fd])) is not None:
-                return message, False
+        with self._receiving:
+            self._check_open()
+            for fd, _ in self._ready.poll(-1.0 if timeout is None else timeout):
+                self._check_open()
+                if fd == self._door.fileno():
+                    self._accept()
+                elif (message := self._take(self._clients[fd])) is not None:
+                    return message, False
         return None, False
+
+    def _check_open(self) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError(f"the bus at {self._path} is closed")
+
+    def _accept(self) -> None:
+        client, _ = self._door.accept()
+        client.settimeout(0.0)
+        with self._sending:
+            self._clients[client.fileno()] = client
+        self._ready.register(client, select.EPOLLIN)
 
     def _take(self, client: socket.socket) -> can.Message | None:
         try:
@@ -78,8 +109,13 @@ class UnixBus(can.BusABC):
             frame = b""
         if not frame:
             self._ready.unregister(client)
-            del self._clients[client.fileno()]
-            client.close()
+            with self._sending:
+                del self._clients[client.fileno()]
+                client.close()
+            return None
+        try:
+            message = unpacked(frame, time.time())
+        except struct.error:  # not a frame: nobody on a bus would see it
             return None
         self._spread(frame, client)
-        return unpacked(frame, time.time())
+        return message

@@ -105,7 +105,6 @@ def robot_file(folder, port, *, name="demo", **line):
         ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
         ('port = "/dev/ttyUSB0"', f"port = {json.dumps(str(port))}\n{keys}"),
         ("cycle_hz = 50", "cycle_hz = 5"),
-        ('[publish.console]\nkind = "stdout"\nrate_hz = 1\n', ""),
     ):
         assert old in text, old
         text = text.replace(old, new)

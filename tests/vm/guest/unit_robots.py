@@ -20,7 +20,6 @@ SLOW = (
     ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0"),
     ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
     ("rate_hz = 1000", "rate_hz = 50"),
-    ('\n[publish.console]\nkind = "stdout"\nrate_hz = 1\n', ""),
 )
 """A machine that is late for seconds is no fault; the drives' own watchdogs bite later still."""
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.gap import STOOD_STILL, Gap
-from motord.bus.link import Source
+from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
 from motord.config import StampedInput, TokenInput
@@ -38,7 +38,6 @@ FUTURE_S = 0.5
 OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
 SAY_AGAIN_S = 10.0
-_NO_LEASE = "there is no lease: the daemon does not take commands now"
 _SHORT = 40
 
 _log = logging.getLogger(__name__)
@@ -88,7 +87,7 @@ class Desk:
         linear_m_s, angular_rad_s, age_s = self._twist(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
-            raise self._no(_NO_LEASE)
+            raise self._no(self.source.why_lost)
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
         """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to
@@ -96,7 +95,7 @@ class Desk:
         velocity_rad_s, age_s = self._wheels(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive_joints(velocity_rad_s, stamp_ns):
-            raise self._no(_NO_LEASE)
+            raise self._no(self.source.why_lost)
 
     def _stamp_ns(self, age_s: float, waited_s: float) -> int:
         """When a command was given, CLOCK_MONOTONIC. Raises NotTaken for one of unknown age that
@@ -156,8 +155,9 @@ class Desk:
             raise self._no("its stamp is in the future: do the clocks agree?")
         return min(max(age_s, 0.0), OLD_S)
 
-    async def act(self, method: object) -> Any:
-        """Call one of METHODS. Raises NotTaken, also with the daemon's own reason."""
+    async def act(self, method: object, sender: str = "") -> Any:
+        """Call one of METHODS. `sender`: who asks, where it is known. Raises NotTaken, also with
+        the daemon's own reason."""
         if not isinstance(method, str) or method not in METHODS:
             raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
         if method in URGENT:
@@ -168,6 +168,10 @@ class Desk:
             raise self.busy()
         self._calls[method] += 1
         try:
+            if method == "estop":
+                return await self.ask(
+                    method, **reason(f"input.{self._name}: by {sender or 'call'}")
+                )
             return await self.ask(method)
         except ClientError as error:
             raise NotTaken(str(error)) from error

@@ -3,7 +3,8 @@
 
     cmd_vel         {"token": ..., "header": {"stamp": ...}, "twist": {"linear": ..., ...}}
     joint_commands  {"token": ..., "header": {"stamp": ...}, "name": ["left"], "velocity": [2.5]}
-    call            {"token": ..., "method": "arm", "id": 7}, which is answered
+    call            {"token": ..., "method": "arm", "id": 7}, which is answered, also where the
+                    token is missing or wrong
 
 on topics by mqtt_names.py. A retained message is none of now and is not obeyed; nor is what is
 older than the lease's lifetime.
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 PAYLOAD_BYTES_MAX = 4096
 CALLS_MAX, ANSWERS_MAX = 16, 64
 """Calls under way, and answers that the broker has not taken yet. What is urgent passes both."""
+REFUSALS_MAX = 4
+"""Answers to calls without the token that the broker has not taken yet: beyond them strangers get
+none, and they take no room from calls with the token."""
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +47,7 @@ class MqttCommands:
         self._commands = {names.heard(topic): topic for topic in COMMANDS}
         self._call_topic = names.heard(CALL)
         self._calls: set[asyncio.Task[None]] = set()
+        self._refusals: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
         """As Adapter.run."""
@@ -65,13 +70,18 @@ class MqttCommands:
         self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: asyncio.TaskGroup
     ) -> None:
         request = request_of(self._connection.decode, message.payload, PAYLOAD_BYTES_MAX)
-        self._desk.admit(request.get("token"))
-        if (topic := self._commands.get(str(message.topic))) is not None:
+        topic = self._commands.get(str(message.topic))
+        try:
+            self._desk.admit(request.get("token"))
+        except NotTaken as error:
+            if topic is None and len(self._refusals) < REFUSALS_MAX:
+                answer = self._answer(client, request, error=str(error))
+                _kept(tasks.create_task(answer), self._refusals)
+            raise
+        if topic is not None:
             self._desk.take(topic, request)
         else:
-            call = tasks.create_task(self._call(client, request))
-            self._calls.add(call)
-            call.add_done_callback(self._calls.discard)
+            _kept(tasks.create_task(self._call(client, request)), self._calls)
 
     def _call(
         self, client: aiomqtt.Client, request: Mapping[str, Any]
@@ -98,3 +108,9 @@ class MqttCommands:
         answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | said
         with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
             await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
+
+
+def _kept(task: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:
+    """Counted among these until it is done."""
+    tasks.add(task)
+    task.add_done_callback(tasks.discard)

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from motord.bus.link import reason
 from motord.client import ClientError, Refused
 from motord.sparing import Sparing
 
@@ -20,16 +21,19 @@ class Urgent:
     """Of one method and one input. `ask` never waits; what is asked for while a call is under way
     is done once more after it."""
 
-    def __init__(self, name: str, method: str, call: Callable[[str], Awaitable[Any]]) -> None:
+    def __init__(self, name: str, method: str, call: Callable[..., Awaitable[Any]]) -> None:
         """`call` raises Refused and ClientError, as Station.call."""
-        self._what = f"input.{name}: {method}"
+        self._input, self._what = f"input.{name}", f"input.{name}: {method}"
         self._method, self._call = method, call
         self._asked = asyncio.Event()
+        self._params: dict[str, str] = {}
         self._voice, self._trouble = Sparing(_log), Sparing(_log)
 
     def ask(self, why: str) -> None:
         """Have it done soon."""
         self._voice.say(f"{self._what} {why}")
+        if self._method == "estop":
+            self._params = reason(f"{self._input}: {why}")
         self._asked.set()
 
     async def run(self) -> None:
@@ -43,7 +47,7 @@ class Urgent:
 
     async def _answered(self) -> bool:
         try:
-            await self._call(self._method)
+            await self._call(self._method, **self._params)
         except Refused as error:
             self._trouble.say(f"{self._what}: refused: {error}")
         except ClientError as error:

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from motord.bus.messages import STATES, Body
+from motord.bus.messages import Body
 from motord.bus.topics import View
+from motord.snapshot import STATES
 
 Labels = Mapping[str, str]
 

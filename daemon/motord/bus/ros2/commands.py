@@ -19,7 +19,7 @@ from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.desk import TRIGGERS, URGENT, Desk, NotTaken
+from motord.bus.inputs.desk import COMMANDS, TRIGGERS, URGENT, Desk, NotTaken
 from motord.bus.inputs.urgent import Urgent
 from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
@@ -27,6 +27,7 @@ from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.senders import Contest, asker
 from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
 URGENT_RELIABLE = Quality(alone=False)
 """Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
+
+_WHY_CHARS = 150
 
 _log = logging.getLogger(__name__)
 
@@ -47,6 +50,11 @@ class Ros2Commands:
         self._desk = Desk(name, section, station)
         self._node = node_of(station, section)
         self._stamped = section.stamped
+        self._contests = {
+            topic: Contest(f"input.{name}: {self._node.full(topic)}", section.lease_s)
+            for topic in COMMANDS
+        }
+        self._desk.source.rivals = self._rivals
         self._urgent = {method: Urgent(name, method, station.call) for method in URGENT}
         kind = "TwistStamped" if section.stamped else "Twist"
         self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
@@ -77,18 +85,26 @@ class Ros2Commands:
             for urgent in self._urgent.values():
                 tasks.create_task(urgent.run())
 
-    def _drive(self, message: SimpleNamespace, waited_s: float) -> None:
+    def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
             self._desk.drive(_as_mapping(message), waited_s)
             self._mover.driven()
+            twist = message.twist if self._stamped else message
+            self._contests["cmd_vel"].heard(sender, (twist.linear.x, twist.angular.z))
 
-    def _drive_joints(self, message: SimpleNamespace, waited_s: float) -> None:
+    def _drive_joints(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):
             command = _as_mapping(message)
             if not self._stamped:
                 del command["header"]
             self._desk.drive_joints(command, waited_s)
             self._mover.driven()
+            self._contests["joint_commands"].heard(sender, tuple(message.velocity))
+
+    def _rivals(self) -> dict[str, Any]:
+        """By topic, where senders command against each other."""
+        found = {topic: contest.report() for topic, contest in self._contests.items()}
+        return {topic: rows for topic, rows in found.items() if rows}
 
     def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
         async def answer(_: SimpleNamespace) -> SimpleNamespace:
@@ -101,15 +117,15 @@ class Ros2Commands:
 
     async def _acted(self, method: str) -> SimpleNamespace:
         try:
-            result = await self._desk.act(method)
+            result = await self._desk.act(method, asker.get())
         except NotTaken as error:
             return SimpleNamespace(success=False, message=str(error))
         return SimpleNamespace(success=True, message=result["state"])
 
 
-def _asking(urgent: Urgent) -> Callable[[SimpleNamespace, float], None]:
-    def ask(message: SimpleNamespace, _: float) -> None:
-        urgent.ask(f"by topic: {message.data[:200]!r}")
+def _asking(urgent: Urgent) -> Callable[[SimpleNamespace, float, str], None]:
+    def ask(message: SimpleNamespace, _: float, sender: str) -> None:
+        urgent.ask(f"by {sender}: {message.data[:_WHY_CHARS]!r}")
 
     return ask
 

@@ -33,6 +33,7 @@ from cyclonedds.core import (
     WaitSet,
 )
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import load_cyclonedds
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -53,6 +54,9 @@ _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
 _LOOK_EVERY_S = 2.0
 _LOOK_AT_MOST = 64
+_FATAL_AND_ERROR = 0x3
+"""DDS_LC_FATAL and DDS_LC_ERROR of dds/ddsrt/log.h."""
+_WRITERS_MAX = 256
 _LOCALHOST = (
     '<General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
@@ -82,6 +86,12 @@ def configuration(discovery: Discovery, interface: str | None) -> str:
 def _domain(domain_id: int, xml: str) -> Domain:
     """One of a number for the whole process: Cyclone's rule."""
     return Domain(domain_id, xml)
+
+
+def _quiet() -> None:
+    """Cyclone warns of each request that it cannot read, on standard error: a flood, and
+    `_Discovered` has named the client. What it warns of its configuration is said before."""
+    load_cyclonedds().dds_set_log_mask(_FATAL_AND_ERROR)
 
 
 def _qos(quality: Quality, user_data: str) -> Qos:
@@ -146,6 +156,21 @@ class Reader:
         self._quality = quality
         self._take = take
         self._said = 0
+        self._writers: dict[int, bytes] = {}
+
+    def writer_gid(self, handle: int) -> bytes:
+        """Of who wrote a sample, by DDS's word on it. Empty: it has gone."""
+        if handle not in self._writers:
+            try:
+                found: Any = self.entity.get_matched_publication_data(handle)
+            except DDSException:
+                found = None
+            if found is None:
+                return b""
+            if len(self._writers) == _WRITERS_MAX:
+                self._writers.clear()
+            self._writers[handle] = found.key.bytes
+        return self._writers[handle]
 
     def deliver(self) -> None:
         """All that has arrived."""
@@ -234,6 +259,7 @@ class Participant:
             self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
             raise DdsError(f"no DDS participant in domain {domain_id}: {error.msg}") from error
+        _quiet()
         self.gid = self.entity.guid.bytes
         self.readers: list[Reader] = []
         self.writers: list[Writer] = []

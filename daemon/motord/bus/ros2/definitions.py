@@ -113,6 +113,7 @@ string state
 bool armed
 bool at_rest
 string[] faults
+string[] why
 string[] reasons
 string commander
 int32 commander_priority
@@ -204,6 +205,14 @@ string reason
 === rcl_interfaces/msg/ListParametersResult
 string[] names
 string[] prefixes
+=== rcl_interfaces/msg/Log
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
 === rcl_interfaces/msg/ParameterEvent
 builtin_interfaces/Time stamp
 string node

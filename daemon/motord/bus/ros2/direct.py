@@ -364,7 +364,8 @@ class _MotorStatus:
     def _lay_out(self, view: View) -> None:
         now, commander, joints = view.snapshot, view.commander(), self._body.joints
         words = _Constant(_AFTER_STAMP).string(self._body.base_frame).string(state_name(now))
-        words.number("2?", now.armed, now.at_rest).strings(now.faults).strings(now.reasons)
+        words.number("2?", now.armed, now.at_rest).strings(now.faults)
+        words.strings(view.why()).strings(now.reasons)
         words.string(commander.owner if commander else "")
         words.number("i", commander.priority if commander else 0)
         words.string(commander.why if commander else "").align(_ALIGNMENT)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The actions drive_distance, rotate and calibrate (motord_msgs/action): motions and measures as
-ROS 2 sees them. What they do is in bus/motion.py and bus/calibration.py."""
+ROS 2 sees them. What they do is in motion.py and bus/calibration.py."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from motord.bus.calibration import Calibration, Found, Measure, measure
-from motord.bus.motion import End, Goal, Motion, Plan, Wish
 from motord.bus.mover import Mover, NotNow
 from motord.bus.ros2.actions import ActionServer, Refused, Status, Tell, Turn, Work
 from motord.bus.ros2.nodes import Node
+from motord.motion import End, Goal, Motion, Plan, Wish
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
+from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.types import type_hash
 from motord.sparing import Sparing
@@ -26,6 +28,7 @@ _GRAPH_TYPES = {
 _GID_BYTES = {"humble": 24, "jazzy": 16}
 """RMW_GID_STORAGE_SIZE of rmw/types.h; what DDS does not fill is zero."""
 _GRAPH_QUALITY = Quality(depth=1, latched=True)
+_OTHERS_QUALITY = Quality(depth=64, latched=True, alone=False)
 
 _log = logging.getLogger(__name__)
 
@@ -80,6 +83,16 @@ class Node:
         self._graph = self._participant.writer(
             names.GRAPH_TOPIC, self._graph_type, _GRAPH_QUALITY, _typed(self._graph_type)
         )
+        self._others = Graph()
+        self._participant.reader(
+            names.GRAPH_TOPIC, self._graph_type, _OTHERS_QUALITY, _typed(self._graph_type),
+            self._learn,
+        )  # fmt: skip
+
+    def _learn(self, raw: bytes, _: Any) -> None:
+        """Of another distribution: its nodes stay without a name."""
+        with contextlib.suppress(ValueError):
+            self._others.learn(decode(self._graph_type, raw))
 
     def full(self, name: str) -> str:
         """A name with its namespace, as `remap` has it."""
@@ -96,11 +109,11 @@ class Node:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace, float], None],
+        take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, and told how long in s it waited on its way. Raises
-        DdsError."""
+        """`take` is called for each message, and told how long in s it waited on its way, and whose
+        it is. Raises DdsError."""
         topic = names.topic(self.full(name))
         voice, delays = Sparing(_log), Delays()
 
@@ -110,7 +123,8 @@ class Node:
             except ValueError as error:
                 voice.say(f"{topic}: not understood: {error}")
                 return
-            take(message, delays.waited_s(info.publication_handle, info.source_timestamp))
+            sender = self._others.name(reader.writer_gid(info.publication_handle))
+            take(message, delays.waited_s(info.publication_handle, info.source_timestamp), sender)
 
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
         self._readers.append(reader)
@@ -125,7 +139,9 @@ class Node:
     ) -> None:
         """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise. Raises
         DdsError."""
-        service = Service(self._participant, self.full(name), kind, answer, depth, together)
+        service = Service(
+            self._participant, self.full(name), kind, answer, self._others.name, depth, together
+        )
         self._services.append(service)
         self._readers.append(service.reader)
         self._writers.append(service.writer)

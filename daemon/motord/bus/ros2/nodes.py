@@ -42,10 +42,11 @@ class Node(Protocol):
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace, float], None],
+        take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, and told how long in s it waited on its way."""
+        """`take` is called for each message, and told how long in s it waited on its way, and whose
+        it is."""
         ...
 
     def serve(

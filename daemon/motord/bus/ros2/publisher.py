@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 
 from motord.bus.messages import wall_time
 from motord.bus.ros2.direct import encoder
+from motord.bus.ros2.names import full_name
 from motord.bus.ros2.nodes import Teller, node_of
 from motord.bus.ros2.quality import offered
+from motord.bus.ros2.rosout import LOG, ROSOUT, Rosout
 from motord.bus.ros2.static_frames import STATIC, static_transforms
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, urdf
 from motord.bus.topics import TOPICS
@@ -23,10 +25,18 @@ if TYPE_CHECKING:
     from motord.bus.station import Station
 
 URDF_BYTES_MAX = 1 << 20
-_NAMES = {"diagnostics": "/diagnostics"}
-"""Of all robots together: REP-107."""
+_ABSOLUTE = ("tf", STATIC)
+"""Where tf2 listens, whatever the namespace."""
+
+_LOOK_EVERY_S = 0.2
 
 _log = logging.getLogger(__name__)
+
+
+def robot_topic(topic: str, section: RosTopics) -> str:
+    """Its ROS name. Diagnostics are of all robots together (REP-107)."""
+    absolute = topic == "diagnostics" or (topic in _ABSOLUTE and not section.namespaced_tf)
+    return f"/{topic}" if absolute else topic
 
 
 class Ros2Publisher:
@@ -34,23 +44,31 @@ class Ros2Publisher:
         """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
         self._description = _description(section, station)
         self._node = node_of(station, section)
-        self._feed = station.feed(name, section.rates_hz(), encoder)
+        self._prefix = section.prefix_of_frames()
+        body = station.body.with_frames(self._prefix)
+        self._feed = station.feed(name, section.rates_hz(), encoder, body)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
-                _NAMES.get(topic, topic), TOPICS[topic].type_name, offered(topic)
+                robot_topic(topic, section), TOPICS[topic].type_name, offered(topic)
             )
             for topic in section.topics
         }
         self._describing = self._node.publisher(DESCRIPTION, STRING, offered(DESCRIPTION))
+        log = self._node.publisher(ROSOUT, LOG, offered(ROSOUT))
+        self._rosout = Rosout(full_name(section.namespace, section.node_name, "~/")[:-1], log)
+        self._station = station
         self._static: Teller | None = None
         if "tf" in section.topics:
-            self._static = self._node.publisher(STATIC, TOPICS["tf"].type_name, offered(STATIC))
+            self._static = self._node.publisher(
+                robot_topic(STATIC, section), TOPICS["tf"].type_name, offered(STATIC)
+            )
 
     async def run(self) -> None:
         """As Adapter.run."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._node.run())
             tasks.create_task(self._publish())
+            tasks.create_task(self._log())
 
     async def _publish(self) -> None:
         self._describing.publish(SimpleNamespace(data=self._description))
@@ -58,11 +76,19 @@ class Ros2Publisher:
         async for sample in self._feed:
             self._publishers[sample.topic.name].publish(sample.message)
 
+    async def _log(self) -> None:
+        with self._rosout.listening():
+            while True:
+                view = self._station.view
+                self._rosout.look(view.why() if view is not None else ())
+                await asyncio.sleep(_LOOK_EVERY_S)
+
     def _tell_frames(self) -> None:
         if self._static is None:
             return
         try:
-            frames = static_transforms(self._description, wall_time(time.time_ns(), 0))
+            stamp = wall_time(time.time_ns(), 0)
+            frames = static_transforms(self._description, stamp, self._prefix)
         except ValueError as error:
             _log.warning("no tf_static: %s", error)
         else:

@@ -27,6 +27,7 @@ _OFFERED = {
     "tf": Quality(depth=100),  # as tf2_ros has it
     "tf_static": _LATCHED,
     "robot_description": _LATCHED,
+    "/rosout": Quality(depth=1000, latched=True),  # as rcl has it
 }
 
 

@@ -19,6 +19,7 @@ from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant, client_of
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.senders import asker
 from motord.bus.ros2.types import type_hash
 from motord.deadline import within
 from motord.sparing import Sparing
@@ -41,10 +42,13 @@ class Service:
         name: str,
         kind: str,
         answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        name_of: Callable[[bytes], str],
         depth: int,
         together: int = 1,
     ) -> None:
-        """`together`: so many answers are under way at once. Raises DdsError."""
+        """`name_of`: of a client, by its endpoint. `together`: so many answers are under way at
+        once. Raises DdsError."""
+        self._name_of = name_of
         self._together = together
         self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
         self._answer = answer
@@ -89,6 +93,7 @@ class Service:
     async def _serve(self) -> None:
         while True:
             who, request, client = await self._waiting.get()
+            asker.set(self._name_of(self.reader.writer_gid(client)))
             reply = encode(self._reply, await self._answer(request))
             await self._matched(client)
             self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])

@@ -21,21 +21,21 @@ STATIC = "tf_static"
 """Its topic."""
 
 
-def static_transforms(description: str, stamp: Time) -> TFMessage:
+def static_transforms(description: str, stamp: Time, prefix: str = "") -> TFMessage:
     """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for who reads
-    joint_states. Raises ValueError for what is no URDF."""
+    joint_states. `prefix` goes before each frame name. Raises ValueError for what is no URDF."""
     try:
         root = fromstring(description)
     except ParseError as error:
         raise ValueError(f"the robot description is no XML: {error}") from error
-    return TFMessage(tuple(_frames(root, stamp)))
+    return TFMessage(tuple(_frames(root, stamp, prefix)))
 
 
-def _frames(root: Element, stamp: Time) -> Iterator[TransformStamped]:
+def _frames(root: Element, stamp: Time, prefix: str) -> Iterator[TransformStamped]:
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed":
             continue
-        names = [_link(joint, end) for end in ("parent", "child")]
+        names = [prefix + _link(joint, end) for end in ("parent", "child")]
         origin = joint.find("origin")
         x_m, y_m, z_m = _three(joint, origin, "xyz")
         turn = _quaternion(*_three(joint, origin, "rpy"))

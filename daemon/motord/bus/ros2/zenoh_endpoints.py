@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any, Protocol
@@ -20,6 +21,7 @@ from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.other_types import other_type_said
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.senders import SENDERS_MAX, asker, unnamed
 from motord.bus.ros2.zenoh_names import (
     PUBLISHER,
     SERVER,
@@ -27,6 +29,7 @@ from motord.bus.ros2.zenoh_names import (
     Attachment,
     NodeNames,
     gid,
+    node_of,
     quality_said,
     type_of,
 )
@@ -119,14 +122,15 @@ class Subscription:
         topic: str,
         kind: str,
         quality: Quality,
-        take: Callable[[SimpleNamespace, float], None],
+        take: Callable[[SimpleNamespace, float, str], None],
     ) -> None:
-        """`take` is told how long in s a message waited on its way, too."""
+        """`take` is told how long in s a message waited on its way, too, and whose it is."""
         self._topic, self._kind, self._quality = topic, kind, quality
         self._tell = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
         self._delays, self._voice = Delays(), Sparing(_log)
         self._publishers: Inbox[str] = Inbox(WAITING_MAX, self._look_at)
+        self._names: OrderedDict[bytes, str] = OrderedDict()
         self._kept: tuple[Any, ...] = ()
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
@@ -151,6 +155,9 @@ class Subscription:
             self._publishers.put(str(token.key_expr))
 
     def _look_at(self, token: str) -> None:
+        self._names[gid(token)] = node_of(token)
+        if len(self._names) > SENDERS_MAX:
+            self._names.popitem(last=False)
         said = other_type_said(self._topic, "writer", self._kind, type_of(token))
         if said is not None:
             self._voice.say(said)
@@ -162,15 +169,13 @@ class Subscription:
         except ValueError as error:
             self._voice.say(f"{self._topic}: not understood: {error}")
             return
-        self._tell(message, self._waited_s(said))
-
-    def _waited_s(self, said: bytes) -> float:
-        """Nothing is known of what ROS 2 did not send; it is heard all the same."""
         try:
             sent = Attachment.decode(said)
-        except ValueError:
-            return 0.0
-        return self._delays.waited_s(sent.gid, sent.stamp_ns)
+        except ValueError:  # ROS 2 did not send it; it is heard all the same
+            self._tell(message, 0.0, "a program that is no ROS 2 node")
+            return
+        sender = self._names.get(sent.gid) or unnamed(sent.gid)
+        self._tell(message, self._delays.waited_s(sent.gid, sent.stamp_ns), sender)
 
 
 class Service:
@@ -231,6 +236,7 @@ class Service:
             raise ValueError("a request has a payload and an attachment")
         asked = Attachment.decode(query.attachment.to_bytes())
         request = decode(f"{self._kind}_Request", query.payload.to_bytes())
+        asker.set(unnamed(asked.gid))
         reply = encode(f"{self._kind}_Response", await self._answer(request))
         attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).encode()
         with query:

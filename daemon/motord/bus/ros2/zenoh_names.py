@@ -15,7 +15,7 @@ from motord.bus.ros2.types import type_hash
 NODE, PUBLISHER, SUBSCRIPTION, SERVER = "NN", "MP", "MS", "SS"
 _SPACE = "@ros2_lv"
 _DEPTH_DEFAULT = 42
-_TYPE_PLACE = 10
+_TYPE_PLACE, _NODE_PLACES = 10, slice(7, 9)
 _NO_HASH = "TypeHashNotSupported"
 """What rmw_zenoh of Humble says in its place."""
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -72,6 +72,12 @@ def quality_said(*, depth: int, reliable: bool, latched: bool) -> str:
 def type_of(token: str) -> str:
     """Of the topic that an endpoint's token announces, as `dds_type`."""
     return token.split("/")[_TYPE_PLACE]
+
+
+def node_of(token: str) -> str:
+    """Full name of the node whose endpoint a token announces."""
+    namespace, name = token.split("/")[_NODE_PLACES]
+    return f"{namespace.replace('%', '/').rstrip('/')}/{name}"
 
 
 def gid(token: str) -> bytes:

@@ -112,11 +112,11 @@ class ZenohNode:
         self,
         name: str,
         kind: str,
-        take: Callable[[SimpleNamespace, float], None],
+        take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
         """`take` is called for each message, in the event loop, and told how long in s it waited on
-        its way."""
+        its way, and whose it is."""
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(

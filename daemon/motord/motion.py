@@ -127,13 +127,15 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
     """Raises ValueError, in words, for a goal that cannot be."""
     numbers = (goal.way_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
     if not all(map(math.isfinite, numbers)):
-        raise ValueError("a number of it is not finite")
+        raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
     if not 0.0 < abs(goal.way_u) <= WAY_MAX_U:
-        raise ValueError(f"a way of {goal.way_u:g} is none (more than 0, at most {WAY_MAX_U:g})")
+        raise ValueError(f"{goal.way_u:g} is no distance to go (not 0, at most {WAY_MAX_U:g})")
     if min(goal.velocity_u_s, goal.tolerance_u, goal.timeout_s) < 0.0:
         raise ValueError("speed, tolerance and time-out are not negative; the way has the sign")
     if goal.timeout_s > TIMEOUT_MAX_S:
-        raise ValueError(f"a time-out of {goal.timeout_s:g} s is none (at most {TIMEOUT_MAX_S:g})")
+        raise ValueError(
+            f"a time-out of {goal.timeout_s:g} s is too long (at most {TIMEOUT_MAX_S:g} s)"
+        )
     velocity_u_s = min(goal.velocity_u_s or bounds.velocity_u_s, bounds.velocity_u_s)
     if goal.axis == "angular":
         velocity_u_s = min(velocity_u_s, TURN_RATE_MAX_RAD_S)

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Talk to a running motord from an asyncio program: motord.client with `await`.
+
+    from motord.aio import Client
+
+    async with Client() as robot:
+        await robot.arm()
+        await robot.move(1.0)
+        await robot.disarm()
+
+Every call has a deadline. Several tasks may use one Client: calls go one after the other, and a
+stop request goes to the real-time loop at once, whatever is under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+from motord import moving, stop_request
+from motord.client import (
+    ANSWER_BYTES_MAX,
+    CONNECT_AGAIN_S,
+    STOP_WITHIN_S,
+    TIMEOUT_S,
+    find_socket,
+    why_unreachable,
+)
+from motord.deadline import within
+from motord.local_rpc import ClientError, Refused, answer_to, request_line, result_of
+from motord.motion import Goal
+from motord.moving import Moved, MoveFailed
+from motord.status import Status
+
+__all__ = ["Client", "ClientError", "MoveFailed", "Moved", "Refused", "Status"]
+
+CLOSE_WITHIN_S = 1.0
+
+
+class Client:
+    """One connection to a daemon; `async with` opens and closes it."""
+
+    def __init__(
+        self, path: str | os.PathLike[str] | None = None, *, timeout_s: float = TIMEOUT_S
+    ) -> None:
+        """`path`: the daemon's socket; None: the only one there is."""
+        self._given = None if path is None else Path(path)
+        self._path: Path | None = None
+        self.timeout_s = timeout_s
+        self._number = 0
+        self._turn = asyncio.Lock()
+        self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+
+    @property
+    def path(self) -> Path:
+        """The daemon's socket. Raises ClientError before it is open."""
+        if self._path is None:
+            raise ClientError("not connected: use it as async with Client() as robot")
+        return self._path
+
+    async def __aenter__(self) -> Self:
+        """Raises ClientError."""
+        await self.open()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def open(self) -> None:
+        """Connect. Raises ClientError."""
+        try:
+            async with within(self.timeout_s):
+                self._path = self._given
+                if self._path is None:
+                    self._path = await asyncio.to_thread(find_socket)
+                await self._connect(self._path)
+        except TimeoutError as error:
+            where = self._path or "the daemon's socket"
+            raise ClientError(f"{where}: no connection within {self.timeout_s:g} s") from error
+
+    async def _connect(self, path: Path) -> None:
+        """Again while the daemon's queue of connections is full. The deadline is the caller's."""
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        with contextlib.ExitStack() as unless_kept:
+            unless_kept.callback(connection.close)
+            while True:
+                try:
+                    connection.connect(str(path))
+                    break
+                except BlockingIOError:
+                    await asyncio.sleep(CONNECT_AGAIN_S)
+                except OSError as error:
+                    raise ClientError(why_unreachable(path, error)) from error
+            self._streams = await asyncio.open_unix_connection(
+                sock=connection, limit=ANSWER_BYTES_MAX
+            )
+            unless_kept.pop_all()
+
+    async def close(self) -> None:
+        """Ends every lease of this connection."""
+        streams, self._streams = self._streams, None
+        if streams is None:
+            return
+        streams[1].close()
+        with contextlib.suppress(OSError, TimeoutError):
+            async with within(CLOSE_WITHIN_S):
+                await streams[1].wait_closed()
+
+    async def call(self, method: str, /, **params: Any) -> Any:
+        """Any method by name. Raises Refused, or ClientError for everything else."""
+        try:
+            async with within(self.timeout_s), self._turn:
+                return await self._ask(method, params)
+        except TimeoutError as error:
+            raise ClientError(f"{method}: no answer within {self.timeout_s:g} s") from error
+        except (asyncio.IncompleteReadError, asyncio.LimitOverrunError) as error:
+            ends = "an answer without end"
+            if isinstance(error, asyncio.IncompleteReadError):
+                ends = "the daemon has closed the connection"
+            raise ClientError(f"{method}: {self.path}: {ends}") from error
+        except OSError as error:
+            raise ClientError(f"{method}: {self.path}: {error.strerror or error}") from error
+
+    async def _ask(self, method: str, params: dict[str, Any]) -> Any:
+        """A request whose caller was cancelled is sent whole all the same; its answer is dropped by
+        the next call."""
+        path = self.path
+        if self._streams is None:
+            raise ClientError(f"{method}: the connection to {path} is closed")
+        reader, writer = self._streams
+        self._number += 1
+        number = self._number
+        writer.write(request_line(number, method, params))
+        await writer.drain()
+        while True:
+            answer = answer_to(number, await reader.readuntil(b"\n"), path)
+            if answer is not None:
+                return result_of(answer)
+
+    async def status(self) -> Status:
+        """Everything the daemon knows about itself and the robot, typed; also a dict."""
+        return Status.of(await self.call("status"))
+
+    async def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        *,
+        owner: str | None = None,
+        priority: int | None = None,
+        lease_s: float | None = None,
+    ) -> dict[str, Any]:
+        """Ask for a speed. None: as the robot file's [input] says. Returns who is in command."""
+        lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
+        given = {key: value for key, value in lease.items() if value is not None}
+        result: dict[str, Any] = await self.call(
+            "drive", linear_m_s=linear_m_s, angular_rad_s=angular_rad_s, **given
+        )
+        return result
+
+    async def move(
+        self,
+        distance_m: float,
+        *,
+        speed_m_s: float | None = None,
+        tolerance_m: float | None = None,
+        timeout_s: float | None = None,
+        owner: str | None = None,
+    ) -> Moved:
+        """As motord.client.Client.move."""
+        goal = moving.goal_of("linear", distance_m, speed_m_s, tolerance_m, timeout_s)
+        return await self.carry_out(goal, owner=owner)
+
+    async def turn(
+        self,
+        angle_rad: float,
+        *,
+        speed_rad_s: float | None = None,
+        tolerance_rad: float | None = None,
+        timeout_s: float | None = None,
+        owner: str | None = None,
+    ) -> Moved:
+        """As motord.client.Client.turn."""
+        goal = moving.goal_of("angular", angle_rad, speed_rad_s, tolerance_rad, timeout_s)
+        return await self.carry_out(goal, owner=owner)
+
+    async def carry_out(
+        self,
+        goal: Goal,
+        *,
+        owner: str | None = None,
+        watch: moving.Watch = moving.unwatched,
+        canceled: moving.Canceled = moving.never_canceled,
+    ) -> Moved:
+        """As motord.client.Client.carry_out. A task that is cancelled gives the lease back, and the
+        robot comes to rest by its ramp."""
+        lease = {} if owner is None else {"owner": owner}
+        steps = moving.procedure(goal, owner=lease, watch=watch, canceled=canceled)
+        onward: Callable[[], moving.Call | moving.Pause] = functools.partial(next, steps)
+        try:
+            while True:
+                try:
+                    step = onward()
+                except StopIteration as end:
+                    moved: Moved = end.value
+                    return moved
+                try:
+                    onward = functools.partial(steps.send, await self._perform(step))
+                except ClientError as error:
+                    onward = functools.partial(steps.throw, error)
+        finally:
+            steps.close()
+            with contextlib.suppress(ClientError):  # it lapses
+                await self.release(owner)
+
+    async def _perform(self, step: moving.Call | moving.Pause) -> Any:
+        if isinstance(step, moving.Call):
+            return await self.call(step.method, **step.params)
+        await asyncio.sleep(step.until_s - asyncio.get_running_loop().time())
+        return None
+
+    async def release(self, owner: str | None = None) -> None:
+        """Give the lease back before it lapses."""
+        await self.call("release", **({} if owner is None else {"owner": owner}))
+
+    async def arm(self) -> str:
+        """Put the drives under power at zero speed. Returns the state, as all of these do."""
+        return str((await self.call("arm"))["state"])
+
+    async def disarm(self) -> str:
+        """Come to rest and take the power off."""
+        return await self._surely("disarm")
+
+    async def stop(self) -> str:
+        """Come to rest, stay armed."""
+        return await self._surely("stop")
+
+    async def estop(self) -> str:
+        """Emergency stop; stays until `reset`."""
+        return await self._surely("estop")
+
+    async def _surely(self, method: str) -> str:
+        """By datagram first, which the real-time loop reads whatever else waits; the answer comes
+        over a connection of its own, which no other call is in the way of."""
+        with contextlib.suppress(OSError, TimeoutError):  # no such socket, or the daemon is gone
+            async with within(STOP_WITHIN_S):
+                await self._send(method)
+        async with Client(self.path, timeout_s=self.timeout_s) as own:
+            return str((await own.call(method))["state"])
+
+    async def _send(self, method: str) -> None:
+        """Again while the receive queue is full. Raises OSError."""
+        with stop_request.open_sender() as sender:
+            while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room
+                sender, self.path, method
+            ):
+                await asyncio.sleep(stop_request.AGAIN_S)
+
+    async def reset(self) -> str:
+        """Clear a fault or an emergency stop. Stays disarmed."""
+        return str((await self.call("reset"))["state"])
+
+    async def reset_odometry(self) -> str:
+        """The pose is the origin."""
+        return str((await self.call("reset_odometry"))["state"])
+
+    async def params_list(self) -> dict[str, dict[str, Any]]:
+        """Every parameter with value, unit and range."""
+        result: dict[str, dict[str, Any]] = await self.call("params.list")
+        return result
+
+    async def params_get(self, *names: str) -> dict[str, float | None]:
+        """Values by name; none named: all. None: no limit."""
+        result: dict[str, float | None] = await self.call("params.get", names=names)
+        return result
+
+    async def params_set(self, **values: float | None) -> dict[str, float | None]:
+        """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        result: dict[str, float | None] = await self.call("params.set", **values)
+        return result
+
+    async def latency(self) -> dict[str, Any]:
+        """The loop's histograms since its start, as percentiles and as buckets."""
+        result: dict[str, Any] = await self.call("latency")
+        return result

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord robots`: the robot files that come with motord."""
+
+from __future__ import annotations
+
+import click
+
+from motord.cli.common import Exit, Failure, json_option, print_json
+from motord_hal.drives.toml_table import did_you_mean
+from motord_hal.paths import config_dir
+
+
+@click.command
+@click.argument("name", required=False)
+@json_option
+def robots(name: str | None, as_json: bool) -> None:
+    """List the robot files that come with motord, or print one to begin your own with.
+
+    The printed file names the robot file's JSON Schema by its full path, so that an editor
+    completes keys wherever you save it.
+
+    \b
+    Example: motord robots
+             motord robots demo > my-robot.toml
+    """
+    found = {path.stem: path for path in sorted((config_dir() / "robots").glob("*.toml"))}
+    if name is None:
+        titles = {stem: _title(path.read_text(encoding="utf-8")) for stem, path in found.items()}
+        if as_json:
+            print_json({"robots": [{"name": stem, "title": titles[stem]} for stem in titles]})
+            return
+        width = max(map(len, titles))
+        for stem, title in titles.items():
+            click.echo(f"{stem:{width}}  {title}")
+        return
+    if name not in found:
+        known = ", ".join(found)
+        message = f"there is no robot file {name!r}{did_you_mean(name, found)}; there are: {known}"
+        raise Failure(message, Exit.USAGE)
+    text = found[name].read_text(encoding="utf-8")
+    if as_json:
+        print_json({"name": name, "path": str(found[name]), "text": text})
+    else:
+        schema = config_dir() / "schema" / "robot.schema.json"
+        click.echo(f"#:schema {schema.as_uri()}\n{text}", nl=False)
+
+
+def _title(text: str) -> str:
+    """The comment at the top of the file, its first sentence."""
+    rows = []
+    for row in text.splitlines():
+        if not row.startswith("#"):
+            break
+        rows.append(row.removeprefix("#").strip())
+    return " ".join(rows).partition(". ")[0].rstrip(".")

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes over the local socket, as bytes: JSON-RPC 2.0, one object a line. No I/O; both clients,
+`motord.client` and `motord.aio`, send and read what this module makes and understands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+REFUSED = -32000
+NOT_ALLOWED = -32001
+INVALID_PARAMS = -32602
+_NOT_SENT = (float("inf"), float("-inf"))
+
+
+class ClientError(Exception):
+    """The daemon cannot be reached, or did not answer, or did not understand; says which."""
+
+
+class Refused(ClientError):
+    """The daemon understood and said no; the message is its reason, and what to do about it."""
+
+    def __init__(self, reason: str, code: int) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
+class WrongParams(ClientError):
+    """What was asked for cannot be, whatever the robot is in: out of range, or no such name."""
+
+
+def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
+    """A call. Raises ClientError for a number that JSON does not have."""
+    request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
+    try:
+        return json.dumps(request, allow_nan=False).encode() + b"\n"
+    except ValueError as error:
+        wrong = [name for name, value in params.items() if value in _NOT_SENT or value != value]
+        text = f"{method}: {', '.join(wrong) or 'a value'} is NaN or infinite"
+        raise ClientError(f"{text}, which is no command") from error
+
+
+def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:
+    """The answer to that call; None: it is the late answer to another. Raises ClientError."""
+    try:
+        answer = json.loads(line)
+    except ValueError as error:
+        raise ClientError(f"{where} does not speak JSON: {line[:80]!r}") from error
+    ours = isinstance(answer, dict) and answer.get("id") in (number, None)
+    return answer if ours else None
+
+
+def result_of(answer: Mapping[str, Any]) -> Any:
+    """Raises Refused, and ClientError for everything else that is no result."""
+    problem = answer.get("error")
+    if problem is None:
+        return answer.get("result")
+    message, code = str(problem.get("message")), int(problem.get("code", 0))
+    if code in (REFUSED, NOT_ALLOWED):
+        raise Refused(message, code)
+    raise WrongParams(message) if code == INVALID_PARAMS else ClientError(message)

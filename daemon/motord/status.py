@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The answer of `status`, with a type for everything in it: docs/python.md.
+
+Units are in the names. None: not measured, or never. What a daemon of another version does not
+send has its type's default: NaN, empty, False.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+NAN = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What is asked for, and what the robot makes of it."""
+
+    command_age_s: float | None = None
+    """None: no command ever."""
+    wanted_linear_m_s: float = NAN
+    wanted_angular_rad_s: float = NAN
+    setpoint_linear_m_s: float = NAN
+    """After limits and ramps."""
+    setpoint_angular_rad_s: float = NAN
+    saturation: float = NAN
+    """1: no wheel is at its limit; less: all are slowed by this factor."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odometry:
+    """Pose since the last `reset_odometry`, and speed, as measured."""
+
+    x_m: float = NAN
+    y_m: float = NAN
+    heading_rad: float = NAN
+    distance_m: float = NAN
+    turned_rad: float = NAN
+    linear_m_s: float = NAN
+    angular_rad_s: float = NAN
+    pose_covariance: tuple[float, ...] = ()
+    """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
+    twist_covariance: tuple[float, ...] = ()
+    """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
+    degraded: bool = False
+    """Feedback was missing on the way."""
+    epoch: int = 0
+    """Another number than before: the pose has been reset."""
+    age_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """A wheel and its drive."""
+
+    drive: str = ""
+    """unknown, ready, armed or quiet."""
+    fault_words: tuple[str, ...] = ()
+    position_rad: float | None = None
+    velocity_rad_s: float | None = None
+    setpoint_rad_s: float | None = None
+    duty: float | None = None
+    current_a: float | None = None
+    voltage_v: float | None = None
+    temperature_c: float | None = None
+    feedback_age_s: float | None = None
+    """None: no feedback ever."""
+    drive_faults: int = 0
+    enabled: bool | None = None
+    """None: the drive cannot say."""
+    stale: bool = False
+    jumps: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Battery:
+    """The robot file's [battery]."""
+
+    state: str = ""
+    voltage_v: float | None = None
+    current_a: float | None = None
+    temperature_c: float | None = None
+    age_s: float | None = None
+    cells: int | None = None
+    capacity_ah: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu:
+    """The robot file's [imu]; about x, y, z of the base."""
+
+    state: str = ""
+    """unbiased, used, stale or reversed."""
+    angular_rad_s: tuple[float | None, ...] = ()
+    acceleration_m_s2: tuple[float | None, ...] = ()
+    bias_rad_s: float | None = None
+    """Zero-rate offset about z."""
+    bias_variance_rad2_s2: float | None = None
+    rate_variance_rad2_s2: float | None = None
+    stamp_ns: int = 0
+    """CLOCK_MONOTONIC."""
+    heading_by_gyro: bool = False
+    still: bool = False
+    refused: int = 0
+    age_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Percentiles since the daemon's start."""
+
+    p50: float = NAN
+    p99: float = NAN
+    p99_9: float | None = None
+    max: float = NAN
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopStatus:
+    """The real-time loop."""
+
+    rate_hz: float = NAN
+    policy: str = ""
+    """SCHED_FIFO or SCHED_OTHER."""
+    priority: int = 0
+    ticks: int = 0
+    overruns: int = 0
+    page_faults: int = 0
+    lateness_us: Spread = field(default_factory=Spread)
+    step_ns: Spread = field(default_factory=Spread)
+    refusals: Mapping[str, str] = field(default_factory=dict)
+    """What the kernel did not grant, in words."""
+    estop_input: str = ""
+    watchdog: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineStatus:
+    """A medium with drives on it."""
+
+    state: str = ""
+    """closed, configuring or ready."""
+    waits_for: str | None = None
+    """What keeps the line or a drive of it from being armed; None: nothing."""
+    port: str = ""
+    engine: str = ""
+    exchanges: int = 0
+    cycles: int = 0
+    reopened: int = 0
+    errors: Mapping[str, int] = field(default_factory=dict)
+    cycle_hz: float = NAN
+    wire_limit_hz: float = NAN
+    round_trip_us: Spread = field(default_factory=Spread)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeaseStatus:
+    """Somebody who commands, or would; the one in command stands first."""
+
+    number: int = 0
+    owner: str = ""
+    connection: int = 0
+    priority: int = 0
+    expires_in_s: float = NAN
+    linear_m_s: float | None = None
+    angular_rad_s: float | None = None
+    rate_hz: float | None = None
+    held: bool = False
+    """It asked for motion while nothing may move, and has to send zero first."""
+    why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Commander:
+    """An input that may command."""
+
+    name: str = ""
+    kind: str = ""
+    priority: int = 0
+    lease_s: float = NAN
+
+
+@dataclass(frozen=True, kw_only=True)
+class Commands:
+    """Counters since the daemon's start."""
+
+    accepted: int = 0
+    refused: Mapping[str, int] = field(default_factory=dict)
+    """By reason."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Status(dict[str, Any]):
+    """Everything the daemon knows about itself and the robot. As a dict it is the answer itself:
+    `status.odometry.x_m` and `status["odometry"]["x_m"]` are the same number."""
+
+    robot: str = ""
+    pid: int = 0
+    state: str = ""
+    """off, configuring, idle, armed, moving, stopping, fault or estop."""
+    why: tuple[str, ...] = ()
+    """What led to the fault or the emergency stop that is latched."""
+    armed: bool = False
+    at_rest: bool = False
+    reasons: tuple[str, ...] = ()
+    """Why the set-point is not what was asked for."""
+    faults: tuple[str, ...] = ()
+    """What is latched."""
+    stops: int = 0
+    """How often it was brought to rest by a stop, an emergency stop or a fault."""
+    command: Command = field(default_factory=Command)
+    odometry: Odometry = field(default_factory=Odometry)
+    joints: Mapping[str, Joint] = field(default_factory=dict)
+    battery: Battery | None = None
+    imu: Imu | None = None
+    loop: LoopStatus = field(default_factory=LoopStatus)
+    lines: Mapping[str, LineStatus] = field(default_factory=dict)
+    leases: tuple[LeaseStatus, ...] = ()
+    inputs: tuple[Commander, ...] = ()
+    commands: Commands = field(default_factory=Commands)
+    publishers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    bus: Mapping[str, Any] | None = None
+    """What the second process says of itself; None: the robot file has no bus."""
+    stalls: Mapping[str, Any] = field(default_factory=dict)
+    version: int = 0
+
+    @classmethod
+    def of(cls, answer: Mapping[str, Any]) -> Self:
+        """From the answer of `status`."""
+        made: Self = _typed(cls)(answer)
+        made.update(answer)
+        return made
+
+
+Convert = Callable[[Any], Any]
+
+
+@functools.cache
+def _typed(kind: Any) -> Convert:
+    """From JSON to that type."""
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        keys = [(key.name, _typed(hints[key.name])) for key in dataclasses.fields(kind)]
+        return lambda raw: kind(**{name: to(raw[name]) for name, to in keys if name in raw})
+    arguments = typing.get_args(kind)
+    if isinstance(kind, types.UnionType):  # X | None is the only one
+        some = _typed(arguments[0])
+        return lambda raw: None if raw is None else some(raw)
+    origin = typing.get_origin(kind)
+    if origin is tuple:
+        item = _typed(arguments[0])
+        return lambda raw: tuple(map(item, raw))
+    if origin is Mapping:
+        value = _typed(arguments[1])
+        return lambda raw: {key: value(one) for key, one in raw.items()}
+    return lambda raw: raw

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that people write, read within limits: no file, however long or deep, ends a program or
+keeps it busy."""
+
+from __future__ import annotations
+
+import errno
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+TOML_BYTES_MAX = 256 * 1024
+"""Ten times the longest robot file that is known."""
+DESCRIPTION_BYTES_MAX = 16 * 1024 * 1024
+"""Of DBC and EDS files."""
+DEPTH_MAX = 16
+"""Of brackets in each other, and of the parts of a dotted key; robot files need 4."""
+WORD_MAX = 200
+"""Characters of a number, or of a part of a key without quotes."""
+
+TOKEN = re.compile(
+    r'(?P<skip>[ \t\r]+|\#[^\n]*)|(?P<text>"""(?:\\.|[^\\])*?"{3,5}|\'\'\'.*?\'{3,5}'
+    r'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|[^\s"\'\[\]{}=.,\#]+)|(?P<mark>[\n\[\]{}=.,])',
+    re.DOTALL,
+)
+"""A token of a TOML text."""
+
+
+def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
+    """All of a file. Raises OSError, also for one that is longer."""
+    with path.open("rb") as file:
+        found = file.read(bytes_max + 1)
+    if len(found) > bytes_max:
+        raise OSError(errno.EFBIG, f"has more than {bytes_max} bytes", str(path))
+    return found
+
+
+def toml(text: str) -> dict[str, Any]:
+    """As tomllib.loads, which recurses, and takes time with the square of a key's parts and of a
+    number's digits. Raises TOMLDecodeError for what is too deep or too long as well."""
+    line, problem = 1, ""
+    brackets = parts = 0
+    for match in TOKEN.finditer(text):
+        word = match[0]
+        if match.lastgroup == "mark":
+            brackets += (word in "[{") - (word in "]}")
+            parts = parts + 1 if word == "." else 0
+        elif match.lastgroup == "text" and word[0] not in "\"'" and len(word) > WORD_MAX:
+            problem = f"a number or key of more than {WORD_MAX} characters"
+        if brackets > DEPTH_MAX or parts >= DEPTH_MAX:
+            problem = f"more than {DEPTH_MAX} brackets in each other, or parts of a key"
+        if problem:
+            raise tomllib.TOMLDecodeError(f"{problem} (at line {line}, column 1)")
+        line += word.count("\n")
+    return tomllib.loads(text)

@@ -1,0 +1,278 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Leases in detail: whose token it is, how old and how new a command may be, who is held over the end of a lease, and
+ * what is reported. */
+#include <math.h>
+#include <string.h>
+
+#include "check.h"
+#include "rt.h"
+
+static const int64_t MS = 1000000, LIFE_NS = 300000000;
+
+typedef struct {
+    arbiter arbiter;
+    lease_grants grants;
+    int64_t now_ns;
+    bool may_move;
+} bench;
+
+static bench b;
+
+/* Leases are numbered from 1, as the daemon's are. */
+static void begin(void)
+{
+    memset(&b, 0, sizeof b);
+    b.now_ns = 5000 * MS;
+    b.may_move = true;
+    for (uint32_t i = 0; i < 3; i++) {
+        lease_grant *grant = &b.grants.lease[i];
+        *grant = (lease_grant){.number = i + 1, .priority = 10, .lifetime_ns = LIFE_NS};
+        memset(grant->token, 0x41, TOKEN_BYTES);
+        grant->token[TOKEN_BYTES - 1] = (uint8_t)i;
+    }
+    arbiter_init(&b.arbiter, NULL, NULL);
+    arbiter_grant(&b.arbiter, &b.grants);
+}
+
+static command_datagram command_of(uint32_t lease, uint64_t sequence, double linear_m_s)
+{
+    command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
+                                .sequence = sequence, .stamp_ns = b.now_ns, .linear_m_s = linear_m_s};
+    memcpy(command.token, b.grants.lease[lease].token, TOKEN_BYTES);
+    return command;
+}
+
+static int submit(command_datagram command)
+{
+    return arbiter_submit(&b.arbiter, &command, sizeof command, b.now_ns, b.may_move);
+}
+
+static int say(uint32_t lease, uint64_t sequence, double linear_m_s)
+{
+    return submit(command_of(lease, sequence, linear_m_s));
+}
+
+static twist_command obeyed(void)
+{
+    twist_command out;
+    arbiter_command(&b.arbiter, b.now_ns, b.may_move, &out);
+    return out;
+}
+
+static const lease_state *lease_of(uint32_t lease)
+{
+    return &b.arbiter.report.lease[lease];
+}
+
+static void each_byte_of_a_token_counts(void)
+{
+    begin();
+    for (uint32_t i = 0; i < TOKEN_BYTES; i++) {
+        command_datagram command = command_of(0, i + 1, 0.1);
+        CHECK(submit(command) == 0);
+        command.sequence = 100;
+        command.token[i] ^= 0x80;
+        CHECK(submit(command) == 1 + REFUSED_TOKEN);
+    }
+}
+
+static void a_datagram_of_another_program_or_version_is_refused(void)
+{
+    begin();
+    command_datagram command = command_of(0, 1, 0.1);
+    command.magic++;
+    CHECK(submit(command) == 1 + REFUSED_FORM);
+    command.magic--;
+    command.version++;
+    CHECK(submit(command) == 1 + REFUSED_FORM);
+    command.version--;
+    CHECK(submit(command) == 0);
+}
+
+static void a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one(void)
+{
+    begin();
+    b.now_ns = 2;
+    command_datagram command = command_of(0, 1, 0.1);
+    command.stamp_ns = 0;
+    CHECK(submit(command) == 1 + REFUSED_AGE);
+    command.stamp_ns = 1;
+    CHECK(submit(command) == 0);
+    command.sequence++;
+    command.stamp_ns = b.now_ns + 10 * MS + 1;
+    CHECK(submit(command) == 1 + REFUSED_AGE);
+    command.stamp_ns--;
+    CHECK(submit(command) == 0);
+}
+
+static void a_command_is_refused_when_its_life_is_over(void)
+{
+    begin();
+    command_datagram command = command_of(0, 1, 0.1);
+    b.now_ns += LIFE_NS;
+    CHECK(submit(command) == 1 + REFUSED_AGE);
+    b.now_ns--;
+    CHECK(submit(command) == 0 && obeyed().linear_m_s == 0.1);
+}
+
+static void a_command_may_live_as_long_as_its_lease_allows(void)
+{
+    begin();
+    command_datagram command = command_of(0, 1, 0.1);
+    command.lifetime_ms = 300;
+    CHECK(submit(command) == 0 && obeyed().expires_ns == b.now_ns + LIFE_NS);
+    command.sequence++;
+    command.lifetime_ms = 20;
+    CHECK(submit(command) == 0 && obeyed().expires_ns == b.now_ns + 20 * MS);
+    command.sequence++;
+    command.lifetime_ms = 19;
+    CHECK(submit(command) == 1 + REFUSED_LIFETIME);
+}
+
+static void the_first_sequence_may_be_any_and_none_comes_twice(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0);
+    CHECK(say(0, 1, 0.2) == 1 + REFUSED_SEQUENCE);
+    CHECK(say(1, UINT64_C(1) << 63 | 5, 0.1) == 0);
+    CHECK(say(1, UINT64_C(1) << 63 | 5, 0.1) == 1 + REFUSED_SEQUENCE);
+}
+
+static void a_lease_goes_on_when_others_come_and_go(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    lease_grants other = {.lease = {[5] = b.grants.lease[0]}};
+    arbiter_grant(&b.arbiter, &other);
+    CHECK(obeyed().linear_m_s == 0.1 && b.arbiter.report.commander == 1 && lease_of(5)->sequence == 1);
+}
+
+static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0 && say(1, 1, 0.2) == 0);
+    CHECK(obeyed().linear_m_s == 0.1);
+    begin();
+    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);
+    CHECK(obeyed().linear_m_s == 0.2);
+    begin();
+    b.grants.lease[0].priority = 20;
+    arbiter_grant(&b.arbiter, &b.grants);
+    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);   /* the lower one was first, and comes later in the list */
+    CHECK(obeyed().linear_m_s == 0.1);
+}
+
+static void what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays(void)
+{
+    begin();
+    CHECK(say(0, 7, 0.1) == 0);
+    twist_command out = obeyed();
+    CHECK(out.stamp_ns == b.now_ns && out.sequence == 7 && lease_of(0)->stamp_ns == b.now_ns);
+    int64_t stamp_ns = b.now_ns;
+    b.now_ns += LIFE_NS;
+    out = obeyed();
+    CHECK(out.stamp_ns == stamp_ns && out.expires_ns == 0 && out.linear_m_s == 0.0 && b.arbiter.report.commander == 0);
+}
+
+static void a_release_ends_a_lease_s_command_at_once_and_is_accepted(void)
+{
+    begin();
+    b.now_ns = 0;
+    command_datagram command = command_of(0, 1, 0.1);
+    command.stamp_ns = 1;
+    CHECK(submit(command) == 0 && obeyed().linear_m_s == 0.1 && b.arbiter.report.accepted == 1);
+    command.kind = COMMAND_RELEASE;
+    CHECK(submit(command) == 0 && obeyed().linear_m_s == 0.0 && b.arbiter.report.accepted == 2);
+    CHECK(b.arbiter.report.commander == 0);
+}
+
+static void the_report_says_whether_one_may_move(void)
+{
+    begin();
+    (void)obeyed();
+    CHECK(b.arbiter.report.may_move == 1);
+    b.may_move = false;
+    (void)obeyed();
+    CHECK(b.arbiter.report.may_move == 0);
+}
+
+static void the_interval_between_commands_is_smoothed_over_eight(void)
+{
+    begin();
+    b.now_ns = 1;
+    CHECK(say(0, 1, 0.1) == 0 && lease_of(0)->interval_ns == 0 && lease_of(0)->taken_ns == 1);
+    b.now_ns += 1;
+    CHECK(say(0, 2, 0.1) == 0 && lease_of(0)->interval_ns == 1);
+    b.now_ns += 9;
+    CHECK(say(0, 3, 0.1) == 0 && lease_of(0)->interval_ns == 2);
+    b.now_ns += 802;
+    CHECK(say(0, 4, 0.1) == 0 && lease_of(0)->interval_ns == 102 && lease_of(0)->taken_ns == b.now_ns);
+    b.now_ns += 22;
+    CHECK(say(0, 5, 0.1) == 0 && lease_of(0)->interval_ns == 92);
+}
+
+static void any_rate_but_zero_is_a_limit(void)
+{
+    begin();
+    b.grants.lease[0].interval_least_ns = 1;
+    arbiter_grant(&b.arbiter, &b.grants);
+    for (uint64_t sequence = 1; sequence <= 5; sequence++) {
+        CHECK(say(0, sequence, 0.1) == 0 && say(1, sequence, 0.1) == 0);
+    }
+    CHECK(say(0, 6, 0.1) == 1 + REFUSED_RATE && say(1, 6, 0.1) == 0);
+}
+
+/* The owner was held when another lease of his ended. */
+static void begin_barred(int64_t until_ns)
+{
+    begin();
+    b.grants.lease[0].barred_until_ns = until_ns;
+    arbiter_grant(&b.arbiter, &b.grants);
+}
+
+static void who_was_held_is_held_under_his_next_lease_until_the_bar_is_over(void)
+{
+    int64_t until_ns = 5000 * MS + 100 * MS;
+    begin_barred(until_ns);
+    b.now_ns = until_ns - 1;
+    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
+    b.now_ns += 200 * MS;          /* it goes on, and so does the hold */
+    CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+    CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    begin_barred(until_ns);
+    b.now_ns = until_ns;
+    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+}
+
+static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
+{
+    int64_t until_ns = 5000 * MS + 2000 * MS;
+    begin_barred(until_ns);
+    CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
+    b.now_ns += LIFE_NS;           /* his command has lapsed */
+    CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    b.grants.lease[0].barred_until_ns = until_ns + 1;
+    arbiter_grant(&b.arbiter, &b.grants);
+    b.now_ns += LIFE_NS;
+    CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+}
+
+int main(void)
+{
+    each_byte_of_a_token_counts();
+    a_datagram_of_another_program_or_version_is_refused();
+    a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one();
+    a_command_is_refused_when_its_life_is_over();
+    a_command_may_live_as_long_as_its_lease_allows();
+    the_first_sequence_may_be_any_and_none_comes_twice();
+    a_lease_goes_on_when_others_come_and_go();
+    who_came_first_commands_among_equals_and_the_higher_one_in_any_place();
+    what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays();
+    a_release_ends_a_lease_s_command_at_once_and_is_accepted();
+    the_report_says_whether_one_may_move();
+    the_interval_between_commands_is_smoothed_over_eight();
+    any_rate_but_zero_is_a_limit();
+    who_was_held_is_held_under_his_next_lease_until_the_bar_is_over();
+    a_bar_counts_once_and_only_a_later_one_is_a_new_one();
+    return checks_report("arbiter");
+}

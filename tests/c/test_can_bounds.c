@@ -1,0 +1,486 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * One drive of a CAN bus at the very edge of each of its times: still good, and a nanosecond later no more. */
+#include "can_wire.h"
+
+enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };
+
+/* Set-points that are stamped by hand. */
+static void step_with_stamp(int64_t stamp_ns)
+{
+    w.machine.newest.stamp_ns = stamp_ns;
+    step();
+}
+
+static void arm_by_hand(void)
+{
+    arm(0);
+    w.enabled = 2;
+    w.machine.newest.enabled = 1;
+}
+
+static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(void)
+{
+    begin_with(1);
+    table_of(0)->watchdog_ns = 0;
+    restart();
+    arm_by_hand();
+    step_with_stamp(w.now_ns - 100 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    step_with_stamp(w.now_ns + 10 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    step_with_stamp(w.now_ns + 10 * MS + 1);
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+    begin_with(1);
+    arm_by_hand();
+    step_with_stamp(w.now_ns - 100 * MS - 1);
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+}
+
+static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
+{
+    begin_with(1);
+    w.now_ns = 1;
+    restart();
+    arm_by_hand();
+    step_with_stamp(1);
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    step_with_stamp(0);
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+}
+
+static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
+{
+    begin_with(1);
+    arm_by_hand();
+    say_motion(0, 1.0F, 1.0F);
+    int64_t stopped_ns = w.now_ns;
+    step_with_stamp(0);
+    CHECK(state_of(0)->stopping);
+    for (w.now_ns += 100 * MS; w.now_ns < stopped_ns + 1000 * MS; w.now_ns += 100 * MS) {
+        say_state(0, 8);
+        say_motion(0, 1.0F, 1.0F);
+        step();
+    }
+    w.now_ns = stopped_ns + 1000 * MS - 1;
+    step();
+    CHECK(state_of(0)->stopping && told_ns(0, DISABLE) == 0);
+    w.now_ns++;
+    step();
+    CHECK(!state_of(0)->stopping && told_ns(0, DISABLE) == stopped_ns + 1000 * MS);
+}
+
+static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
+{
+    begin_with(1);
+    w.table.period_ns = 1000 * MS;
+    table_of(0)->idle_setpoints = 0;
+    table_of(0)->watchdog_ns = 0;
+    table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    arm(0);
+    w.machine.cycle.due_ns = w.now_ns;
+    step();
+    CHECK(state_of(0)->told_motion);
+    w.enabled = 2;
+    say_motion(0, 1.0F, 1.0F);
+    forget_sent();
+    step_with_stamp(0);
+    CHECK(count_sent(CONTROL) == 1 && count_sent(SPEED) == 1 && speed_in(newest_of(0)) == 0);
+}
+
+static void reasons_add_up_until_it_is_set_up_again(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(30 * MS);
+    w.enabled = 0;
+    step();
+    CHECK(state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+    go_on(60 * MS);                /* and it goes on saying that it has power */
+    CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED));
+    become_quiet();
+    CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED | DEMOTED_QUIET));
+}
+
+static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    w.machine.control.drive[0].arming_until_ns = w.now_ns + 1;
+    say_state(0, 8);
+    CHECK(state_of(0)->still_enabled == 0);
+    w.now_ns++;
+    say_state(0, 8);
+    CHECK(state_of(0)->still_enabled == 1);
+    begin_with(1);
+    table_of(0)->says_enabled = 0;
+    table_of(0)->slow_every = 1;
+    table_of(0)->disarm[0] = (can_write){.packet = packet_of(OFF_WORD, 1)};
+    restart();
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    forget_sent();
+    w.machine.control.drive[0].arming_until_ns = w.machine.cycle.due_ns + 1;
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    CHECK(count_sent(SPEED) == 1 && count_sent(OFF_WORD) == 0);
+    w.machine.control.drive[0].arming_until_ns = w.machine.cycle.due_ns;
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    CHECK(count_sent(OFF_WORD) == 1);
+}
+
+/* --------------------------------------------------------------------------------------------------- silence */
+static void silence_may_last_as_long_as_it_may_and_no_longer(void)
+{
+    begin_with(1);
+    arm_by_hand();
+    w.machine.newest.stamp_ns = w.now_ns + 200 * MS;   /* only the silence is looked at */
+    w.machine.table.setpoint_timeout_ns = 1000 * MS;
+    say_state(0, 8);
+    say_motion(0, 1.0F, 0.0F);
+    int64_t heard_ns = w.now_ns;
+    w.now_ns = heard_ns + 200 * MS;
+    step();
+    CHECK(state_of(0)->missing == 0);
+    w.now_ns++;
+    uint32_t stops = state_of(0)->stops;
+    step();
+    CHECK(state_of(0)->missing == 2 && state_of(0)->mode == DRIVE_QUIET && state_of(0)->stops == stops + 1);
+}
+
+static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(void)
+{
+    begin_with(1);
+    table_of(0)->input[0].silence_ns = 1;
+    w.now_ns = 1;
+    restart();
+    step();
+    CHECK(state_of(0)->missing == 1);
+    say_state(0, 1);
+    say_motion(0, 1.0F, 0.0F);
+    w.now_ns++;
+    step();
+    CHECK(state_of(0)->missing == 0);
+    w.now_ns++;
+    step();
+    CHECK(state_of(0)->missing == 1);
+}
+
+static void an_answer_to_a_hello_is_good_for_five_seconds(void)
+{
+    begin_with(1);
+    table_of(0)->hello = 1;        /* the first of its inputs */
+    w.now_ns = 1;
+    restart();
+    step();
+    CHECK(state_of(0)->missing == 1);
+    say_state(0, 1);
+    w.now_ns += 5000 * MS - 1;
+    step();
+    CHECK(state_of(0)->missing == 0);
+    w.now_ns++;
+    step();
+    CHECK(state_of(0)->missing == 1);
+}
+
+static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet(void)
+{
+    begin_with(1);
+    table_of(0)->hello = 1;
+    restart();
+    arm(0);
+    w.silent = true;
+    while (state_of(0)->mode == DRIVE_ARMED) {
+        say_state(0, 8);
+        go_on(10 * MS);            /* its motion is heard no more */
+    }
+    go_on(10 * MS);
+    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 1);
+    say_state(0, 8);
+    go_on(20 * MS);
+    CHECK(state_of(0)->mode == DRIVE_BACK);
+}
+
+static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops(void)
+{
+    begin_with(1);
+    arm(0);
+    w.said_rad_s = 1.0;
+    go_on(3000 * MS);              /* all that it was told before is long ago */
+    w.enabled = 2;
+    go_on(110 * MS);
+    CHECK(state_of(0)->stopping);
+    become_quiet();
+    CHECK(!state_of(0)->stopping);
+    int64_t quiet_ns = state_of(0)->quiet_since_ns;
+    CHECK(told_ns(0, DISABLE) == 0);
+    go_on(800 * MS);
+    CHECK(told_ns(0, DISABLE) == 0);
+    go_on(1000 * MS);
+    CHECK(told_ns(0, DISABLE) > quiet_ns + 1000 * MS);
+}
+
+static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
+{
+    begin_with(1);
+    table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
+    table_of(0)->disarm[0] = (can_write){.packet = packet_of(OFF_WORD, 1)};
+    restart();
+    arm(0);
+    go_on(30 * MS);
+    w.not_taken = SPEED;           /* so it is told anew in each cycle */
+    become_quiet();
+    int64_t quiet_ns = state_of(0)->quiet_since_ns;
+    w.machine.cycle.due_ns = quiet_ns + 1000 * MS;
+    w.now_ns = quiet_ns + 1000 * MS;
+    forget_sent();
+    step();
+    CHECK(count_sent(CONTROL) == 1 && count_sent(OFF_WORD) == 0);
+    w.machine.cycle.due_ns = ++w.now_ns;
+    step();
+    CHECK(count_sent(CONTROL) == 1 && count_sent(OFF_WORD) == 1);
+}
+
+static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
+{
+    begin_with(1);
+    w.table.period_ns = MS;
+    table_of(0)->probe_count = 1;
+    table_of(0)->probe[0] = packet_of(PROBE, 0);
+    restart();
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    w.silent = true;
+    while (state_of(0)->mode != DRIVE_QUIET) {
+        go_on(MS);
+    }
+    forget_sent();
+    go_on(8000 * MS);
+    const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000};   /* the first, after 100 ms, has begun before */
+    CHECK(w.sent_count >= 7);
+    for (uint32_t i = 0; i < 6; i++) {
+        CHECK(w.sent_ns[i + 1] - w.sent_ns[i] == pauses_ms[i] * MS);
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------- watchdog */
+static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
+{
+    begin_with(1);
+    w.table.period_ns = 100000 * MS;
+    w.table.setpoint_timeout_ns = 100000 * MS;
+    table_of(0)->input[0].silence_ns = table_of(0)->input[1].silence_ns = 0;
+    const int64_t watchdogs_ns[] = {1, 500 * MS};
+    for (uint32_t i = 0; i < 2; i++) {
+        table_of(0)->watchdog_ns = watchdogs_ns[i];
+        restart();
+        wish(0, DRIVE_READY);
+        wish(0, DRIVE_ARMED);
+        CHECK(state_of(0)->mode == DRIVE_ARMED);
+        w.now_ns += watchdogs_ns[i];
+        w.machine.cycle.due_ns = w.now_ns + MS;
+        step();
+        CHECK(state_of(0)->mode == DRIVE_ARMED);
+        w.now_ns++;
+        step();
+        CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_LEFT_ALONE);
+    }
+}
+
+/* ----------------------------------------------------------------------------------------------- what is counted */
+static void frames_that_the_bus_does_not_take_are_counted(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    w.full = true;
+    uint64_t before = w.machine.tx_full, cycles = w.machine.cycle.count;
+    go_on(100 * MS);
+    CHECK(w.machine.cycle.count >= cycles + 9);
+    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles);   /* each has one frame */
+}
+
+static void standing_down_is_a_stop_that_ends_jobs(void)
+{
+    begin_with(1);
+    arm(0);
+    uint32_t stops = state_of(0)->stops;
+    wish(0, DRIVE_STAND_DOWN);
+    CHECK(state_of(0)->stops == stops + 1 && state_of(0)->mode == DRIVE_READY);
+}
+
+static void a_request_that_was_never_seen_may_have_been_a_stop(void)
+{
+    begin_with(1);
+    arm(0);
+    wish(0, DRIVE_READY);          /* it is more than that already */
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    uint32_t stops = state_of(0)->stops;
+    w.machine.control.drive[0].count++;
+    wish(0, DRIVE_ARMED);
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->stops == stops + 2 && state_of(0)->enabled == 2);
+    CHECK(newest_of(0)->data[0] == DISABLE);
+}
+
+static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
+{
+    begin_with(1);
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    say_state(0, 8);
+    CHECK(state_of(0)->off_next_cycle);
+    wish(0, DRIVE_OFF);
+    wish(0, DRIVE_READY);
+    wish(0, DRIVE_ARMED);
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+}
+
+static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before(void)
+{
+    begin_with(1);
+    w.enabled = 0;
+    w.machine.enabled_count = 5;
+    go_on(20 * MS);
+    wish(0, DRIVE_READY);
+    go_on(20 * MS);
+    wish(0, DRIVE_ARMED);
+    w.powered = true;
+    go_on(50 * MS);
+    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    w.machine.enabled_count = 6;   /* it was enabled, and is no more */
+    step();
+    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+}
+
+static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->slow_every = 2;
+    drive->slow_count = 3;
+    for (uint32_t i = 0; i < 3; i++) {
+        drive->slow[i] = packet_of(SLOW + i, 0);
+    }
+    restart();
+    for (uint32_t again = 0; again < 2; again++) {
+        go_on(20 * MS);
+        w.now_ns = w.machine.cycle.due_ns - MS;
+        forget_sent();
+        wish(0, DRIVE_READY);
+        for (uint32_t i = 0; i < 10; i++) {
+            w.now_ns = w.machine.cycle.due_ns;
+            say_state(0, 1);
+            say_motion(0, 1.0F, 0.0F);
+            step();
+        }
+        uint32_t turn = 0;
+        for (uint32_t i = 0; i < w.sent_count; i++) {
+            if (w.sent[i].id >= SLOW) {
+                CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1);   /* after each second set-point frame */
+                turn++;
+            }
+        }
+        CHECK(turn == 5);
+        wish(0, DRIVE_OFF);
+    }
+    drive->slow_count = 1;
+    restart();
+    forget_sent();
+    wish(0, DRIVE_READY);          /* the first cycle is due */
+    CHECK(count_sent(SLOW) == 1 && count_sent(SLOW + 1) == 0);
+}
+
+/* ---------------------------------------------------------------------------------------------------- values */
+static void a_count_of_two_to_the_power_of_62_is_no_position(void)
+{
+    begin_with(1);
+    table_of(0)->input[1].spacing_ns = 0;
+    table_of(0)->input[1].field[0].meaning.si_per_raw = 1.0;
+    table_of(0)->input[1].field[0].meaning.counter_bits = 64;
+    restart();
+    say_motion(0, 4611686018427387904.0F, 0.0F);
+    CHECK(w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == 0);
+    say_motion(0, 4611685743549480960.0F, 0.0F);
+    CHECK(!w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
+}
+
+static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->input[1] = (can_input){.fast = 1, .field_count = 1};
+    drive->input[1].field[0] = (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}};
+    restart();
+    wish(0, DRIVE_READY);
+    say_motion(0, 1.0F, 0.0F);
+    int64_t sampled_ns = w.now_ns;
+    w.now_ns += 7 * MS;
+    say_state(0, 8);
+    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.stamp_ns == sampled_ns);
+    CHECK(w.machine.joint[0].feedback.enabled == 1);
+}
+
+static void all_joints_of_a_drive_are_forgotten_with_it(void)
+{
+    begin_with(3);
+    go_on(20 * MS);
+    say_motion(2, 1.0F, 3.0F);
+    CHECK(w.machine.joint[2].feedback.velocity_rad_s == 3.0);
+    wish(2, DRIVE_READY);
+    CHECK(isnan(w.machine.joint[2].feedback.velocity_rad_s) && w.machine.joint[2].feedback.count == 0);
+}
+
+static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
+{
+    begin_with(1);
+    can_drive *drive = table_of(0);
+    drive->output_count = 2;
+    drive->output[1] = drive->output[0];
+    drive->output[1].packet.id = OFF_WORD;
+    drive->output[1].setpoint[0].scale.raw_per_si = -100.0;
+    drive->output[1].setpoint[0].scale.joint = 1;
+    drive->output[0].setpoint[0].scale.raw_max = 0.0;   /* backwards only */
+    restart();
+    arm(0);
+    go_on(30 * MS);
+    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
+    forget_sent();
+    for (uint32_t i = 0; i < 100; i++) {
+        w.now_ns += MS / 10;
+        say_state(0, 8);
+        say_motion(0, 1.0F, 0.0F);
+        step();
+    }
+    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2);   /* 10 ms are one cycle, or two */
+}
+
+int main(void)
+{
+    set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead();
+    set_points_without_a_stamp_are_none_however_young_the_clock_is();
+    a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest();
+    a_quick_stop_that_is_sent_tells_zero_in_the_same_moment();
+    reasons_add_up_until_it_is_set_up_again();
+    what_it_says_of_its_power_counts_from_the_end_of_its_arming_on();
+    silence_may_last_as_long_as_it_may_and_no_longer();
+    a_drive_is_missing_before_its_first_word_and_when_any_time_is_over();
+    an_answer_to_a_hello_is_good_for_five_seconds();
+    an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet();
+    a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops();
+    quick_stops_end_after_a_second_of_silence_and_not_with_it();
+    a_quiet_drive_is_asked_at_last_every_two_seconds();
+    a_drive_is_left_alone_when_its_watchdog_s_time_is_over();
+    frames_that_the_bus_does_not_take_are_counted();
+    standing_down_is_a_stop_that_ends_jobs();
+    a_request_that_was_never_seen_may_have_been_a_stop();
+    a_power_off_that_was_due_is_forgotten_with_a_new_set_up();
+    one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before();
+    what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns();
+    a_count_of_two_to_the_power_of_62_is_no_position();
+    what_it_says_of_its_power_is_no_sample_of_a_joint();
+    all_joints_of_a_drive_are_forgotten_with_it();
+    motion_that_only_the_second_frame_wants_waits_for_its_cycle();
+    return checks_report("can bounds");
+}

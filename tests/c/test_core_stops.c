@@ -1,0 +1,196 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_core_stops: how a move ends, and when the power goes off. */
+#include "core_rig.h"
+
+/* `config` changed by what comes, at speed; milliseconds until the power is off, 0: never within five seconds. */
+static int power_off_after_ms(const core_config *config, const change *of, bool wheels_stop)
+{
+    rig r;
+    start(&r, config);
+    go(&r, 0.3, 0.0);
+    int zero_ms = 0;
+    for (int ms = 0; ms < 5000; ms++) {
+        prepare(&r);
+        for (int j = 0; j < 4 && !wheels_stop; j++)
+            r.input.feedback[j].velocity_rad_s = 1.0;
+        apply(&r.input, of);
+        step(&r);
+        CHECK(r.shown.faults == of->expected);
+        zero_ms += r.out.enabled && zero(&r);
+        if (!r.out.enabled)
+            return zero_ms;
+    }
+    return 0;
+}
+
+static void the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds(void)
+{
+    static const change EXTERNAL = LEVEL_OF(control.fault, 1, FAULT_EXTERNAL), ESTOP = LEVEL_OF(control.estop, 1, FAULT_ESTOP);
+    static const change STALE = AGE_OF(feedback[2].stamp_ns, NEVER, FAULT_FEEDBACK_STALE);
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++)
+        config.joint[j].counter_bits = 0;
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
+        config.on_estop = config.on_fault = (stop_action)action;
+        bool zero_first = action == STOP_RAMP || action == STOP_BRAKE;
+        CHECK(power_off_after_ms(&config, &EXTERNAL, false) == (zero_first ? 2001 : 0));
+        CHECK(power_off_after_ms(&config, &STALE, true) == (zero_first ? 2001 : 0));
+        int soon_ms = power_off_after_ms(&config, &ESTOP, true);
+        CHECK(zero_first ? soon_ms >= 0 && soon_ms <= 2 : soon_ms == 0);
+    }
+    /* a clock that runs backwards ends the hold, too */
+    config.on_fault = STOP_BRAKE;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.3, 0.0);
+    r.deaf = true;
+    r.input.control.fault = 1;
+    CHECK(ticks(&r, 3)->enabled == 1);
+    r.input.now_ns -= 10 * MS_NS;
+    CHECK(tick(&r)->enabled == 0);
+}
+
+static void a_fault_of_direction_or_runaway_outranks_the_configured_action(void)
+{
+    static const struct {
+        uint32_t faults;
+        stop_action on_estop, on_fault, expected;
+    } ACTIONS[] = {
+        {FAULT_ESTOP, STOP_BRAKE, STOP_RAMP, STOP_BRAKE},
+        {FAULT_EXTERNAL, STOP_BRAKE, STOP_RAMP, STOP_RAMP},
+        {FAULT_ESTOP | FAULT_EXTERNAL, STOP_HOLD, STOP_RAMP, STOP_HOLD},
+        {FAULT_DIRECTION, STOP_HOLD, STOP_RAMP, STOP_BRAKE},
+        {FAULT_DIRECTION, STOP_HOLD, STOP_COAST, STOP_COAST},
+        {FAULT_DIRECTION | FAULT_ESTOP, STOP_HOLD, STOP_COAST, STOP_BRAKE},
+        {FAULT_RUNAWAY, STOP_HOLD, STOP_RAMP, STOP_COAST},
+        {FAULT_RUNAWAY | FAULT_ESTOP, STOP_HOLD, STOP_RAMP, STOP_COAST},
+        {FAULT_STALL, STOP_HOLD, STOP_RAMP, STOP_RAMP},
+    };
+    for (int i = 0; i < COUNT_OF(ACTIONS); i++) {
+        rig r;
+        core_config config = good_config();
+        config.on_estop = ACTIONS[i].on_estop;
+        config.on_fault = ACTIONS[i].on_fault;
+        start(&r, &config);
+        go(&r, 0.4, 0.0);
+        r.state.faults = ACTIONS[i].faults;
+        r.input.control.estop = ACTIONS[i].faults & FAULT_ESTOP;
+        r.input.control.fault = 1;
+        tick(&r);
+        CHECK(r.shown.armed == 0 && r.out.enabled == (ACTIONS[i].expected != STOP_COAST));
+        CHECK(zero(&r) == (ACTIONS[i].expected == STOP_BRAKE || ACTIONS[i].expected == STOP_COAST));
+        CHECK(ticks(&r, 4000)->enabled == (ACTIONS[i].expected == STOP_HOLD) && zero(&r));
+    }
+}
+
+static void a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded(void)
+{
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
+        rig r;
+        core_config config = good_config();
+        config.on_timeout = (stop_action)action;
+        start(&r, &config);
+        tick(&r);
+        r.input.control.armed = 1;
+        r.mute = true;
+        r.input.command.stamp_ns = 0;
+        CHECK(ticks(&r, 400)->armed == 1 && r.shown.reasons == REASON_COMMAND_STALE);
+        r.mute = false;
+        r.input.command.linear_m_s = 0.4;
+        CHECK(ticks(&r, 1500)->armed == 1 && fabs(r.shown.setpoint_linear_m_s - 0.4) < 1e-12);
+        r.input.control.stop = 1;
+        tick(&r);
+        CHECK(r.shown.armed == (action != STOP_COAST) && r.out.enabled == r.shown.armed);
+        CHECK(zero(&r) == (action == STOP_BRAKE || action == STOP_COAST));
+        CHECK(ticks(&r, 1500)->at_rest == 1 && r.shown.armed == (action != STOP_COAST));
+        r.input.control.stop = 0;
+        CHECK(ticks(&r, 1500)->setpoint_linear_m_s == (action == STOP_COAST ? 0.0 : 0.4));
+        r.mute = true;
+        CHECK(ticks(&r, 300)->armed == (action != STOP_COAST));
+        tick(&r);
+        CHECK(r.shown.armed == (action != STOP_COAST) && (r.shown.reasons & REASON_COMMAND_STALE));
+        CHECK(zero(&r) == (action == STOP_BRAKE || action == STOP_COAST));
+    }
+}
+
+static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(void)
+{
+    core_config config = good_config();
+    rig r;
+    ready(&r, &config);
+    for (int j = 0; j < 4; j++)
+        for (int way = -1; way <= 1; way += 2) {
+            prepare(&r);
+            r.input.feedback[j].velocity_rad_s = way * 0.05;
+            CHECK(step(&r)->at_rest == 0);
+            prepare(&r);
+            r.input.feedback[j].velocity_rad_s = way * nextafter(0.05, 0.0);
+            CHECK(step(&r)->at_rest == 1);
+        }
+    prepare(&r);
+    r.input.feedback[3].velocity_rad_s = 1.0;
+    step(&r);
+    for (int ms = 0; ms < 249; ms++) {
+        r.input.now_ns += TICK_NS;
+        for (int j = 0; j < 3; j++)
+            r.input.feedback[j].stamp_ns = r.input.now_ns;
+        CHECK(step(&r)->at_rest == 0);
+    }
+    r.input.now_ns += 2 * TICK_NS; /* a wheel that is not heard any more says nothing */
+    for (int j = 0; j < 3; j++)
+        r.input.feedback[j].stamp_ns = r.input.now_ns;
+    CHECK(step(&r)->at_rest == 1 && r.shown.joint[3].stale == 1);
+}
+
+static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++) {
+        config.joint[j].counter_bits = 0;
+        config.joint[j].velocity_min_rad_s = -4.0;
+        config.joint[j].velocity_max_rad_s = 8.0;
+        config.joint[j].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+    }
+    config.joint[1].speed_loop.torque_max_n_m = 0.0;
+    config.on_fault = STOP_HOLD;
+    for (int way = -1; way <= 1; way += 2) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.2, 0.0);
+        prepare(&r);
+        r.input.feedback[0].velocity_rad_s = way * 12.0; /* one and a half times its limit */
+        CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -way * 8.0 && r.out.joint[1].torque_n_m == 0.0);
+        prepare(&r);
+        r.input.feedback[1].velocity_rad_s = way * 12.1;
+        CHECK(step(&r)->faults == 0);
+        prepare(&r);
+        r.input.feedback[0].velocity_rad_s = way * 12.1;
+        CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 && r.out.enabled == 1);
+        CHECK(r.state.speed_loop[0].integral_n_m == 0.0 && r.out.joint[2].torque_n_m != 0.0);
+        prepare(&r); /* latched: it is slower again, and gets no torque */
+        r.input.feedback[0].velocity_rad_s = -way;
+        CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0);
+        r.input.command.linear_m_s = 0.0;
+        r.input.control.armed = 0;
+        ticks(&r, 3000);
+        r.input.control.reset_count++;
+        ticks(&r, 2);
+        CHECK(r.shown.faults == 0 && r.state.speed_loop[0].overspeed == 0 && r.state.speed_loop[2].integral_n_m == 0.0);
+    }
+    rig r;
+    start(&r, &config);
+    go(&r, 0.2, 0.0);
+    step_with(&r, &(change)AGE_OF(feedback[2].stamp_ns, 300000000, 0));
+    CHECK(r.shown.faults == FAULT_FEEDBACK_STALE && r.out.joint[2].torque_n_m == 0.0);
+    CHECK(r.state.speed_loop[2].integral_n_m == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
+}
+
+int main(void)
+{
+    the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds();
+    a_fault_of_direction_or_runaway_outranks_the_configured_action();
+    a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded();
+    at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero();
+    a_torque_ends_with_its_power_its_feedback_or_its_runaway();
+    return checks_report("test_core_stops");
+}

@@ -1,0 +1,397 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Drives that answer late, on a wire of virtual time: whose request a reply belongs to, and how old its values are. A
+ * drive answers in the order of its requests. Its counter is the time itself, in tenths of a millisecond. */
+#include <math.h>
+
+#include "line_wire.h"
+
+enum { QUEUE_MAX = 64, UNITS_MAX = 2, BOTH = 4 };
+
+static const int64_t TICK_NS = 100000;
+
+typedef struct {
+    int64_t at_ns;
+    uint32_t bytes;
+    uint8_t reply[8];
+} queued;
+
+static queued queue[QUEUE_MAX];
+static uint32_t queue_count;
+static int64_t busy_until_ns[UNITS_MAX];    /* it answers one request after the other */
+static int64_t late_ns;
+static uint32_t late_every;                 /* 1: each reply; n: one of n on average; 0: none */
+static uint32_t lose_every;
+static bool samples_late;                   /* it is busy first, and takes the value then */
+static bool turns_around_slowly;
+static bool first_only;                     /* its neighbours are good */
+static uint32_t asked[UNITS_MAX];
+static uint32_t published;                  /* samples of the first drive */
+static int64_t last_sample_ns, last_stamp_ns, longest_pause_ns;
+
+static uint32_t random_state;
+
+static uint32_t random_below(uint32_t limit)
+{
+    random_state = random_state * 1664525U + 1013904223U;
+    return (random_state >> 8) % limit;
+}
+
+static void begin_late(uint32_t drives, bool one_look, uint32_t seed)
+{
+    begin_with(drives, 0);
+    for (uint32_t i = 0; i < drives; i++) {
+        line_drive *drive = &w.table.drive[i];
+        uint8_t unit = (uint8_t)(i + 1);
+        drive->cyclic[1].field[0] = (line_field){.joint = i, .kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+        if (one_look) {
+            drive->cyclic[1].setpoint[0] = drive->cyclic[0].setpoint[0];
+            drive->cyclic[1].setpoint_count = 1;
+            drive->cyclic[0] = drive->cyclic[1];
+            drive->cyclic[0].frame = frame_of(unit, READ, BOTH, 0);
+            drive->cyclic_count = 1;
+            drive->probe = 0;
+        }
+    }
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    memset(busy_until_ns, 0, sizeof busy_until_ns);
+    queue_count = 0;
+    random_state = seed;
+    late_ns = 0;
+    late_every = lose_every = 0;
+    samples_late = turns_around_slowly = first_only = false;
+    published = 0;
+    last_sample_ns = last_stamp_ns = longest_pause_ns = 0;
+}
+
+static void serve(const uint8_t *request)
+{
+    uint32_t number = request[0] - 1U;
+    bool good = first_only && number > 0;
+    bool late = !good && late_every > 0 && random_below(late_every) == 0;
+    bool lost = !good && lose_every > 0 && random_below(lose_every) == 0;
+    asked[number]++;
+    int64_t begin_ns = w.machine.end_ns > busy_until_ns[number] ? w.machine.end_ns : busy_until_ns[number];
+    int64_t ready_ns = begin_ns + (turns_around_slowly ? 4 * MS : DEVICE_NS) + (late ? late_ns : 0);
+    uint32_t count = (uint32_t)((samples_late ? ready_ns : w.machine.end_ns) / TICK_NS);
+    queued *to = &queue[queue_count];
+    *to = (queued){.bytes = request[1] == READ ? 7 : 8};
+    memcpy(to->reply, request, 8);
+    if (request[1] == READ) {
+        memcpy(to->reply, (const uint8_t[]){request[0], READ, 2, (uint8_t)(count >> 8), (uint8_t)count}, 5);
+        rtu_seal(to->reply, 7, SEAL_CRC16);
+    }
+    to->at_ns = ready_ns + to->bytes * CHARACTER_NS;
+    busy_until_ns[number] = to->at_ns;
+    CHECK(queue_count < QUEUE_MAX - 1);
+    queue_count += !lost;
+}
+
+/* The first of the queue that has come by now. */
+static void receive(void)
+{
+    uint32_t first = 0;
+    for (uint32_t i = 1; i < queue_count; i++) {
+        first = queue[i].at_ns < queue[first].at_ns ? i : first;
+    }
+    if (queue_count > 0 && queue[first].at_ns <= w.now_ns) {
+        memcpy(w.bytes, queue[first].reply, queue[first].bytes);
+        w.count = queue[first].bytes;
+        queue[first] = queue[--queue_count];
+    }
+}
+
+static int64_t next_event_ns(int64_t wake_ns)
+{
+    for (uint32_t i = 0; i < queue_count; i++) {
+        wake_ns = queue[i].at_ns < wake_ns ? queue[i].at_ns : wake_ns;
+    }
+    return wake_ns > w.now_ns ? wake_ns : w.now_ns + 1;
+}
+
+/* No value is older than its stamp by more than a cycle; where the drive takes it at once, no speed is seen that was not. */
+static void judge(void)
+{
+    if ((w.out.feedback_mask & 1) == 0 || w.machine.joint[0].feedback.stamp_ns == 0) {
+        return;
+    }
+    const joint_feedback *now = &w.machine.joint[0].feedback;
+    if (now->stamp_ns == last_stamp_ns) {
+        return;
+    }
+    int64_t behind = (int16_t)(uint16_t)((uint32_t)(now->stamp_ns / TICK_NS) - (uint32_t)now->count);
+    int64_t sample_ns = now->stamp_ns - behind * TICK_NS;
+    CHECK(behind * TICK_NS <= 2 * MS);
+    if (last_stamp_ns > 0) {
+        int64_t pause_ns = now->stamp_ns - last_stamp_ns;
+        double seen = (double)(sample_ns - last_sample_ns) / (double)pause_ns;
+        CHECK(pause_ns > 0);
+        CHECK(samples_late || turns_around_slowly || fabs(seen - 1.0) < 0.2);
+        longest_pause_ns = pause_ns > longest_pause_ns ? pause_ns : longest_pause_ns;
+    }
+    last_stamp_ns = now->stamp_ns;
+    last_sample_ns = sample_ns;
+    published++;
+}
+
+static void look(void)
+{
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
+    for (uint32_t i = 0; i < w.table.drive_count; i++) {
+        w.machine.newest.joint[i].velocity_rad_s = 1.0;
+    }
+    w.count = 0;
+    receive();
+    line_machine_step(&w.machine, w.now_ns, w.bytes, w.count, &w.out);
+    judge();
+    if (w.out.send != NULL) {
+        line_machine_sent(&w.machine, w.now_ns);
+        serve(w.out.send);
+        w.now_ns = next_event_ns(w.machine.until_ns);
+    } else {
+        w.now_ns = next_event_ns(w.out.wake_ns);
+    }
+}
+
+static void look_for(int64_t length_ns)
+{
+    for (int64_t end_ns = w.now_ns + length_ns; w.now_ns < end_ns;) {
+        look();
+    }
+}
+
+static void set_up_again_when_it_is_back(uint32_t number)
+{
+    uint32_t mode = w.machine.drive[number].mode;
+    if (mode == DRIVE_OFF || mode == DRIVE_BACK) {
+        last_stamp_ns = 0;
+        wish(number, DRIVE_READY);
+    } else if (mode == DRIVE_READY && w.machine.drive[number].stop == STOP_NOTHING) {
+        wish(number, DRIVE_ARMED);
+    }
+}
+
+static void run(uint32_t drives, int64_t length_ns)
+{
+    for (int64_t end_ns = w.now_ns + length_ns; w.now_ns < end_ns;) {
+        look_for(20 * MS);
+        for (uint32_t i = 0; i < drives; i++) {
+            set_up_again_when_it_is_back(i);
+        }
+    }
+}
+
+static void no_value_is_older_than_it_says(bool one_look)
+{
+    for (uint32_t every = 1; every <= 40; every += every < 4 ? 1 : 12) {
+        for (int64_t ms = 5; ms <= 100; ms += 5) {
+            for (uint32_t busy = 0; busy < 2; busy++) {
+                begin_late(2, one_look, (uint32_t)ms * every);
+                run(2, 200 * MS);
+                late_ns = ms * MS;
+                late_every = every;
+                samples_late = busy != 0;
+                run(2, 3000 * MS);
+                late_every = 0;
+                published = 0;
+                run(2, 4000 * MS);   /* a quiet one is asked every two seconds */
+                CHECK(published > 90);   /* and it is well again after that */
+            }
+        }
+    }
+}
+
+static void a_late_reply_is_told_from_noise(void)
+{
+    begin_late(1, false, 1);
+    run(1, 500 * MS);
+    late_ns = 40 * MS;
+    late_every = 20;
+    run(1, 4000 * MS);
+    CHECK(w.machine.drive[0].count.late > 0 && w.machine.noise_bytes == 0);
+}
+
+/* Other drives go on while one waits for what may still come of it. */
+static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
+{
+    begin_late(2, one_look, 3);
+    run(2, 500 * MS);
+    uint64_t before = w.machine.drive[1].count.cycles;
+    run(2, 2000 * MS);
+    uint64_t healthy = w.machine.drive[1].count.cycles - before;
+    w.machine.table.drive[0].tries = 1000;
+    first_only = true;
+    for (uint32_t i = 0; i < 2; i++) {
+        lose_every = i == 0 ? 0 : 10;
+        late_every = i == 0 ? 10 : 0;
+        late_ns = 60 * MS;
+        before = w.machine.drive[1].count.cycles;
+        run(2, 2000 * MS);
+        CHECK(w.machine.drive[1].count.cycles - before >= healthy * 9 / 10);
+    }
+}
+
+/* One that is told in one frame and read in another loses nothing but the reply. */
+static void a_lost_reply_costs_a_drive_of_two_looks_no_pause(void)
+{
+    begin_late(1, false, 5);
+    run(1, 500 * MS);
+    lose_every = 50;
+    longest_pause_ns = 0;
+    run(1, 10000 * MS);
+    CHECK(published > 400 && longest_pause_ns <= 90 * MS);
+}
+
+static void a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause(void)
+{
+    begin_late(1, true, 5);
+    run(1, 500 * MS);
+    lose_every = 50;
+    longest_pause_ns = 0;
+    run(1, 10000 * MS);
+    CHECK(published > 200 && longest_pause_ns <= 400 * MS);
+}
+
+/* So late that nobody waits for it any more: it comes right after the next request, sooner than the drive can answer. */
+static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer(void)
+{
+    begin_late(1, true, 7);
+    turns_around_slowly = true;
+    run(1, 1000 * MS);
+    for (uint32_t seed = 0; seed < 40; seed++) {
+        lose_every = 1;
+        while (w.machine.drive[0].failures == 0) {
+            look();
+        }
+        lose_every = 0;
+        int64_t failed_ns = w.now_ns;
+        uint32_t before = asked[0];
+        while (asked[0] < before + 2 || w.machine.work == WORK_NONE) {   /* the drain is over, and one is on the wire */
+            look();
+        }
+        CHECK(w.now_ns > failed_ns);
+        uint8_t old[7] = {1, READ, 2, 0x12, 0x34};
+        rtu_seal(old, 7, SEAL_CRC16);
+        last_stamp_ns = 0;
+        line_machine_step(&w.machine, w.machine.end_ns + 7 * CHARACTER_NS, old, 7, &w.out);
+        CHECK(w.machine.joint[0].feedback.count != 0x1234);
+        run(1, 1000 * MS);
+        CHECK(w.machine.drive[0].mode == DRIVE_ARMED);
+    }
+}
+
+static void one_that_is_always_too_late_is_quiet(void)
+{
+    for (int64_t ms = 30; ms <= 100; ms += 10) {
+        begin_late(1, false, 1);
+        run(1, 500 * MS);
+        late_ns = ms * MS;
+        late_every = 1;
+        run(1, 2000 * MS);
+        CHECK(w.machine.drive[0].count.quiet > 0);
+    }
+}
+
+/* As on a pseudo-terminal, where bytes take no time. */
+static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void)
+{
+    begin_late(1, false, 1);
+    w.table.character_ns = (double)MS;
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    for (uint32_t i = 0; i < 200; i++) {
+        set_up_again_when_it_is_back(0);
+        w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 1};
+        line_machine_step(&w.machine, w.now_ns, w.bytes, w.count, &w.out);
+        w.count = 0;
+        w.now_ns = w.out.wake_ns > w.now_ns ? w.out.wake_ns : w.now_ns;
+        if (w.out.send == NULL) {
+            continue;
+        }
+        line_machine_sent(&w.machine, w.now_ns);
+        if (i == 60 || i == 61) {
+            w.now_ns = w.machine.until_ns;
+            continue;
+        }
+        memcpy(w.bytes, w.out.send, 8);
+        w.count = 8;
+        if (w.bytes[1] == READ) {
+            memcpy(w.bytes, (const uint8_t[]){1, READ, 2, 0, 7}, 5);
+            rtu_seal(w.bytes, 7, SEAL_CRC16);
+            w.count = 7;
+        }
+        w.now_ns += MS / 10;
+    }
+    CHECK(w.machine.drive[0].count.quiet == 0 && w.machine.drive[0].failures == 0);
+    CHECK(w.machine.drive[0].count.no_reply >= 1 && w.machine.drive[0].count.cycles > 40);
+}
+
+static line_ask read_of(uint64_t id, uint8_t address)
+{
+    return (line_ask){.id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS,
+                      .frame = frame_of(1, READ, address, 1)};
+}
+
+/* The replies of two registers look alike: the first one's, late, is not given to the second. */
+static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
+{
+    for (int64_t ms = 30; ms <= 100; ms += 5) {
+        begin_late(1, false, 1);
+        line_ask first = read_of(1, STATUS), second = read_of(2, BOTH);
+        late_ns = ms * MS;
+        late_every = 1;
+        CHECK(line_machine_ask(&w.machine, &first) && line_machine_ask(&w.machine, &second));
+        while (!w.machine.answered) {
+            look();
+        }
+        CHECK(w.machine.answer.id == 1 && w.machine.answer.kind == ANSWER_NO_REPLY);
+        late_every = 0;
+        int64_t asked_ns = w.now_ns;
+        do {
+            look();
+        } while (!w.machine.answered);
+        CHECK(w.machine.answer.id == 2 && w.machine.answer.kind == ANSWER_OK && asked[0] > 0);
+        uint32_t count = (uint32_t)rtu_read(w.machine.answer.reply + 3, FORM_U16);
+        CHECK((uint16_t)((uint32_t)(asked_ns / TICK_NS) - 1U - count) > 0x8000);
+    }
+}
+
+/* What a stop acknowledges late was told before something else: that it has been heard now is not known. */
+static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
+{
+    begin_late(1, false, 1);
+    line_ask off = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .urgent = 1,
+                    .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
+    line_ask on = off;
+    on.id = 2;
+    on.frame = frame_of(1, WRITE, CONTROL, 8);
+    lose_every = 1;
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(line_machine_ask(&w.machine, i == 0 ? &off : &on));
+        do {
+            look();
+        } while (!w.machine.answered);
+    }
+    off.id = 3;
+    CHECK(line_machine_ask(&w.machine, &off));
+    while (w.machine.work != WORK_ASK) {
+        look();
+    }
+    line_machine_step(&w.machine, w.machine.end_ns + 2 * MS, off.frame.request, 8, &w.out);
+    CHECK(!w.machine.answered || w.machine.answer.kind != ANSWER_OK);
+}
+
+int main(void)
+{
+    no_value_is_older_than_it_says(false);
+    no_value_is_older_than_it_says(true);
+    a_late_reply_is_told_from_noise();
+    a_late_drive_does_not_keep_its_neighbour_waiting(false);
+    a_late_drive_does_not_keep_its_neighbour_waiting(true);
+    a_lost_reply_costs_a_drive_of_two_looks_no_pause();
+    a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause();
+    a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer();
+    one_that_is_always_too_late_is_quiet();
+    replies_quicker_than_the_wire_are_answers_also_after_a_lost_one();
+    a_late_reply_to_one_read_is_not_the_answer_to_another();
+    the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one();
+    return checks_report("line late");
+}

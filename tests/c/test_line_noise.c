@@ -1,0 +1,142 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A line that is never silent: stops go out all the same, and its drives become quiet. */
+#include "line_wire.h"
+
+static const int64_t LONG_GAP_NS = 20 * MS;
+/* A frame that does not get silence: the gap, the bound, its exchange and a look. */
+static const int64_t FRAME_NS = LONG_GAP_NS + 20 * MS + 5 * MS;
+
+static void begin_turning(uint32_t drives)
+{
+    begin_with(drives, 0);
+    w.table.gap_ns = LONG_GAP_NS;
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    for (uint32_t i = 0; i < drives; i++) {
+        arm(i);
+    }
+    while (!w.machine.drive[drives - 1].told_motion) {
+        go_on();
+    }
+}
+
+static void babble_for(int64_t for_ns)
+{
+    w.babbles = true;
+    for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {
+        go_on();
+    }
+}
+
+static void a_power_off_goes_out(void)
+{
+    begin_turning(2);
+    babble_for(10 * MS);
+    wish(0, DRIVE_OFF);
+    babble_for(2 * FRAME_NS + 30 * MS);
+    CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
+    CHECK(w.machine.drive[0].stop == STOP_NOTHING);   /* its answers are found among the noise */
+}
+
+static void a_quick_stop_goes_out(void)
+{
+    begin_turning(1);
+    babble_for(10 * MS);
+    w.machine.newest.stamp_ns = 0;   /* no set-points any more */
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
+    babble_for(FRAME_NS + 10 * MS);
+    CHECK(w.quick_stop_ns[0] > 0);
+}
+
+static void all_drives_are_switched_off_at_the_end(void)
+{
+    begin_turning(2);
+    babble_for(10 * MS);
+    w.machine.control.shut_down = 1;
+    babble_for(500 * MS);
+    CHECK(w.machine.shut == 3);
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 && w.machine.drive[i].stop == STOP_NOTHING);
+    }
+}
+
+static void a_stop_waits_for_silence_as_long_as_that_may_still_come(void)
+{
+    begin_turning(1);
+    babble_for(10 * MS);
+    w.babbles = false;
+    int64_t heard_ns = w.now_ns;
+    wish(0, DRIVE_OFF);
+    while (w.power_offs[0] == 0) {
+        go_on();
+    }
+    CHECK(w.machine.start_ns - heard_ns >= LONG_GAP_NS);
+}
+
+static void an_urgent_request_goes_out_and_no_other(void)
+{
+    begin_turning(1);
+    babble_for(10 * MS);
+    line_ask ask = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, STATUS, 1)};
+    CHECK(line_machine_ask(&w.machine, &ask));
+    uint64_t before = w.machine.exchanges;
+    babble_for(100 * MS);
+    CHECK(w.machine.exchanges == before && w.machine.ask_count == 1);
+    ask.id = 2;
+    ask.urgent = 1;
+    CHECK(line_machine_ask(&w.machine, &ask));
+    babble_for(FRAME_NS);
+    CHECK(w.machine.exchanges == before + 1 && w.machine.ask_count == 1 && w.machine.ask[0].id == 1);
+}
+
+/* Nothing can be asked: nobody is known to be there. One that may turn is told to stop again and again. */
+static void its_drives_become_quiet_and_are_told_to_stop(void)
+{
+    begin_turning(2);
+    w.machine.table.drive[0].watchdog_ns = w.machine.table.drive[1].watchdog_ns = 0;
+    while (w.machine.work != WORK_NONE) {
+        go_on();
+    }
+    w.dead = 3;
+    babble_for(700 * MS);
+    CHECK(w.machine.drive[0].mode == DRIVE_ARMED);
+    babble_for(100 * MS);
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(w.machine.drive[i].mode == DRIVE_QUIET && w.machine.drive[i].demoted == DEMOTED_QUIET);
+        CHECK(w.machine.drive[i].count.bad_reply >= 3);
+    }
+    babble_for(3000 * MS);
+    CHECK(w.quick_stop_sent[0] >= 2 && w.quick_stop_sent[1] >= 2);
+    w.babbles = false;
+    w.dead = 0;
+    for (int64_t end_ns = w.now_ns + 5000 * MS; w.now_ns < end_ns;) {
+        go_on();
+    }
+    CHECK(w.machine.drive[0].mode == DRIVE_BACK && w.machine.drive[1].mode == DRIVE_BACK);
+}
+
+static void noise_before_a_turn_that_has_just_come_is_no_failure(void)
+{
+    begin_turning(1);
+    w.machine.table.drive[0].period_ns = 1000 * MS;
+    w.machine.table.drive[0].watchdog_ns = 0;
+    for (uint32_t i = 0; i < 4; i++) {
+        go_on();
+    }
+    while (w.machine.work != WORK_NONE || w.machine.drive[0].due_ns > w.now_ns + 20 * MS) {
+        go_on();
+    }
+    babble_for(100 * MS);
+    CHECK(w.machine.drive[0].failures == 0);
+}
+
+int main(void)
+{
+    a_power_off_goes_out();
+    a_quick_stop_goes_out();
+    all_drives_are_switched_off_at_the_end();
+    a_stop_waits_for_silence_as_long_as_that_may_still_come();
+    an_urgent_request_goes_out_and_no_other();
+    its_drives_become_quiet_and_are_told_to_stop();
+    noise_before_a_turn_that_has_just_come_is_no_failure();
+    return checks_report("line noise");
+}

@@ -1,0 +1,225 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * What is sent to a drive of a line that does not answer, and when, and how it comes back. */
+#include "line_wire.h"
+
+enum { EXTRA = 0x40, SENT_MAX = 256 };
+
+typedef struct {
+    int64_t at_ns;
+    uint8_t function, address, high, low;
+} sent_frame;
+
+static sent_frame sent[SENT_MAX];
+static uint32_t sent_count;
+
+static void look(void)
+{
+    go_on();
+    if (w.out.send != NULL) {
+        CHECK(sent_count < SENT_MAX);
+        sent[sent_count++] = (sent_frame){w.machine.start_ns, w.out.send[1], w.out.send[3], w.out.send[4], w.out.send[5]};
+    }
+}
+
+static void look_for(int64_t for_ns)
+{
+    for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {
+        look();
+    }
+}
+
+static void restart(void)
+{
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+}
+
+/* Silent from now on; what is sent since it is quiet. */
+static void become_quiet(void)
+{
+    w.dead = 1;
+    while (w.machine.drive[0].mode != DRIVE_QUIET) {
+        sent_count = 0;
+        look();                    /* the first one goes out in the look that finds it quiet */
+    }
+}
+
+static void become_quiet_while_it_may_turn(void)
+{
+    arm(0);
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    become_quiet();
+}
+
+static bool is_quick_stop(const sent_frame *frame)
+{
+    return frame->function == WRITE && frame->address == CONTROL && frame->low == QUICK_STOP;
+}
+
+static bool is_zero(const sent_frame *frame)
+{
+    return frame->function == WRITE && frame->address == SPEED && frame->high == 0 && frame->low == 0;
+}
+
+static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_questions(void)
+{
+    begin_with(1, 0);
+    become_quiet_while_it_may_turn();
+    look_for(20000 * MS);
+    CHECK(sent_count >= 12);
+    for (uint32_t i = 0; i + 2 < sent_count; i += 3) {
+        CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
+        CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
+    }
+    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].demoted == DEMOTED_QUIET);
+}
+
+static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)
+{
+    begin_with(1, 0);
+    become_quiet_while_it_may_turn();
+    look_for(12000 * MS);
+    const int64_t pauses_ms[] = {0, 0, 100, 200, 400, 800, 1600, 2000, 2000};
+    CHECK(sent_count >= 10);
+    for (uint32_t i = 0; i < 9; i++) {
+        int64_t pause_ns = sent[i + 1].at_ns - sent[i].at_ns;
+        int64_t reply_ns = w.machine.drive[0].deadline_ns + 40 * MS;
+        CHECK(pause_ns >= pauses_ms[i] * MS && pause_ns <= (pauses_ms[i] > 0 ? pauses_ms[i] * MS : reply_ns) + MS / 2);
+    }
+}
+
+static void one_that_does_not_turn_is_only_asked(void)
+{
+    begin_with(1, 0);
+    wish(0, DRIVE_READY);
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    become_quiet();
+    look_for(5000 * MS);
+    CHECK(sent_count >= 4);
+    for (uint32_t i = 0; i < sent_count; i++) {
+        CHECK(sent[i].function == READ && sent[i].address == STATUS);
+    }
+}
+
+static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_told_zero(void)
+{
+    for (uint32_t extras = 0; extras <= 1; extras++) {
+        begin_with(1, 0);
+        w.table.drive[0].probe = 0;
+        w.table.drive[0].extra_count = extras;
+        w.table.drive[0].extra[0].frame = frame_of(1, READ, EXTRA, 1);
+        restart();
+        wish(0, DRIVE_READY);
+        for (uint32_t i = 0; i < 20; i++) {
+            go_on();
+        }
+        become_quiet();
+        look_for(1000 * MS);
+        CHECK(sent_count >= 3);
+        for (uint32_t i = 0; i < sent_count; i++) {
+            CHECK(extras == 1 ? sent[i].function == READ && sent[i].address == EXTRA : is_zero(&sent[i]));
+        }
+    }
+}
+
+static void the_probe_may_be_the_first_of_the_cycle(void)
+{
+    begin_with(1, 0);
+    w.table.drive[0].probe = 1;
+    restart();
+    wish(0, DRIVE_READY);
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    become_quiet();
+    look_for(1000 * MS);
+    CHECK(sent_count >= 3 && is_zero(&sent[0]) && is_zero(&sent[1]) && is_zero(&sent[2]));
+}
+
+/* It answers again: power off first, and only then may it be set up; the next silence begins with a quick stop anew. */
+static void one_that_answers_is_told_off_and_is_back(void)
+{
+    begin_with(1, 0);
+    for (uint64_t times = 1; times <= 2; times++) {
+        w.dead = 0;
+        become_quiet_while_it_may_turn();
+        look_for(450 * MS);        /* so that the round breaks off in its middle */
+        CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) && w.machine.drive[0].count.quiet == times);
+        CHECK(sent[1].at_ns - sent[0].at_ns < 90 * MS && sent[2].at_ns - sent[1].at_ns < 90 * MS);
+        CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS && sent[3].at_ns - sent[2].at_ns < 101 * MS);
+        w.dead = 0;
+        w.power_offs[0] = 0;
+        while (w.machine.drive[0].mode != DRIVE_BACK) {
+            go_on();
+        }
+        CHECK(w.power_offs[0] == 2 && w.machine.drive[0].stop == STOP_NOTHING);
+        CHECK(!w.machine.drive[0].stopping && !w.machine.drive[0].back);
+    }
+}
+
+static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
+{
+    begin_with(1, 0);
+    arm(0);
+    w.turning = 1;
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    w.machine.newest.stamp_ns = 0;
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);   /* old set-points: it comes to rest */
+    CHECK(w.machine.drive[0].stopping);
+    become_quiet();
+    CHECK(!w.machine.drive[0].stopping && w.machine.drive[0].stop == STOP_NOTHING);
+}
+
+/* Whatever it was in the middle of: its next cycle and its next round of probes begin at their beginning. */
+static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up(void)
+{
+    begin_with(2, 0);
+    line_drive_state *drive = &w.machine.drive[0];
+    for (uint32_t current = 0; current < 2; current++) {
+        drive->stage = STAGE_EXTRA;
+        drive->probe_place = 2;
+        drive->back = true;
+        memset(drive->way_told, 1, sizeof drive->way_told);
+        w.machine.current = current;
+        line_go_quiet(&w.machine, 0, w.now_ns);
+        CHECK(drive->mode == DRIVE_QUIET && drive->stage == STAGE_IDLE && drive->probe_place == 0 && !drive->back);
+        CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+        }
+    }
+}
+
+/* One quick stop, the exchanges with set-points that begin the cycle, and the question. */
+static void the_first_round_is_as_long_as_what_stops_the_drive(void)
+{
+    for (uint32_t writes = 0; writes <= 2; writes++) {
+        begin_with(1, 0);
+        line_drive *table = &w.machine.table.drive[0];
+        table->cyclic[0].setpoint_count = writes > 0;
+        table->cyclic[1].setpoint_count = 1;
+        table->cyclic_count = writes == 2 ? 2 : 1;   /* what lies behind the last is none of its exchanges */
+        w.machine.drive[0].may_turn = true;
+        line_go_quiet(&w.machine, 0, w.now_ns);
+        CHECK(w.machine.drive[0].probes_at_once == 1 + writes + 1);
+    }
+}
+
+int main(void)
+{
+    one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_questions();
+    the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds();
+    one_that_does_not_turn_is_only_asked();
+    without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_told_zero();
+    the_probe_may_be_the_first_of_the_cycle();
+    one_that_answers_is_told_off_and_is_back();
+    a_stop_that_was_under_way_is_over_when_a_drive_falls_silent();
+    one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up();
+    the_first_round_is_as_long_as_what_stops_the_drive();
+    return checks_report("line quiet");
+}

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serial lines against drives that answer late, refuse, or lose replies: how old values are, and
+what is said of a drive that is quiet."""
+
+import asyncio
+import random
+import time
+
+import pytest
+from loop_side import running, until
+from scripted_slave import ScriptedSlave, Unit
+from test_modbus_line import ENGINES, POSITION_1, hub_servo, registers_of, spec_of
+
+from motord_hal.modbus.codec import Function, build_reply
+from motord_hal.ports import EventKind
+
+TICK_NS = 10_000
+CYCLE_NS = 20_000_000
+
+
+@pytest.fixture(params=ENGINES)
+async def peer(tmp_path, request):
+    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
+    peer.units = {1: Unit(registers_of("zlac8015d"))}
+    yield peer
+    peer.pull()
+
+
+def answer_late(peer, late_s, part, seed=1):
+    """From now on: its counter is the time, and this part of its replies is late. It answers in the
+    order of its requests."""
+    chance = random.Random(seed)
+    answered_s = 0.0
+
+    def reply(request, honest):
+        nonlocal answered_s
+        peer.tricks.append(reply)
+        if request.function is Function.READ_HOLDING:
+            registers = peer.units[request.unit].registers
+            ticks = time.monotonic_ns() // TICK_NS
+            registers[POSITION_1], registers[POSITION_1 + 1] = ticks >> 16 & 0xFFFF, ticks & 0xFFFF
+            span = range(request.address, request.address + request.count)
+            honest = build_reply(request, tuple(registers[address] for address in span))
+        now_s = time.monotonic()
+        answered_s = max(answered_s, now_s) + (late_s if chance.random() < part else 0.0)
+        return [(answered_s - now_s, honest)]
+
+    peer.tricks.clear()
+    peer.tricks.append(reply)
+
+
+def age_ns(feedback):
+    """How much older its position is than its stamp says."""
+    behind = (feedback.stamp_ns // TICK_NS - feedback.count) & 0xFFFFFFFF
+    return (behind - (1 << 32) if behind >> 31 else behind) * TICK_NS
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)
+@pytest.mark.parametrize("late_ms", [5, 30, 60, 100])
+async def test_no_position_is_older_than_its_stamp_says(peer, late_ms):
+    async with running(spec_of(peer, hub_servo(), cycle_hz=50.0), in_haste=True) as rig:
+        await rig.ready()
+        answer_late(peer, 0.0, 0.0)
+        mark = len(peer.heard)
+        await until(lambda: len(peer.heard) > mark + 10)
+        answer_late(peer, late_ms / 1e3, 0.3)
+        ages_ns, mark = {}, len(peer.heard)
+        while len(peer.heard) < mark + 150:
+            feedback = rig.loop.exchange.take_feedback(0)
+            if feedback.stamp_ns:
+                ages_ns[feedback.stamp_ns] = age_ns(feedback)
+            await asyncio.sleep(0.001)
+        assert ages_ns
+        assert max(ages_ns.values()) <= CYCLE_NS
+
+
+async def why_quiet(rig):
+    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+    return next(event.text for event in rig.events if event.kind is EventKind.DRIVE_QUIET)
+
+
+async def test_a_drive_that_refuses_is_not_said_to_have_another_baud_rate(peer):
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
+        await rig.ready()
+        peer.units[1].refuses = set(peer.units[1].registers)
+        text = await why_quiet(rig)
+        assert "exception 2" in text
+        assert "baud" not in text
+
+
+async def test_a_drive_whose_replies_are_lost_is_not_said_to_have_another_baud_rate(peer):
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
+        await rig.ready()
+        peer.units[1].silent = True
+        text = await why_quiet(rig)
+        assert "nothing within" in text
+        assert "baud" not in text
+
+
+async def test_replies_that_are_torn_among_good_ones_are_said_to_be_so(peer):
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
+        await rig.ready()
+
+        def tear(_request, honest):
+            peer.tricks.append(tear)
+            return [(0.0, honest[:4])]
+
+        peer.tricks.append(tear)
+        text = await why_quiet(rig)
+        assert "torn or damaged replies" in text
+        assert "bytes came, but no frame" not in text
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)  # the other engine does not tell them apart
+async def test_a_drive_that_answers_late_is_said_to_be_slow(peer):
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
+        await rig.ready()
+        answer_late(peer, 0.04, 1.0)
+        text = await why_quiet(rig)
+        assert "replies come after their time" in text
+        assert "baud" not in text
+
+
+async def test_bytes_that_never_were_a_frame_hint_at_the_baud_rate(peer):
+    def garble(_request, honest):
+        peer.tricks.append(garble)
+        return [(0.0, bytes(byte ^ 0x5A for byte in honest))]
+
+    peer.tricks.append(garble)
+    async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
+        assert "bytes came, but no frame: baud rate or parity?" in await why_quiet(rig)

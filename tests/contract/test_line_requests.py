@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests beside the cycle on serial lines of both engines: whose reply is whose, and what waits
+for what."""
+
+import asyncio
+import contextlib
+
+import pytest
+from loop_side import GENEROUS_S, running, until
+from scripted_slave import ScriptedSlave, Unit
+from test_modbus_line import CONTROL, ENABLE, ENGINES, OFF, hub_servo, registers_of, spec_of
+
+from motord_hal.clock import now_ns
+from motord_hal.errors import HalError
+from motord_hal.modbus.codec import Function, Request
+from motord_hal.ports import DriveState
+from motord_hal.rt import Exchange
+from motord_hal.rt_engine.asks import Asks
+from motord_hal.rt_engine.modbus_frames import modbus_frame
+from motord_hal.rt_engine.news import News
+from motord_hal.rt_engine.protocols import frames_of
+from motord_hal.rt_engine.table import line_table
+from motord_hal.rt_line import AnswerKind, Ask, LineThread, ThreadSpec
+from motord_hal.serial.port import open_port
+
+TEMPERATURE = 0x20A4
+
+
+@pytest.fixture(params=ENGINES)
+async def peer(tmp_path, request):
+    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
+    peer.units = {1: Unit(registers_of("zlac8015d")), 2: Unit(registers_of("zlac8015d"))}
+    yield peer
+    peer.pull()
+
+
+def two_drives():
+    return (*hub_servo(1), *hub_servo(2, first=2))
+
+
+@contextlib.asynccontextmanager
+async def thread_on(peer):
+    """The line's thread in C, by itself, on the peer's pty; its drives are not set up."""
+    spec = spec_of(peer, two_drives())
+    thread, news, port = LineThread(0, Exchange.private()), News(), open_port(spec)
+    news.open()
+    try:
+        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=news.event_fd)
+        thread.start(place, line_table(spec, frames_of(spec)))
+        yield thread, news
+        thread.stop()
+    finally:
+        news.close()
+        port.close()
+
+
+def read_request(unit):
+    return modbus_frame(Request(unit, Function.READ_HOLDING, TEMPERATURE, count=1))
+
+
+def power_off_request(unit):
+    return modbus_frame(Request(unit, Function.WRITE_SINGLE, CONTROL, values=(OFF,)))
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)
+async def test_an_urgent_request_does_not_get_the_reply_of_the_one_on_the_wire(peer):
+    peer.tricks.append(lambda request, honest: [(0.015, honest)])
+    async with thread_on(peer) as (thread, _news):
+        limit_ns = now_ns() + 10**10
+
+        def put(number, drive, frame, urgent):
+            ask = Ask(
+                id=number, drive=drive, frame=frame, expires_ns=limit_ns,
+                turnaround_ns=20_000_000, urgent=urgent,
+            )  # fmt: skip
+            assert thread.put_ask(ask)
+
+        put(1, 0, read_request(1), urgent=False)
+        await until(lambda: len(peer.heard) == 1)
+        put(2, 1, power_off_request(2), urgent=True)
+        answers = []
+
+        def both_came():
+            answers.extend(iter(thread.take_answer, None))
+            return len(answers) == 2
+
+        await until(both_came)
+        assert [(one.id, one.kind) for one in answers] == [(1, AnswerKind.OK), (2, AnswerKind.OK)]
+        assert [one.reply[0] for one in answers] == [1, 2]
+        assert peer.written(CONTROL, unit=2) == [OFF]
+
+
+async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
+    async with running(spec_of(peer, two_drives())) as rig:
+        await rig.arm()
+        mark = len(peer.heard)
+
+        def hold_the_read(request, honest):
+            if (request.unit, request.address, request.count) == (1, TEMPERATURE, 1):
+                return [(0.015, honest)]
+            peer.tricks.append(hold_the_read)
+            return [(0.0, honest)]
+
+        peer.tricks.append(hold_the_read)
+        reading = asyncio.create_task(rig.line.read_register("left1", "temperature_1"))
+        await until(lambda: any(h.request.address == TEMPERATURE and h.request.count == 1
+                                for h in peer.heard[mark:]))  # fmt: skip
+        async with asyncio.timeout(GENEROUS_S):
+            await rig.line.disarm()
+            await reading
+        for unit in (1, 2):
+            assert peer.written(CONTROL, unit)[-1] == OFF
+        assert rig.states() == {DriveState.READY}
+
+
+async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer):
+    async with running(spec_of(peer, two_drives())) as rig:
+        await rig.arm()
+        reads = 0
+
+        async def read_on(joint):
+            nonlocal reads
+            while True:
+                with contextlib.suppress(HalError):
+                    await rig.line.read_register(joint, "temperature_1")
+                reads += 1
+
+        tasks = [asyncio.create_task(read_on(name)) for name in ("left1", "right1", "left2")]
+        await until(lambda: reads > 20)
+        async with asyncio.timeout(GENEROUS_S):
+            await rig.line.disarm()
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+        for unit in (1, 2):
+            assert peer.written(CONTROL, unit)[-1] == OFF
+
+
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)
+async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_sent(peer):
+    """Power that waits for its turn is not switched on after the power-off that overtook it."""
+    async with thread_on(peer) as (thread, news):
+        asks, allowed = Asks("rs485", thread, 1.0), True
+
+        def check():
+            if not allowed:
+                raise HalError("stopped")
+
+        async def attend():
+            while True:
+                asks.take_answers()
+                await news.wait()
+
+        async def enable():
+            frame = modbus_frame(Request(1, Function.WRITE_SINGLE, CONTROL, values=(ENABLE,)))
+            with pytest.raises(HalError, match="stopped"):
+                await asks.ask(0, frame, 0.02, check=check)
+
+        peer.tricks.append(lambda request, honest: [(0.015, honest)])
+        async with asyncio.TaskGroup() as tasks:
+            attending = tasks.create_task(attend())
+            reading = tasks.create_task(asks.ask(0, read_request(1), 0.02))
+            await until(lambda: len(peer.heard) == 1)
+            enabling = tasks.create_task(enable())
+            await asyncio.sleep(0)  # it waits for its turn
+            allowed = False
+            await asks.ask(0, power_off_request(1), 0.02, urgent=True)
+            await reading
+            await enabling
+            attending.cancel()
+        assert peer.written(CONTROL) == [OFF]

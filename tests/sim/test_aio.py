@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""motord.aio with a whole daemon: what motord.client does, without blocking the event loop."""
+
+import asyncio
+import contextlib
+import inspect
+import subprocess
+import sys
+
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+
+from motord import client
+from motord.aio import Client, ClientError, MoveFailed, Refused
+
+SETTINGS = (
+    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+    "joint.left.tries=10", "joint.right.tries=10",
+    "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
+)  # fmt: skip
+"""A busy machine is no fault."""
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("aio"), *SETTINGS) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+@pytest.fixture
+def armed(stage):
+    def ready():
+        with contextlib.suppress(ClientError):
+            if stage.state() in ("fault", "estop"):
+                stage.robot.reset()
+            return stage.robot.arm() == "armed"
+        return False
+
+    wait_until(ready, "armed")
+    yield stage
+    with contextlib.suppress(ClientError):
+        stage.robot.disarm()
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+def connected(stage):
+    return Client(stage.socket, timeout_s=DEADLINE_S)
+
+
+async def turning(stage):
+    while await asyncio.to_thread(lambda: stage.sim.truth().at_rest):
+        await asyncio.sleep(0.01)
+
+
+def test_it_has_every_method_of_the_blocking_client_with_the_same_parameters():
+    public = {
+        name: method
+        for name, method in inspect.getmembers(client.Client, inspect.isfunction)
+        if not name.startswith("_")
+    }
+    for name, method in public.items():
+        twin = getattr(Client, name)
+        assert inspect.iscoroutinefunction(twin), name
+        assert inspect.signature(twin).parameters == inspect.signature(method).parameters, name
+
+
+def test_it_loads_nothing_beside_the_standard_library():
+    code = (
+        "import sys, motord.aio\n"
+        "ours = {name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names)\n"
+        "print(sorted(name for name in ours if not name.startswith('_')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "['motord', 'motord_hal']\n"
+
+
+async def test_it_arms_moves_turns_and_disarms(stage, armed):
+    async with connected(stage) as robot:
+        await robot.reset_odometry()
+        moved = await robot.move(0.3)
+        assert moved.distance_m == pytest.approx(0.3, abs=0.011)
+        assert (await robot.turn(0.4)).angle_rad == pytest.approx(0.4, abs=0.021)
+        status = await robot.status()
+        assert (status.state, status.leases) == ("armed", ())
+        assert await robot.disarm() == "idle"
+        with pytest.raises(Refused, match="motord arm"):
+            await robot.drive(0.1, 0.0)
+
+
+async def test_a_stop_by_another_task_ends_a_move(stage, armed):
+    async with connected(stage) as robot, asyncio.TaskGroup() as tasks:
+
+        async def stopped():
+            await turning(stage)
+            return await robot.stop()
+
+        stop = tasks.create_task(stopped())
+        with pytest.raises(MoveFailed) as failed:
+            await robot.move(20.0)
+        assert failed.value.moved is not None
+        assert await stop == "armed"
+
+
+async def test_a_move_that_is_cancelled_gives_its_lease_back(stage, armed):
+    async with connected(stage) as robot, asyncio.TaskGroup() as tasks:
+        move = tasks.create_task(robot.move(20.0))
+        await turning(stage)
+        move.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await move
+        assert move.cancelled()
+        assert (await robot.status()).leases == ()
+
+
+async def test_its_leases_end_with_it(stage, armed):
+    async with connected(stage) as robot:
+        assert (await robot.drive(0.0, 0.0, lease_s=5.0))["in_command"]
+        assert (await robot.status()).leases[0].owner == "socket"
+    wait_until(lambda: not stage.robot.status().leases, "no lease is left")
+    with pytest.raises(ClientError, match="closed"):
+        await robot.status()
+
+
+async def test_a_call_that_is_cancelled_does_not_confuse_the_next(stage):
+    async with connected(stage) as robot:
+        call = asyncio.gather(robot.params_list(), return_exceptions=True)
+        await asyncio.sleep(0)
+        call.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await call
+        assert (await robot.status()).robot
+
+
+async def test_a_daemon_that_does_not_answer_costs_a_deadline(tmp_path):
+    async def mute(reader, writer):
+        await reader.read()
+        writer.close()
+
+    server = await asyncio.start_unix_server(mute, tmp_path / "mute.sock")
+    async with server, Client(tmp_path / "mute.sock", timeout_s=0.2) as robot:
+        with pytest.raises(ClientError, match=r"no answer within 0\.2 s"):
+            await robot.status()
+
+
+async def test_a_missing_daemon_is_named_with_its_path(tmp_path):
+    with pytest.raises(ClientError, match=r"nobody\.sock: no daemon has this socket"):
+        async with Client(tmp_path / "nobody.sock"):
+            pass

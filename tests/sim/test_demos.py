@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every shipped robot drives the course of `motord demo` to its end."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from daemon_stage import ROOT
+
+from motord.config import load_robot
+from motord.config.wheels import profile_of
+from motord.tools.demo_words import Source, worth
+
+ROBOTS = sorted(path.stem for path in (ROOT / "config/robots").glob("*.toml"))
+ESTIMATED = {"forward-only": Source.SPEEDS, "two-single-drives": Source.SPEEDS}
+"""The robots without position counters; the others are judged."""
+DEADLINE_S = 200.0
+SERIAL = ("modbus-rtu", "mcu", "ascii", "roboclaw")
+
+
+def patient(name):
+    """What waits longer than a busy machine is late. The checks of the feedback stay as they are:
+    a healthy robot passes them on any machine."""
+    path = ROOT / f"config/robots/{name}.toml"
+    robot = load_robot(path)
+    yield "safety.feedback_timeout_s=3.0"
+    yield "safety.heartbeat_timeout_s=5.0"
+    if any(profile_of(robot, joint.drive).watchdog for joint in robot.joint.values()):
+        yield "safety.drive_watchdog_s=2.0"
+    if robot.imu is not None:
+        yield "imu.timeout_s=1.0"
+    for joint_name, joint in robot.joint.items():
+        if robot.line[joint.line].kind in SERIAL:
+            yield f"joint.{joint_name}.tries=10"
+            yield f"joint.{joint_name}.reply_timeout_s=0.2"
+
+
+def demo(name, *options):
+    settings = [f"--set={setting}" for setting in patient(name)]
+    return subprocess.run(
+        [sys.executable, "-m", "motord", "demo", "--robot", name, "--seconds", "5", *settings,
+         *options],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        cwd=ROOT,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_shipped_robot_drives_the_course_and_says_what_its_odometry_is_worth(name):
+    run = demo(name, "--json")
+    assert run.returncode == 0, run.stdout + run.stderr
+    result = json.loads(run.stdout)
+    assert result["ok"] is True
+    assert result["safety"]["faults"] == []
+    assert result["odometry"]["distance_m"] > 0.5
+    source = ESTIMATED.get(name, Source.COUNTERS)
+    assert result["odometry"]["source"] == source
+    assert result["odometry"]["judged"] == (source is Source.COUNTERS)
+    assert result["worth"] == worth(source)

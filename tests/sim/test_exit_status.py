@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exit statuses of the commands that talk to a daemon: 0 done, 1 it failed, 2 wrong usage, 3 a
+fault is latched or hardware is missing."""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
+
+from motord.client import ClientError
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("exit")) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+@pytest.fixture
+def idle(stage):
+    def rests():
+        with contextlib.suppress(ClientError):
+            stage.robot.reset()
+            stage.robot.disarm()
+        return stage.state() == "idle"
+
+    wait_until(rests, "idle")
+    return stage
+
+
+def command(stage, *words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "motord", *words, "--json", "--socket", str(stage.socket)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+    )  # fmt: skip
+
+
+def ended(process):
+    """Its exit status, and the one object that it printed."""
+    out, _ = process.communicate(timeout=DEADLINE_S)
+    return process.returncode, json.loads(out)
+
+
+@pytest.mark.parametrize("words", [("drive", "0.1", "0"), ("move", "1"), ("turn", "1")])
+def test_a_motion_of_a_disarmed_robot_has_failed(idle, words):
+    status, found = ended(command(idle, *words))
+    assert (status, found["exit_status"]) == (1, 1)
+    assert "armed" in found["error"] or "motord arm" in found["error"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("arm",), ("drive", "0.1", "0"), ("drive", "0", "0", "--seconds", "0.1"), ("move", "1"),
+     ("turn", "1"), ("stop",), ("disarm",), ("status",), ("reset-odometry",)],
+)  # fmt: skip
+def test_each_command_says_that_a_fault_is_latched(idle, words):
+    idle.robot.estop()
+    assert ended(command(idle, *words))[0] == 3
+    idle.robot.reset()
+
+
+@pytest.mark.parametrize(
+    "words", [("arm",), ("reset",), ("drive", "0.1", "0"), ("move", "1"), ("turn", "1")]
+)
+def test_each_command_says_that_hardware_is_missing(tmp_path_factory, words, unplugged):
+    status, found = ended(command(unplugged, *words))
+    assert (status, found["exit_status"]) == (3, 3)
+
+
+@pytest.fixture(scope="module")
+def unplugged(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("unplugged"), simulated=False) as stage:
+        stage.wait_for("configuring")
+        yield stage
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("params", "set", "limits.linear_m_s=-1"), ("params", "get", "limits.speed"),
+     ("params", "set", "limits.linear_m_s"), ("move", "0"), ("drive", "nan", "0")],
+)  # fmt: skip
+def test_what_cannot_be_asked_for_is_wrong_usage_whatever_the_state(idle, words):
+    assert ended(command(idle, *words))[0] == 2
+    idle.robot.estop()
+    assert ended(command(idle, *words))[0] == 2
+    idle.robot.reset()
+
+
+def test_a_drive_that_never_was_in_command_has_failed(idle):
+    idle.robot.drive(0.0, 0.0, owner="me", priority=250, lease_s=5.0)
+    status, found = ended(command(idle, "drive", "0", "0", "--seconds", "0.2"))
+    idle.robot.release("me")
+    assert (status, found["error"]) == (1, "me is in command")
+
+
+def test_a_fault_that_ends_a_drive_is_told_by_its_status(idle):
+    def armed():
+        with contextlib.suppress(ClientError):
+            return idle.robot.arm() == "armed"
+        return False
+
+    wait_until(armed, "armed")
+    with command(idle, "drive", "0.2", "0") as process:
+        wait_until(lambda: not idle.sim.truth().at_rest, "the wheels turn")
+        idle.robot.estop()
+        status, found = ended(process)
+        process.send_signal(signal.SIGKILL)
+    assert (status, found["exit_status"]) == (3, 3)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log of a node, as ROS 2 has it."""
+
+import asyncio
+import logging
+
+from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.rosout import LOG, Rosout
+
+log = logging.getLogger("motord.test")
+
+
+class Topic:
+    """What was published, by way of its bytes."""
+
+    def __init__(self):
+        self.told = []
+
+    def publish(self, message):
+        self.told.append(decode(LOG, bytes(encode(LOG, message))))
+
+
+async def test_warnings_and_errors_of_any_thread_are_told_and_the_rest_is_not():
+    topic = Topic()
+    with Rosout("/r2/motord", topic).listening():
+        log.info("all is well")
+        log.warning("two %s", "rivals")
+        await asyncio.to_thread(log.error, "no route")
+        async with asyncio.timeout(10.0):
+            while len(topic.told) < 2:
+                await asyncio.sleep(0)
+    log.warning("afterwards")
+    await asyncio.sleep(0)
+    assert [(one.level, one.msg, one.name) for one in topic.told] == [
+        (30, "two rivals", "r2.motord"), (40, "no route", "r2.motord")
+    ]  # fmt: skip
+    assert topic.told[0].file == "test_ros2_rosout.py"
+
+
+async def test_what_led_to_a_fault_is_told_once():
+    topic = Topic()
+    rosout = Rosout("/motord", topic)
+    for why in ((), ("estop: by /panel",), ("estop: by /panel",), ("estop: by /panel", "a wheel")):
+        rosout.look(why)
+    assert [one.msg for one in topic.told] == ["estop: by /panel", "a wheel"]
+    rosout.look(())
+    rosout.look(("a wheel",))
+    assert len(topic.told) == 3
