@@ -42,7 +42,7 @@ def answer_late(peer, late_s, part, seed=1):
             span = range(request.address, request.address + request.count)
             honest = build_reply(request, tuple(registers[address] for address in span))
         now_s = time.monotonic()
-        answered_s = max(answered_s, now_s) + (late_s if chance.random() < part else 0.0)
+        answered_s = max(answered_s, now_s + (late_s if chance.random() < part else 0.0))
         return [(answered_s - now_s, honest)]
 
     peer.tricks.clear()
