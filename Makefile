@@ -111,5 +111,5 @@ arm64: $(VENV)/made
 	@tests/arm64/run.sh $(ARGS)
 
 clean:
-	@rm -rf $(VENV) build dist *.egg-info _motord_rt* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@rm -rf $(VENV) build dist *.egg-info _motord_rt* _motord_bus* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pyproject.toml cannot say: the cffi extension, and config/ as data of the wheel."""
+"""What pyproject.toml cannot say: the cffi extensions, and config/ as data of the wheel."""
 
 import shutil
 from pathlib import Path
@@ -19,7 +19,7 @@ class BuildWithConfig(build_py):
 
 
 setup(
-    cffi_modules=["csrc/build_ffi.py:ffi"],
+    cffi_modules=["csrc/build_ffi.py:ffi", "csrc/build_bus.py:ffi"],
     cmdclass={"build_py": BuildWithConfig},
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import logging
+import os
 import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from motord.client import ClientError, Refused
 from motord.commands import RELEASE, TWIST, datagram, joint_datagram
@@ -43,11 +45,15 @@ def reason(text: str) -> dict[str, str]:
     return {"why": text[:REASON_CHARS_MAX]}
 
 
-_NO_LEASE = "there is no lease: the daemon does not take commands now"
+NO_LEASE = "there is no lease: the daemon does not take commands now"
 SOCKET_FULL = (
     "the daemon's command socket is full: commands come faster than its loop takes them; the next "
     "one counts"
 )
+
+
+ALL_SEEN = -1
+"""Whatever else was commanded meanwhile."""
 
 
 class NotConnected(ClientError):
@@ -126,6 +132,28 @@ class StopSender:
         return False
 
 
+class Outlet(Protocol):
+    """Sends under a lease in our place, commands of its own among them: it numbers all of them."""
+
+    @property
+    def direct(self) -> int:
+        """Commands of its own that it has sent."""
+        ...
+
+    def hold(self, fd: int, token: bytes, sequence: int) -> None:
+        """A lease begins: its connected socket, its token, the number of its newest command."""
+        ...
+
+    def let_go(self) -> int:
+        """It is over; the number of its newest command. Its socket is not used any more."""
+        ...
+
+    def send(self, raw: bytes, seen: int) -> int:
+        """A datagram, whose token and number it fills in. `seen` >= 0: only while `direct` is that.
+        0; -ENOTCONN: no lease; -ESTALE: `direct` has grown; -EAGAIN: full; -errno."""
+        ...
+
+
 class Source:
     """One input's right to command. `run` keeps the lease; `drive` and `release` never wait."""
 
@@ -139,10 +167,11 @@ class Source:
         self._sequence = 0
         self._failing = False
         self._sender: socket.socket | None = None
+        self._outlet: Outlet | None = None
         self.sent = 0
         self.lost = 0
         """Commands for which there was no lease, or that the socket did not take."""
-        self.why_lost = _NO_LEASE
+        self.why_lost = NO_LEASE
         """Why the newest of them was."""
         self.rivals: Callable[[], dict[str, Any]] = dict
         """Senders of this input that command against each other, by topic."""
@@ -174,20 +203,46 @@ class Source:
             self._token, self._sequence = bytes.fromhex(grant["token"]), 0
             self.number = grant["number"]
             self._sender = sender
+            self._hand_over()
             if self._failing:
                 self._failing = False
                 _log.info("input.%s: has its lease again", self.owner)
             try:
                 await _ended(reader)
             finally:
+                if self._outlet is not None:
+                    self._outlet.let_go()
                 self._token = self._sender = None
                 self.number = 0
 
-    def drive(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> bool:
+    def lend(self, outlet: Outlet | None) -> None:
+        """Whatever is commanded goes through `outlet` from now on, and again by ourselves: None."""
+        if self._outlet is not None:
+            self._sequence = max(self._sequence, self._outlet.let_go())
+        self._outlet = outlet
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        if self._outlet is not None and self._token is not None and self._sender is not None:
+            self._outlet.hold(self._sender.fileno(), self._token, self._sequence)
+
+    @property
+    def direct(self) -> int:
+        """Commands under this lease that did not come by `drive`: of an outlet."""
+        return 0 if self._outlet is None else self._outlet.direct
+
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        stamp_ns: int | None = None,
+        *,
+        seen: int = ALL_SEEN,
+    ) -> bool:
         """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
-        Returns whether it was sent."""
+        `seen`: not where `direct` has grown beyond that. Returns whether it was sent."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
-        return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns)
+        return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns, seen)
 
     def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
         """One command of all wheels, in the order of the robot file, as `drive`."""
@@ -195,31 +250,40 @@ class Source:
             lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
         )
 
-    def release(self) -> bool:
-        """Give the command back before it lapses; the next one takes it again."""
-        return self._send_twist(RELEASE, 0.0, 0.0, time.monotonic_ns())
+    def release(self, *, seen: int = ALL_SEEN) -> bool:
+        """Give the command back before it lapses; the next one takes it again. As `drive`."""
+        return self._send_twist(RELEASE, 0.0, 0.0, time.monotonic_ns(), seen)
 
     def _send_twist(
-        self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int
+        self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int, seen: int
     ) -> bool:
         return self._send(
             lambda token, sequence: datagram(
                 token, sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
-            )
+            ),
+            seen,
         )
 
-    def _send(self, made: Callable[[bytes, int], bytes]) -> bool:
+    def _send(self, made: Callable[[bytes, int], bytes], seen: int = ALL_SEEN) -> bool:
         if self._token is None or self._sender is None:
-            return self._lose(_NO_LEASE)
-        self._sequence += 1
-        try:
-            self._sender.send(made(self._token, self._sequence))
-        except BlockingIOError:  # the next one will do
-            return self._lose(SOCKET_FULL)
-        except OSError as error:  # gone: the connection's end says it
-            return self._lose(f"the daemon's command socket does not take it: {error.strerror}")
-        self.sent += 1
-        return True
+            return self._lose(NO_LEASE)
+        if self._outlet is not None:
+            error = -self._outlet.send(made(self._token, 0), seen)
+        else:
+            self._sequence += 1
+            error = _sent(self._sender, made(self._token, self._sequence))
+        match error:
+            case 0:
+                self.sent += 1
+                return True
+            case errno.ESTALE:
+                return False  # another has meanwhile asked for something else
+            case errno.EAGAIN:  # the next one will do
+                return self._lose(SOCKET_FULL)
+            case errno.ENOTCONN:
+                return self._lose(NO_LEASE)
+        # gone: the connection's end says it
+        return self._lose(f"the daemon's command socket does not take it: {os.strerror(error)}")
 
     def _lose(self, why: str) -> bool:
         self.lost += 1
@@ -230,6 +294,15 @@ class Source:
         if not self._failing:
             self._failing = True
             _log.warning("input.%s: no lease: %s", self.owner, text)
+
+
+def _sent(sender: socket.socket, raw: bytes) -> int:
+    """0 or errno."""
+    try:
+        sender.send(raw)
+    except OSError as error:
+        return error.errno or errno.EIO
+    return 0
 
 
 async def _ended(reader: asyncio.StreamReader) -> None:

@@ -56,10 +56,12 @@ class Mover:
         self.stale_s = station.robot.safety.feedback_timeout_s
         self._driven_s = -math.inf
         self._interrupted = False
+        self._direct = 0
+        """Source.direct when the motion began."""
 
-    def driven(self) -> None:
+    def driven(self, now_s: float | None = None) -> None:
         """A command came in by the same input."""
-        self._driven_s = time.monotonic()
+        self._driven_s = time.monotonic() if now_s is None else now_s
         self._interrupted = True
 
     async def plan(self, goal: Goal) -> Plan:
@@ -108,7 +110,7 @@ class Mover:
                 why = self._why_not(start)
                 if start is None or why is not None:
                     return Wish(end=End.ABORTED, why=why or ""), None
-                self._interrupted = False
+                self._interrupted, self._direct = False, self._source.direct
                 motion = Motion(
                     plan,
                     start,
@@ -151,14 +153,14 @@ class Mover:
                 if cancel.is_set():
                     motion.cancel(time.monotonic_ns())
                 wish = motion.step(newest, time.monotonic_ns())
-                if self._interrupted:
+                if self._interrupted or self._source.direct != self._direct:
                     return Wish(end=End.ABORTED, why="cmd_vel commands")
                 if wish.end is not None:
                     return wish
-                self._source.drive(wish.linear_m_s, wish.angular_rad_s)
+                self._source.drive(wish.linear_m_s, wish.angular_rad_s, seen=self._direct)
                 tell(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:
             if not self._interrupted:  # else it is another's to say where the robot goes
-                self._source.drive(0.0, 0.0)
-                self._source.release()
+                self._source.drive(0.0, 0.0, seen=self._direct)
+                self._source.release(seen=self._direct)

@@ -37,6 +37,8 @@ FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
 OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
+ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
+AHEAD = "its stamp is in the future: do the clocks agree?"
 SAY_AGAIN_S = 10.0
 _SHORT = 40
 
@@ -149,10 +151,10 @@ class Desk:
         if said_s is None:
             raise self._no("it has no stamp (header.stamp, or stamped = false)")
         if said_s == 0.0:
-            raise self._no("its stamp is zero: when was it given? (or stamped = false)")
+            raise self._no(ZERO_STAMP)
         age_s = time.time() - said_s
         if not age_s >= -FUTURE_S:
-            raise self._no("its stamp is in the future: do the clocks agree?")
+            raise self._no(AHEAD)
         return min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object, sender: str = "") -> Any:
@@ -188,6 +190,12 @@ class Desk:
     def busy(self) -> NotTaken:
         """What a call is told that others have left no room for."""
         return self._no("busy: too many calls are under way")
+
+    def refuse(self, why: str, count: int = 1) -> None:
+        """So many commands were not passed on: counted, and said from time to time."""
+        if count > 0:
+            self.source.refused += count - 1
+            self._no(why)
 
     def _no(self, why: str) -> NotTaken:
         """Counted, and said from time to time."""

@@ -31,6 +31,7 @@ from motord.bus.ros2.senders import Contest, asker
 from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
+    from motord.bus.ros2.receiver import Twists
     from motord.bus.station import Station
 
 NEWEST = Quality(depth=1, reliable=False)
@@ -56,8 +57,10 @@ class Ros2Commands:
         }
         self._desk.source.rivals = self._rivals
         self._urgent = {method: Urgent(name, method, station.call) for method in URGENT}
-        kind = "TwistStamped" if section.stamped else "Twist"
-        self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
+        self._twists = self._receiver(section)
+        if self._twists is None:
+            kind = "TwistStamped" if section.stamped else "Twist"
+            self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
         self._node.subscribe(
             "joint_commands", "sensor_msgs/msg/JointState", self._drive_joints, NEWEST
         )
@@ -84,6 +87,25 @@ class Ros2Commands:
                 tasks.create_task(run())
             for urgent in self._urgent.values():
                 tasks.create_task(urgent.run())
+            if self._twists is not None:
+                tasks.create_task(self._twists.run())
+
+    def _receiver(self, section: Ros2Input | ZenohInput) -> Twists | None:
+        """Takes cmd_vel without Python. None: it comes as all else does."""
+        if isinstance(section, ZenohInput) or not section.stamped:
+            return None
+        from motord.bus.ros2 import node, receiver
+
+        over, made = self._node, receiver.library()
+        if made is None or not isinstance(over, node.Node):
+            return None
+        reader = over.reader("cmd_vel", receiver.TYPE, receiver.NEWEST_FEW)
+
+        def taken(writer: int, command: tuple[float, float], now_s: float) -> None:
+            self._mover.driven(now_s)
+            self._contests["cmd_vel"].heard(over.writer_of(reader, writer), command, now_s)
+
+        return receiver.Twists(made, reader, self._desk, taken)
 
     def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk

@@ -146,7 +146,7 @@ class Reader:
         entity: DataReader[Any],
         name: str,
         quality: Quality,
-        take: Callable[[bytes, Any], None],
+        take: Callable[[bytes, Any], None] | None,
     ) -> None:
         self.entity = entity
         self.name = name
@@ -157,6 +157,11 @@ class Reader:
         self._take = take
         self._said = 0
         self._writers: dict[int, bytes] = {}
+
+    @property
+    def elsewhere(self) -> bool:
+        """Its samples are taken elsewhere."""
+        return self._take is None
 
     def writer_gid(self, handle: int) -> bytes:
         """Of who wrote a sample, by DDS's word on it. Empty: it has gone."""
@@ -174,6 +179,8 @@ class Reader:
 
     def deliver(self) -> None:
         """All that has arrived."""
+        if self._take is None:
+            return
         taken = ddspy_take(self._handle, _ANY, self._quality.depth)
         if isinstance(taken, int):
             return
@@ -295,12 +302,12 @@ class Participant:
         kind: str,
         quality: Quality,
         user_data: str,
-        take: Callable[[bytes, Any], None],
+        take: Callable[[bytes, Any], None] | None,
         *,
         service: bool = False,
     ) -> Reader:
         """`take` is called in the event loop for each sample, with DDS's word on it, and must not
-        raise. Raises DdsError."""
+        raise; None: its samples are taken elsewhere. Raises DdsError."""
         try:
             entity = DataReader(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
@@ -361,7 +368,8 @@ class Participant:
         waitset = WaitSet(self.entity)
         waitset.attach(self._guard)
         for reader in self.readers:
-            waitset.attach(reader.condition)
+            if not reader.elsewhere:
+                waitset.attach(reader.condition)
         while not self._ending:
             try:
                 arrived = waitset.wait(duration(seconds=_LOOK_EVERY_S)) > 0

@@ -129,6 +129,16 @@ class Node:
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
         self._readers.append(reader)
 
+    def reader(self, name: str, kind: str, quality: Quality) -> Reader:
+        """A topic whose samples are taken elsewhere, as they come. Raises DdsError."""
+        topic = names.topic(self.full(name))
+        self._readers.append(self._participant.reader(topic, kind, quality, _typed(kind), None))
+        return self._readers[-1]
+
+    def writer_of(self, reader: Reader, handle: int) -> str:
+        """The name of a sample's node, by DDS's number of its writer."""
+        return self._others.name(reader.writer_gid(handle))
+
     def serve(
         self,
         name: str,

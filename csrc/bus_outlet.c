@@ -1,0 +1,82 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * bus_outlet.c: sends under a lease, from several threads. The daemon obeys growing numbers only, so a number is taken and
+ * sent under one lock; a new lease comes between two commands. */
+#include "bus.h"
+
+#include <errno.h>
+#include <string.h>
+#include <sys/socket.h>
+
+#include "rt.h"
+
+void outlet_init(outlet *o)
+{
+    (void)pthread_mutex_init(&o->lock, NULL);
+    o->fd = -1;
+    o->sequence = 0;
+    o->direct = 0;
+}
+
+void outlet_hold(outlet *o, int fd, const uint8_t *token, uint64_t sequence)
+{
+    (void)pthread_mutex_lock(&o->lock);
+    o->fd = fd;
+    memcpy(o->token, token, sizeof o->token);
+    o->sequence = sequence;
+    (void)pthread_mutex_unlock(&o->lock);
+}
+
+uint64_t outlet_let_go(outlet *o)
+{
+    (void)pthread_mutex_lock(&o->lock);
+    o->fd = -1;
+    uint64_t sequence = o->sequence;
+    (void)pthread_mutex_unlock(&o->lock);
+    return sequence;
+}
+
+uint64_t outlet_direct(outlet *o)
+{
+    (void)pthread_mutex_lock(&o->lock);
+    uint64_t direct = o->direct;
+    (void)pthread_mutex_unlock(&o->lock);
+    return direct;
+}
+
+/* The lock is held. A twist and wheels begin alike. */
+static int send_numbered(outlet *o, void *datagram, size_t bytes)
+{
+    uint64_t sequence = ++o->sequence;
+    memcpy((uint8_t *)datagram + offsetof(command_datagram, token), o->token, sizeof o->token);
+    memcpy((uint8_t *)datagram + offsetof(command_datagram, sequence), &sequence, sizeof sequence);
+    return send(o->fd, datagram, bytes, MSG_DONTWAIT | MSG_NOSIGNAL) < 0 ? -errno : 0;
+}
+
+int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen)
+{
+    if (bytes != COMMAND_BYTES && bytes != JOINT_COMMAND_BYTES) {
+        return -EINVAL;
+    }
+    (void)pthread_mutex_lock(&o->lock);
+    bool overtaken = seen >= 0 && (uint64_t)seen != o->direct;
+    int error = o->fd < 0 ? -ENOTCONN : overtaken ? -ESTALE : send_numbered(o, datagram, bytes);
+    (void)pthread_mutex_unlock(&o->lock);
+    return error;
+}
+
+int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns)
+{
+    command_datagram datagram = {
+        .magic = COMMAND_MAGIC,
+        .version = COMMAND_VERSION,
+        .kind = COMMAND_TWIST,
+        .stamp_ns = stamp_ns,
+        .linear_m_s = twist->linear_m_s,
+        .angular_rad_s = twist->angular_rad_s,
+    };
+    (void)pthread_mutex_lock(&o->lock);
+    int error = o->fd < 0 ? -ENOTCONN : send_numbered(o, &datagram, sizeof datagram);
+    o->direct += error == 0;
+    (void)pthread_mutex_unlock(&o->lock);
+    return error;
+}

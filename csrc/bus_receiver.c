@@ -1,0 +1,344 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * bus_receiver.c: a thread that waits for a DDS reader and hands its commands to the daemon. It never needs Python: what
+ * Python wants to know lies in a report and in a ring.
+ *
+ * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its package; what is used of
+ * it is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of version 11 have it. */
+#include "bus.h"
+
+#include <dlfcn.h>
+#include <errno.h>
+#include <stdatomic.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "ring.h"
+#include "rt.h"
+
+enum { TAKEN_AT_ONCE = 8, HEARD_PLACES = 64 };
+
+static const uint32_t ANY_STATE = 0x7f;   /* DDS_ANY_STATE */
+static const int64_t NS_PER_S = 1000000000, WAIT_NS = INT64_C(2000000000);
+static const time_t JOIN_WITHIN_S = 2;
+
+struct ddsi_serdata;
+
+typedef struct {
+    uint32_t sample_state;
+    uint32_t view_state;
+    uint32_t instance_state;
+    bool valid_data;
+    int64_t source_timestamp;
+    uint64_t instance_handle;
+    uint64_t publication_handle;
+    uint32_t disposed_generation_count;
+    uint32_t no_writers_generation_count;
+    uint32_t sample_rank;
+    uint32_t generation_rank;
+    uint32_t absolute_generation_rank;
+} dds_sample_info;
+
+static struct {
+    int32_t (*get_participant)(int32_t entity);
+    int32_t (*create_waitset)(int32_t participant);
+    int32_t (*create_guardcondition)(int32_t participant);
+    int32_t (*create_readcondition)(int32_t reader, uint32_t mask);
+    int32_t (*waitset_attach)(int32_t waitset, int32_t entity, intptr_t x);
+    int32_t (*waitset_wait)(int32_t waitset, intptr_t *xs, size_t xs_count, int64_t timeout_ns);
+    int32_t (*set_guardcondition)(int32_t guard, bool triggered);
+    int32_t (*takecdr)(int32_t reader, struct ddsi_serdata **data, uint32_t count, dds_sample_info *info, uint32_t mask);
+    int32_t (*delete_entity)(int32_t entity);
+    uint32_t (*serdata_size)(const struct ddsi_serdata *data);
+    void (*serdata_to_ser)(const struct ddsi_serdata *data, size_t offset, size_t bytes, void *to);
+    void (*serdata_unref)(struct ddsi_serdata *data);
+} dds;
+
+typedef struct {
+    outlet out;
+    ring heard;
+    twist_heard heard_place[HEARD_PLACES];
+    uint8_t raw[TWIST_RAW_MAX];
+    pthread_t thread;
+    int32_t reader, waitset, guard, condition;
+    int event_fd;
+    bool joinable;
+    _Atomic bool claimed;
+    _Atomic bool stop_asked;
+    _Atomic bool running;
+    _Atomic int32_t error;
+    _Atomic uint64_t taken;
+    _Atomic uint64_t refused[TWIST_REFUSALS];
+    _Atomic uint64_t unleased, full, broken;
+    _Atomic int64_t taken_ns;
+} receiver;
+
+static receiver receivers[RECEIVERS_MAX];
+
+/* ------------------------------------------------------------------------------------------------------ the library */
+int receiver_library(const char *path)
+{
+    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    if (library == NULL) {
+        return -ELIBACC;
+    }
+    const struct { void *place; const char *name; } wanted[] = {
+        {&dds.get_participant, "dds_get_participant"},
+        {&dds.create_waitset, "dds_create_waitset"},
+        {&dds.create_guardcondition, "dds_create_guardcondition"},
+        {&dds.create_readcondition, "dds_create_readcondition"},
+        {&dds.waitset_attach, "dds_waitset_attach"},
+        {&dds.waitset_wait, "dds_waitset_wait"},
+        {&dds.set_guardcondition, "dds_set_guardcondition"},
+        {&dds.takecdr, "dds_takecdr"},
+        {&dds.delete_entity, "dds_delete"},
+        {&dds.serdata_size, "ddsi_serdata_size"},
+        {&dds.serdata_to_ser, "ddsi_serdata_to_ser"},
+        {&dds.serdata_unref, "ddsi_serdata_unref"},
+    };
+    for (size_t i = 0; i < sizeof wanted / sizeof wanted[0]; i++) {
+        void *found = dlsym(library, wanted[i].name);
+        if (found == NULL) {
+            return -ELIBACC;
+        }
+        memcpy(wanted[i].place, &found, sizeof found);   /* ISO C converts no object's address into a function's */
+    }
+    return 0;
+}
+
+/* ------------------------------------------------------------------------------------------------------- the thread */
+static double wall_s(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_REALTIME, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+static void count_lost(receiver *r, int error)
+{
+    if (error == -ENOTCONN) {
+        r->unleased++;
+    } else if (error == -EAGAIN) {
+        r->full++;
+    } else {
+        r->broken++;
+    }
+}
+
+/* CLOCK_MONOTONIC is read first: a thread that stands still between the two makes a command older, never newer. */
+static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t writer)
+{
+    stamped_twist twist;
+    double age_s = 0.0;
+    int64_t now_ns = clock_now_ns();
+    int refusal = twist_parse(raw, bytes, &twist);
+    refusal = refusal != 0 ? refusal : stamp_age(twist.stamp_s, wall_s(), &age_s);
+    if (refusal != 0) {
+        r->refused[refusal - 1]++;
+        return;
+    }
+    int error = outlet_send_direct(&r->out, &twist, now_ns - (int64_t)(age_s * 1e9));
+    if (error != 0) {
+        count_lost(r, error);
+        return;
+    }
+    twist_heard heard = {.writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s,
+                         .angular_rad_s = twist.angular_rad_s};
+    (void)ring_put(&r->heard, r->heard_place, HEARD_PLACES, &heard, sizeof heard);
+    r->taken_ns = now_ns;
+    r->taken++;
+}
+
+static void take_sample(receiver *r, const struct ddsi_serdata *data, uint64_t writer)
+{
+    uint32_t bytes = dds.serdata_size(data);
+    if (bytes > sizeof r->raw) {
+        r->refused[TWIST_NOT_ONE]++;
+        return;
+    }
+    dds.serdata_to_ser(data, 0, bytes, r->raw);
+    take_twist(r, r->raw, bytes, writer);
+}
+
+static void tell(const receiver *r)
+{
+    const uint64_t one = 1;
+    if (write(r->event_fd, &one, sizeof one) < 0) {
+        return;   /* full: it is told already */
+    }
+}
+
+static int32_t take_all(receiver *r)
+{
+    struct ddsi_serdata *data[TAKEN_AT_ONCE];
+    dds_sample_info info[TAKEN_AT_ONCE];
+    int32_t count = TAKEN_AT_ONCE;
+    while (count == TAKEN_AT_ONCE && !r->stop_asked) {
+        count = dds.takecdr(r->reader, data, TAKEN_AT_ONCE, info, ANY_STATE);
+        for (int32_t i = 0; i < count; i++) {
+            if (info[i].valid_data) {
+                take_sample(r, data[i], info[i].publication_handle);
+            }
+            dds.serdata_unref(data[i]);
+        }
+        if (count > 0) {
+            tell(r);
+        }
+    }
+    return count;
+}
+
+static void *run(void *arg)
+{
+    receiver *r = arg;
+    int32_t error = 0;
+    (void)pthread_setname_np(pthread_self(), "motord-cmd_vel");
+    while (!r->stop_asked && error >= 0) {
+        error = dds.waitset_wait(r->waitset, NULL, 0, WAIT_NS);
+        error = error > 0 ? take_all(r) : error;
+    }
+    r->error = error < 0 ? error : 0;
+    r->running = false;
+    tell(r);
+    return NULL;
+}
+
+/* --------------------------------------------------------------------------------------------------------- its life */
+static receiver *numbered(int number)
+{
+    return number >= 0 && number < RECEIVERS_MAX && receivers[number].claimed ? &receivers[number] : NULL;
+}
+
+int receiver_claim(void)
+{
+    for (int number = 0; number < RECEIVERS_MAX; number++) {
+        bool free_now = false;
+        if (atomic_compare_exchange_strong(&receivers[number].claimed, &free_now, true)) {
+            receiver *r = &receivers[number];
+            outlet_init(&r->out);
+            memset(&r->heard, 0, sizeof r->heard);
+            r->taken = r->unleased = r->full = r->broken = 0;
+            for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
+                r->refused[kind] = 0;
+            }
+            return number;
+        }
+    }
+    return -EBUSY;
+}
+
+void receiver_release(int number)
+{
+    receiver *r = numbered(number);
+    if (r != NULL && !r->joinable) {
+        r->claimed = false;
+    }
+}
+
+static int32_t make_entities(receiver *r)
+{
+    int32_t participant = dds.get_participant(r->reader);
+    r->waitset = participant > 0 ? dds.create_waitset(participant) : participant;
+    r->guard = r->waitset > 0 ? dds.create_guardcondition(participant) : r->waitset;
+    r->condition = r->guard > 0 ? dds.create_readcondition(r->reader, ANY_STATE) : r->guard;
+    int32_t error = r->condition > 0 ? dds.waitset_attach(r->waitset, r->guard, 0) : r->condition;
+    return error == 0 ? dds.waitset_attach(r->waitset, r->condition, 0) : error;
+}
+
+static void drop_entities(const receiver *r)
+{
+    const int32_t made[] = {r->waitset, r->guard, r->condition};
+    for (size_t i = 0; i < sizeof made / sizeof made[0]; i++) {
+        if (made[i] > 0) {
+            (void)dds.delete_entity(made[i]);
+        }
+    }
+}
+
+int receiver_start(int number, int32_t reader, int event_fd)
+{
+    receiver *r = numbered(number);
+    if (r == NULL || dds.serdata_unref == NULL) {
+        return -EINVAL;
+    }
+    if (r->joinable) {
+        return -EBUSY;
+    }
+    r->reader = reader;
+    r->event_fd = event_fd;
+    r->stop_asked = false;
+    r->error = 0;
+    r->running = true;
+    int error = make_entities(r);
+    error = error == 0 ? -pthread_create(&r->thread, NULL, run, r) : error;
+    r->joinable = error == 0;
+    r->running = error == 0;
+    if (error != 0) {
+        drop_entities(r);
+    }
+    return error;
+}
+
+int receiver_stop(int number)
+{
+    receiver *r = numbered(number);
+    if (r == NULL || !r->joinable) {
+        return -ESRCH;
+    }
+    r->stop_asked = true;
+    (void)dds.set_guardcondition(r->guard, true);
+    int64_t now_ns = clock_now_ns();
+    struct timespec until = {.tv_sec = now_ns / NS_PER_S + JOIN_WITHIN_S, .tv_nsec = now_ns % NS_PER_S};
+    if (pthread_clockjoin_np(r->thread, NULL, CLOCK_MONOTONIC, &until) != 0) {
+        return -ETIMEDOUT;
+    }
+    r->joinable = false;
+    drop_entities(r);
+    return 0;
+}
+
+void receiver_read(int number, receiver_report *out)
+{
+    const receiver *r = numbered(number);
+    *out = (receiver_report){.running = 0};
+    if (r != NULL) {
+        *out = (receiver_report){.running = r->running, .error = r->error, .taken = r->taken, .taken_ns = r->taken_ns,
+                                 .unleased = r->unleased, .full = r->full, .broken = r->broken};
+        for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
+            out->refused[kind] = r->refused[kind];
+        }
+    }
+}
+
+int receiver_next(int number, twist_heard *out)
+{
+    receiver *r = numbered(number);
+    return r != NULL && ring_take(&r->heard, r->heard_place, HEARD_PLACES, out, sizeof *out);
+}
+
+/* -------------------------------------------------------------------------------------------------------- its lease */
+void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence)
+{
+    receiver *r = numbered(number);
+    if (r != NULL) {
+        outlet_hold(&r->out, fd, token, sequence);
+    }
+}
+
+uint64_t receiver_let_go(int number)
+{
+    receiver *r = numbered(number);
+    return r != NULL ? outlet_let_go(&r->out) : 0;
+}
+
+uint64_t receiver_direct(int number)
+{
+    receiver *r = numbered(number);
+    return r != NULL ? outlet_direct(&r->out) : 0;
+}
+
+int receiver_send(int number, void *datagram, size_t bytes, int64_t seen)
+{
+    receiver *r = numbered(number);
+    return r != NULL ? outlet_send(&r->out, datagram, bytes, seen) : -ENOTCONN;
+}

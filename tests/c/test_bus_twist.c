@@ -1,0 +1,193 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Commands of the second process: what a TwistStamped says, how old it is, and under which number it goes out. */
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "bus.h"
+#include "check.h"
+#include "rt.h"
+
+enum { LITTLE = 1, BIG = 0, ROOM = TWIST_RAW_MAX + 8 };
+
+static void put(uint8_t *at, uint64_t value, uint32_t bytes, int order)
+{
+    for (uint32_t i = 0; i < bytes; i++) {
+        at[order == LITTLE ? i : bytes - 1 - i] = (uint8_t)(value >> 8 * i);
+    }
+}
+
+static void put_double(uint8_t *at, double value, int order)
+{
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    put(at, bits, sizeof bits, order);
+}
+
+/* With a frame_id of so many bytes, its end among them. How long it is. */
+static size_t encoded(uint8_t *raw, uint32_t frame_bytes, int order, const double *twist)
+{
+    size_t at = 4 + ((12 + (size_t)frame_bytes + 7) & ~(size_t)7);
+    memset(raw, 0, ROOM);
+    raw[1] = (uint8_t)order;
+    put(raw + 4, (uint64_t)(uint32_t)-2, 4, order);
+    put(raw + 8, 500000000, 4, order);
+    put(raw + 12, frame_bytes, 4, order);
+    for (size_t i = 0; i < 6; i++) {
+        put_double(raw + at + 8 * i, twist[i], order);
+    }
+    return at + 48;
+}
+
+static void a_twist_is_read_in_both_byte_orders(void)
+{
+    static uint8_t raw[ROOM];
+    const double twist[6] = {0.25, 9.0, 9.0, 9.0, 9.0, -0.5};
+    for (uint32_t frame_bytes = 0; frame_bytes < 40; frame_bytes++) {
+        for (int order = BIG; order <= LITTLE; order++) {
+            stamped_twist found;
+            size_t bytes = encoded(raw, frame_bytes, order, twist);
+            CHECK(twist_parse(raw, bytes, &found) == 0);
+            CHECK(found.linear_m_s == 0.25 && found.angular_rad_s == -0.5 && found.stamp_s == -1.5);
+            CHECK(twist_parse(raw, bytes - 1, &found) == 1 + TWIST_NOT_ONE);
+        }
+    }
+}
+
+static void what_is_no_number_passes_and_is_the_loops_to_refuse(void)
+{
+    static uint8_t raw[ROOM];
+    const double twist[6] = {(double)NAN, 0.0, 0.0, 0.0, 0.0, (double)INFINITY};
+    stamped_twist found;
+    CHECK(twist_parse(raw, encoded(raw, 1, LITTLE, twist), &found) == 0);
+    CHECK(isnan(found.linear_m_s) && isinf(found.angular_rad_s));
+}
+
+static void another_encoding_or_length_is_no_twist(void)
+{
+    static uint8_t raw[ROOM];
+    const double twist[6] = {0};
+    stamped_twist found;
+    size_t bytes = encoded(raw, 5, LITTLE, twist);
+    CHECK(twist_parse(raw, 0, &found) == 1 + TWIST_NOT_ONE);
+    CHECK(twist_parse(raw, 15, &found) == 1 + TWIST_NOT_ONE);
+    raw[1] = 7;   /* version 2 of the encoding */
+    CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
+    raw[1] = LITTLE;
+    raw[0] = 1;
+    CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
+    for (uint64_t frame_bytes = 1000; frame_bytes <= UINT32_MAX; frame_bytes = 2 * frame_bytes + 1) {
+        bytes = encoded(raw, 5, LITTLE, twist);
+        put(raw + 12, frame_bytes, 4, LITTLE);
+        CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
+    }
+    put(raw + 12, UINT32_MAX, 4, LITTLE);
+    CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
+    CHECK(twist_parse(raw, encoded(raw, TWIST_RAW_MAX - 68, LITTLE, twist), &found) == 0);
+    CHECK(twist_parse(raw, TWIST_RAW_MAX + 1, &found) == 1 + TWIST_NOT_ONE);
+}
+
+static void an_age_is_that_of_the_stamp(void)
+{
+    double age_s = -1.0;
+    CHECK(stamp_age(1e9, 1e9 + 0.25, &age_s) == 0 && age_s == 0.25);
+    CHECK(stamp_age(1e9 + 0.5, 1e9, &age_s) == 0 && age_s == 0.0);
+    CHECK(stamp_age(1.0, 1e9, &age_s) == 0 && age_s == 3600.0);
+    CHECK(stamp_age(-1e9, 1e9, &age_s) == 0 && age_s == 3600.0);
+    CHECK(stamp_age(0.0, 1e9, &age_s) == 1 + TWIST_STAMP_ZERO);
+    CHECK(stamp_age(-0.0, 1e9, &age_s) == 1 + TWIST_STAMP_ZERO);
+    CHECK(stamp_age(1e9 + 0.75, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
+    CHECK(stamp_age((double)NAN, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
+    CHECK(stamp_age((double)INFINITY, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
+}
+
+static command_datagram received(int fd)
+{
+    command_datagram one;
+    CHECK(recv(fd, &one, sizeof one, MSG_DONTWAIT) == sizeof one);
+    return one;
+}
+
+static void a_lease_numbers_all_that_goes_out_under_it(void)
+{
+    outlet o;
+    int first[2], second[2];
+    const uint8_t a[LEASE_TOKEN_BYTES] = {'a'}, b[LEASE_TOKEN_BYTES] = {'b'};
+    const stamped_twist twist = {.linear_m_s = 0.5, .angular_rad_s = -0.25};
+    command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 && socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
+    outlet_init(&o);
+    CHECK(outlet_send_direct(&o, &twist, 7) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
+    CHECK(outlet_direct(&o) == 0);
+    outlet_hold(&o, first[0], a, 41);
+    CHECK(outlet_send_direct(&o, &twist, 7) == 0 && outlet_direct(&o) == 1);
+    command_datagram came = received(first[1]);
+    CHECK(came.magic == COMMAND_MAGIC && came.version == COMMAND_VERSION && came.kind == COMMAND_TWIST);
+    CHECK(came.sequence == 42 && came.stamp_ns == 7 && came.lifetime_ms == 0 && memcmp(came.token, a, sizeof a) == 0);
+    CHECK(came.linear_m_s == 0.5 && came.angular_rad_s == -0.25);
+    CHECK(outlet_send(&o, &own, sizeof own, -1) == 0);
+    came = received(first[1]);
+    CHECK(came.sequence == 43 && came.kind == COMMAND_RELEASE && came.stamp_ns == 5);
+    outlet_hold(&o, second[0], b, 0);   /* the daemon came back */
+    CHECK(outlet_send_direct(&o, &twist, 8) == 0);
+    came = received(second[1]);
+    CHECK(came.sequence == 1 && memcmp(came.token, b, sizeof b) == 0);
+    CHECK(outlet_let_go(&o) == 1);
+    CHECK(outlet_send_direct(&o, &twist, 9) == -ENOTCONN && outlet_direct(&o) == 2);
+    CHECK(outlet_send(&o, &own, 63, -1) == -EINVAL);
+    for (int i = 0; i < 2; i++) {
+        (void)close(first[i]);
+        (void)close(second[i]);
+    }
+}
+
+static void who_has_not_seen_the_newest_command_does_not_override_it(void)
+{
+    outlet o;
+    int pair[2];
+    const uint8_t token[LEASE_TOKEN_BYTES] = {1};
+    const stamped_twist rest = {0};
+    joint_datagram wheels = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS};
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
+    outlet_init(&o);
+    outlet_hold(&o, pair[0], token, 0);
+    CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == 0);
+    CHECK(outlet_send_direct(&o, &rest, 1) == 0);
+    CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == -ESTALE);
+    CHECK(outlet_send(&o, &wheels, sizeof wheels, 1) == 0);
+    CHECK(outlet_let_go(&o) == 3);
+    (void)close(pair[0]);
+    (void)close(pair[1]);
+}
+
+static void a_full_socket_is_said(void)
+{
+    outlet o;
+    int pair[2], error = 0, sent = 0;
+    const uint8_t token[LEASE_TOKEN_BYTES] = {1};
+    const stamped_twist rest = {0};
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
+    outlet_init(&o);
+    outlet_hold(&o, pair[0], token, 0);
+    for (; error == 0; sent++) {
+        error = outlet_send_direct(&o, &rest, 1);
+    }
+    CHECK(error == -EAGAIN && outlet_direct(&o) == (uint64_t)sent - 1);
+    (void)close(pair[1]);
+    CHECK(outlet_send_direct(&o, &rest, 1) < 0);
+    (void)close(pair[0]);
+}
+
+int main(void)
+{
+    a_twist_is_read_in_both_byte_orders();
+    what_is_no_number_passes_and_is_the_loops_to_refuse();
+    another_encoding_or_length_is_no_twist();
+    an_age_is_that_of_the_stamp();
+    a_lease_numbers_all_that_goes_out_under_it();
+    who_has_not_seen_the_newest_command_does_not_override_it();
+    a_full_socket_is_said();
+    return checks_report("bus_twist");
+}
