@@ -199,6 +199,14 @@ def test_the_c_extension_has_seven_doors():
     )
 
 
+def test_the_second_process_has_one_door_to_c():
+    door = ROOT / "daemon/motord/bus/ros2/receiver.py"
+    report(
+        matching([path for path in PRODUCT if path != door], r"(import|from) _motord_bus"),
+        "_motord_bus is imported by motord/bus/ros2/receiver.py alone",
+    )
+
+
 def test_nothing_but_the_entry_points_imports_app():
     others = [path for path in PRODUCT if "cli" not in path.parts and path.name != "__main__.py"]
     report(matching(others, r"(from|import) motord\.app|from motord import .*\bapp\b"),

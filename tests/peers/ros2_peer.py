@@ -5,6 +5,8 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S [NODE]]   20 TwistStamped a second; age "zero": the
                                                  stamp 0; NODE: says in the graph whose they are
+    ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin
+    ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with so long a frame
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
@@ -132,6 +134,25 @@ def drive(participant, name, linear_m_s, angular_rad_s, age_s="0", node=""):
     _publish(participant, name, TwistStamped, make, node=node)
 
 
+def _stamped(linear_m_s, frame=""):
+    stamp = Time(*divmod(time.time_ns(), 1_000_000_000))
+    return TwistStamped(Header(stamp, frame), _twist(linear_m_s, 0.0))
+
+
+def bursts(participant, name, linear_m_s, count):
+    writer = DataWriter(participant, Topic(participant, name, TwistStamped), Qos(*RELIABLE))
+    while not writer.get_matched_subscriptions():
+        time.sleep(0.01)
+    say("heard")
+    while sys.stdin.readline():
+        for _ in range(int(count)):
+            writer.write(_stamped(linear_m_s))
+
+
+def frame(participant, name, chars):
+    _publish(participant, name, TwistStamped, lambda: _stamped(0.3, "x" * int(chars)))
+
+
 def joints(participant, name, *words):
     speeds = dict(word.split("=") for word in words if "=" in word)
     (age_s,) = [word for word in words if "=" not in word] or ["0"]
@@ -251,7 +272,7 @@ def endpoints(participant):
 
 COMMANDS = {
     "topic": topic, "drive": drive, "joints": joints, "twist": twist, "say": _say_text,
-    "call": call, "act": act, "endpoints": endpoints,
+    "bursts": bursts, "frame": frame, "call": call, "act": act, "endpoints": endpoints,
 }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ LEASE_S = 1.0
 
 
 @contextlib.contextmanager
-def ros2_stage(folder, *more):
+def ros2_stage(folder, *more, environ=None):
     """A daemon that publishes to ROS 2 and obeys it."""
     settings = (
         "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
@@ -30,7 +30,7 @@ def ros2_stage(folder, *more):
         f"safety.command_timeout_s={LEASE_S}", *PATIENT,
         "joint.left.tries=10", "joint.right.tries=10", *more,
     )  # fmt: skip
-    with running(folder, *settings) as stage:
+    with running(folder, *settings, environ=environ) as stage:
         stage.wait_for("idle")
         wait_until(lambda: inputs(stage).get("ros2", {}).get("lease"), "a lease")
         yield stage

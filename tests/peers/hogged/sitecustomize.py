@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""With this folder in PYTHONPATH, motord-bus has pure-Python threads beside it in its process,
+which want the GIL all the time: as many as HOGS says, from SIGUSR1 on."""
+
+import os
+import signal
+import sys
+import threading
+
+_end = threading.Event()
+
+
+def hog() -> None:
+    while not _end.is_set():
+        sum(range(1000))
+
+
+def begin(*_: object) -> None:
+    _end.clear()
+    for _ in range(int(os.environ["HOGS"])):
+        threading.Thread(target=hog, daemon=True).start()
+
+
+if "motord.bus" in sys.orig_argv:
+    signal.signal(signal.SIGUSR1, begin)
+    signal.signal(signal.SIGUSR2, lambda *_: _end.set())
