@@ -90,6 +90,7 @@ typedef struct {
     uint32_t disarm_count;
     uint32_t reserved;
     int64_t period_ns;          /* of the cycle: > 0 */
+    int64_t gap_ns;             /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
     int64_t silence_ns;         /* so long without a word, and it is quiet: > 0 */
     int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
     double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */

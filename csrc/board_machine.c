@@ -168,6 +168,7 @@ static void tell(board_machine *m, int64_t now_ns)
     m->next = (uint16_t)(sequence + 1);
     m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
     m->told_motion = motion;
+    memcpy(m->told, payload, sizeof m->told);
     m->sent++;
     board_told(m, now_ns);
 }
@@ -226,6 +227,15 @@ static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
     bool moving = m->told_motion || m->stopping || m->mode == DRIVE_ARMED || m->shut != 0;
     int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     return m->shut < 3 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
+}
+
+void board_machine_kick(board_machine *m, int64_t now_ns)
+{
+    uint8_t payload[BOARD_PAYLOAD_MAX];
+    (void)board_payload(m, payload);
+    if (m->mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
+        cycle_clock_hurry(&m->cycle, m->table.period_ns, m->table.gap_ns, now_ns);
+    }
 }
 
 int64_t board_machine_step(board_machine *m, int64_t now_ns)

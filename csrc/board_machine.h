@@ -64,6 +64,7 @@ typedef struct {
     bool imu_is_new;            /* since it was taken */
     bool was_enabled;           /* set-points were enabled since it was armed */
     uint64_t enabled_count_armed;   /* enabled_count when it was armed */
+    uint8_t told[BOARD_PAYLOAD_MAX];    /* the newest payload that went out */
     bool told_motion;
     bool stopping;
     bool back;                  /* a quiet board spoke: BACK when it has been told to disarm */
@@ -101,6 +102,8 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 /* false: the one before has not gone out */
 bool board_machine_order(board_machine *m, const board_order *order);
+/* The loop has woken the line: set-points that are not what it was told last do not wait for their cycle. */
+void board_machine_kick(board_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t board_machine_step(board_machine *m, int64_t now_ns);
 void board_machine_report(const board_machine *m, board_report *report);

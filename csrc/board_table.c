@@ -108,6 +108,7 @@ static void check_counts(finding *f, const board_table *table)
     need(f, table->quick_stop_count <= BOARD_WRITES_MAX, "quick_stop_count");
     need(f, table->disarm_count <= BOARD_WRITES_MAX, "disarm_count");
     need(f, table->period_ns > 0 && table->period_ns <= PERIOD_MAX_NS, "period_ns");
+    need(f, table->gap_ns >= 0 && table->gap_ns <= PERIOD_MAX_NS, "gap_ns");
     need(f, table->silence_ns > 0 && table->silence_ns <= PERIOD_MAX_NS, "silence_ns");
     need(f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
     need(f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0, "rest_velocity_rad_s");

@@ -71,6 +71,9 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         drive->told_motion |= moves;
         bool went = can_send(m, &packet);
         all &= went;
+        if (went) {
+            memcpy(drive->told[o], packet.data, packet.bytes);
+        }
         if (moves && went && m->motion_since_ns == 0) {
             m->motion_since_ns = now_ns;
         }
@@ -79,6 +82,18 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         drive->told_motion = motion;
         drive->told_ns = now_ns;
     }
+}
+
+bool can_differs(const can_machine *m, uint32_t number)
+{
+    for (uint32_t o = 0; o < m->table.drive[number].output_count; o++) {
+        can_packet packet;
+        (void)can_build(m, number, o, &packet);
+        if (memcmp(m->drive[number].told[o], packet.data, packet.bytes) != 0) {
+            return true;
+        }
+    }
+    return false;
 }
 
 void can_tell(can_machine *m, uint32_t number, int64_t now_ns)

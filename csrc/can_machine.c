@@ -263,6 +263,13 @@ static void look_at_queue(can_machine *m, int64_t now_ns)
     m->motion_stays = m->hears_own && (m->clogged || waits);
 }
 
+static void sync_all(can_machine *m)
+{
+    for (uint32_t i = 0; i < m->table.sync_count; i++) {
+        (void)can_send(m, &m->table.sync[i]);   /* the drives do now, all at once, what they were told */
+    }
+}
+
 static void cycle(can_machine *m, int64_t now_ns)
 {
     m->tx_full += m->motion_stays;
@@ -271,9 +278,7 @@ static void cycle(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_cycle(m, i, now_ns);
     }
-    for (uint32_t i = 0; i < m->table.sync_count; i++) {
-        (void)can_send(m, &m->table.sync[i]);   /* the drives do now, all at once, what they were told */
-    }
+    sync_all(m);
     m->clogged |= m->sent == sent && m->tx_full > refused;
 }
 
@@ -295,6 +300,26 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     return m->shut < 2 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
+/* All that are armed, as in a cycle: one that lagged behind the others would turn the robot. Nothing is asked. */
+static void tell_early(can_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        if (m->drive[i].mode == DRIVE_ARMED) {
+            can_tell(m, i, now_ns);
+        }
+    }
+    sync_all(m);
+}
+
+void can_machine_kick(can_machine *m, int64_t now_ns)
+{
+    bool differs = false;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        differs |= m->drive[i].mode == DRIVE_ARMED && can_differs(m, i);
+    }
+    m->early = differs && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
+}
+
 int64_t can_machine_step(can_machine *m, int64_t now_ns)
 {
     look_at_queue(m, now_ns);
@@ -309,7 +334,10 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
     }
     if (m->shut < 2 && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
+    } else if (m->shut == 0 && m->early) {
+        tell_early(m, now_ns);
     }
+    m->early = false;
     shut_down(m, now_ns);   /* all are told: that was it */
     return next_look_ns(m, now_ns);
 }

@@ -60,6 +60,7 @@ typedef struct {
     int64_t heard_ns[CAN_INPUTS_MAX];       /* 0: never */
     int64_t sample_ns[CAN_INPUTS_MAX];      /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
+    uint8_t told[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];   /* what each set-point frame said last */
     uint64_t cycles;
     uint64_t slow_cycles;       /* since it was set up */
     uint64_t received;
@@ -104,6 +105,7 @@ typedef struct {
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
     cycle_clock cycle;
+    bool early;                 /* the set-points do not wait for the cycle */
     uint64_t received;
     uint64_t sent;
     uint64_t tx_full;
@@ -122,6 +124,8 @@ uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t s
 void can_machine_left(can_machine *m);
 /* false: no room */
 bool can_machine_order(can_machine *m, const can_order *order);
+/* The loop has woken the line: set-points that are not what the drives were told last do not wait for their cycle. */
+void can_machine_kick(can_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t can_machine_step(can_machine *m, int64_t now_ns);
 void can_machine_report(const can_machine *m, can_report *report);
@@ -152,6 +156,8 @@ void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
 void can_tell(can_machine *m, uint32_t drive, int64_t now_ns);
+/* Its set-point frames would say something else than they said last. */
+bool can_differs(const can_machine *m, uint32_t drive);
 void can_cycle(can_machine *m, uint32_t drive, int64_t now_ns);
 
 #endif

@@ -21,6 +21,7 @@ typedef struct {
     board_report out;
     uint32_t payload_bytes;             /* for who puts orders */
     uint32_t rest_bytes;
+    bool woken;
     uint8_t rest[BOARD_WIRE_MAX];       /* of a frame that the port has taken the beginning of */
     int send_error;
     uint64_t received_reported;
@@ -111,10 +112,11 @@ static void take_order(board_thread *t)
 
 /* -------------------------------------------------------------------------------------------------- the thread */
 /* Bytes, a wake or the time; the bytes' number or -errno. */
-static int wait_for_news(const board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
+static int wait_for_news(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     int woken = line_thread_wait(&t->life, fds, 2, until_ns);
+    t->woken = woken > 0;
     return woken < 0 ? woken : line_thread_read_port(&t->life, fds[1].revents, bytes, room);
 }
 
@@ -125,6 +127,9 @@ static int go_round(board_thread *t, const uint8_t *bytes, uint32_t count, int64
     board_machine_hear(&t->machine, bytes, count, now_ns);
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_order(t);
+    if (t->woken) {
+        board_machine_kick(&t->machine, now_ns);
+    }
     t->send_error = 0;
     *wake_ns = board_machine_step(&t->machine, now_ns);
     t->out.life.rounds++;

@@ -44,6 +44,7 @@ typedef struct {
     can_report out;
     uint32_t outputs[CAN_DRIVES_MAX];   /* of each drive, for who puts orders; 0: no such drive */
     int send_error;
+    bool woken;
 } can_thread;
 
 static can_thread threads[LINES_MAX];
@@ -204,11 +205,12 @@ static void take_orders(can_thread *t)
 
 /* -------------------------------------------------------------------------------------------------- the thread */
 /* Frames, a wake or the time. 0; -errno: the bus is gone. */
-static int wait_for_news(const can_thread *t, int64_t until_ns)
+static int wait_for_news(can_thread *t, int64_t until_ns)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     bool soon = until_ns - clock_now_ns() <= FRAMES_WAIT_NS && t->machine.control.listen == 0;
     int woken = line_thread_wait(&t->life, fds, soon ? 1 : 2, until_ns);
+    t->woken = woken > 0;
     if (woken >= 0 && (fds[1].revents & (POLLERR | POLLNVAL)) != 0) {
         return socket_error(t);
     }
@@ -224,6 +226,9 @@ static int go_round(can_thread *t, int64_t *wake_ns)
     take_orders(t);
     int64_t now_ns = clock_now_ns();
     t->send_error = 0;
+    if (t->woken) {
+        can_machine_kick(&t->machine, now_ns);
+    }
     *wake_ns = can_machine_step(&t->machine, now_ns);
     t->out.life.rounds++;
     hand_on(t, now_ns);

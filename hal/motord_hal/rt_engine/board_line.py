@@ -38,7 +38,8 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         size_bytes = _wire_bytes(spec, plan)
         cycle_s = period_s(spec, size_bytes)
         layout = layout_of(spec, plan, cycle_s)
-        self._table = board_table(spec, plan, layout, cycle_s)
+        self._wire_limit_hz = wire_limit_hz(spec, size_bytes)
+        self._table = board_table(spec, plan, layout, cycle_s, 1.0 / self._wire_limit_hz)
         check_table(spec.name, self._table)
         names = ", ".join(joint.name for joint in plan.joints)
         jobs = BoardJobs(f"the board of {names}", plan, layout, self._thread, cycle_s)
@@ -47,7 +48,6 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             BoardRtDrive(jobs, spec, self._thread, self._news, self._say, silence_s),
         ]
         self._port: OpenPort | None = None
-        self._wire_limit_hz = wire_limit_hz(spec, size_bytes)
         self._errors: Counter[str] = Counter()
         self._exchanges = self._cycles = 0
         self._round_trips = RoundTrips()

@@ -123,8 +123,10 @@ def _place(register: Register, byte: int) -> Plain:
 
 
 # ---------------------------------------------------------------------------------------- the table
-def board_table(spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float) -> Plain:
-    """C checks it once more and names the first bad field."""
+def board_table(
+    spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float, gap_s: float
+) -> Plain:
+    """`gap_s`: so long a frame is on the wire. C checks it once more and names the first bad field."""
     profile = plan.profile
     tries = max(joint.tries for joint in plan.joints)
     parts: dict[str, Sequence[Plain]] = {
@@ -137,6 +139,7 @@ def board_table(spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float
     return {
         "tries": tries,
         "period_ns": round(period_s * _NS_PER_S),
+        "gap_ns": round(gap_s * _NS_PER_S),
         "silence_ns": round((tries * period_s + QUIET_ALLOWANCE_S) * _NS_PER_S),
         "setpoint_timeout_ns": round(spec.setpoint_timeout_s * _NS_PER_S),
         "rest_velocity_rad_s": spec.rest_velocity_rad_s,
