@@ -83,7 +83,7 @@ def spec_of(said, heard="", drive="ascii-velocity"):
 def table_of(spec):
     plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
     layout = layout_of(spec, plan, 0.02)
-    return layout, ffi.new("board_table *", board_table(spec, plan, layout, 0.02))
+    return layout, ffi.new("board_table *", board_table(spec, plan, layout, 0.02, 0.001))
 
 
 def c_write(spec, raw):

@@ -126,7 +126,8 @@ def _place(register: Register, byte: int) -> Plain:
 def board_table(
     spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float, gap_s: float
 ) -> Plain:
-    """`gap_s`: so long a frame is on the wire. C checks it once more and names the first bad field."""
+    """`gap_s`: so long a frame is on the wire. C checks the table once more and names the first bad
+    field."""
     profile = plan.profile
     tries = max(joint.tries for joint in plan.joints)
     parts: dict[str, Sequence[Plain]] = {
