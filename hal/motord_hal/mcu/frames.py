@@ -10,9 +10,9 @@ stand low byte first, as all usual microcontrollers keep them.
 
 from __future__ import annotations
 
+import binascii
 import enum
 import math
-import binascii
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
