@@ -24,7 +24,7 @@ from fault_mix import BATCH_S, SERIAL_KINDS, batches
 from said import Said
 
 from motord.client import Client, ClientError, Refused
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl
@@ -234,7 +234,7 @@ def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
             start_simulator(ROBOT, seed=seed, link_dir=folder, options=("--tagged",))
         )
         name = f"soak{uuid.uuid4().hex[:12]}"
-        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        cleanup.callback(own_page(name).unlink, missing_ok=True)
         log, path, tap = folder / "daemon.log", folder / "daemon.sock", folder / "tap"
         daemon = cleanup.enter_context(_daemon(name, engine, simulator.ports[LINE], folder))
         robot = cleanup.enter_context(_connected(daemon, path, log))

@@ -21,7 +21,7 @@ from motord.cli.common import (
     robot_argument,
     set_option,
 )
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.rpc import SocketInUse
 from motord.rt import ConfigRefused, PageInUse
 from motord_hal.errors import PortError, ProfileError
@@ -65,7 +65,7 @@ def run(
 
     def say_ready(socket: Path) -> None:
         name = robot.robot.name
-        page = FOLDER / f"{PREFIX}{name}"
+        page = own_page(name)
         try:
             print_json(
                 {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}
