@@ -184,8 +184,9 @@ void line_publish(line_machine *m, uint32_t drive)
         joint->feedback.stamp_ns = joint->counts     ? joint->count_ns
                                    : joint->measures ? joint->velocity_ns
                                                      : joint->newest_ns;
-        if (joint->feedback.stamp_ns == 0) {
-            joint->feedback.stamp_ns = m->drive[drive].answered_ns;   /* a drive that says nothing but yes */
+        bool only_acknowledges = !joint->counts && !joint->measures && joint->newest_ns == 0;
+        if (only_acknowledges) {   /* a value that was never read has no stamp, whatever else was answered */
+            joint->feedback.stamp_ns = m->drive[drive].answered_ns;
         }
         joint->feedback.epoch = m->drive[drive].epoch;
         joint->feedback.enabled = m->drive[drive].enabled;

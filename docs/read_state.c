@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Prints what motord knows, once:   gcc -Icsrc docs/read_state.c -o read_state && ./read_state demo */
+ * Prints what motord knows, once:   gcc -Icsrc docs/read_state.c -o read_state && ./read_state /run/motord/demo.page */
 #include <fcntl.h>
 #include <inttypes.h>
 #include <stdio.h>
@@ -11,8 +11,7 @@
 
 int main(int argc, char **argv)
 {
-    char path[256], magic[8] = {'M', 'O', 'T', 'O', 'R', 'D', 0, 1};
-    snprintf(path, sizeof path, "/dev/shm/motord-%s", argc > 1 ? argv[1] : "demo");
+    const char *path = argc > 1 ? argv[1] : "/run/motord/demo.page", magic[8] = {'M', 'O', 'T', 'O', 'R', 'D', 0, 1};
     struct stat file = {0};
     int fd = open(path, O_RDONLY);
     if (fd < 0 || fstat(fd, &file) != 0 || file.st_size < PAGE_BYTES) return fprintf(stderr, "%s: no page there\n", path), 1;

@@ -201,7 +201,8 @@ class Client:
         """As motord.client.Client.carry_out. A task that is cancelled gives the lease back, and the
         robot comes to rest by its ramp."""
         lease = {} if owner is None else {"owner": owner}
-        steps = moving.procedure(goal, owner=lease, watch=watch, canceled=canceled)
+        uid = self.path.stat().st_uid
+        steps = moving.procedure(goal, owner=lease, daemon_uid=uid, watch=watch, canceled=canceled)
         onward: Callable[[], moving.Call | moving.Pause] = functools.partial(next, steps)
         try:
             while True:

@@ -284,7 +284,8 @@ class Client:
         """As `move` and `turn`. `watch` is called at each look, 50 times a second; when `canceled`
         is true the robot comes to rest and MoveFailed is raised."""
         lease = {} if owner is None else {"owner": owner}
-        steps = moving.procedure(goal, owner=lease, watch=watch, canceled=canceled)
+        uid = self.path.stat().st_uid
+        steps = moving.procedure(goal, owner=lease, daemon_uid=uid, watch=watch, canceled=canceled)
         onward: Callable[[], moving.Call | moving.Pause] = functools.partial(next, steps)
         try:
             while True:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motord.config import BusInput, Robot, RtInput
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.rt import LEASES_MAX
 from motord.stop_request import page_link, stop_socket
 
@@ -55,7 +55,7 @@ def open_stop_socket(robot: Robot, beside: Path) -> Iterator[int]:
     with contextlib.ExitStack() as cleanup:
         fd = _local(path, cleanup, credentials=True)
         link.unlink(missing_ok=True)
-        link.symlink_to(FOLDER / f"{PREFIX}{robot.robot.name}")
+        link.symlink_to(own_page(robot.robot.name))
         cleanup.callback(link.unlink, missing_ok=True)
         yield fd
 

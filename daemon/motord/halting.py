@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from motord.client import TIMEOUT_S, Client, ClientError, Refused
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import PAGE
 from motord.snapshot import STATES, Snapshot
 from motord.state_page import NoPage, StatePage
 from motord.stop_request import page_link, send, stop_socket
@@ -91,8 +91,5 @@ def _page(local_socket: Path) -> StatePage:
     """That of the daemon whose socket this is. Raises NoPage and OSError."""
     link, robot = page_link(local_socket), local_socket.name.removesuffix(".sock")
     with contextlib.suppress(OSError):
-        robot = Path(os.readlink(link)).name.removeprefix(PREFIX)
-    owner = stop_socket(local_socket).lstat().st_uid
-    if (FOLDER / (PREFIX + robot)).lstat().st_uid != owner:
-        raise NoPage(f"{FOLDER / (PREFIX + robot)} belongs to another user than the daemon")
-    return StatePage.open(robot)
+        robot = Path(os.readlink(link)).name.removesuffix(PAGE)
+    return StatePage.open(robot, owner=stop_socket(local_socket).lstat().st_uid)

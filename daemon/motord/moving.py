@@ -109,20 +109,21 @@ def procedure(
     goal: Goal,
     *,
     owner: Mapping[str, str],
+    daemon_uid: int | None = None,
     watch: Watch = unwatched,
     canceled: Canceled = never_canceled,
 ) -> Procedure:
     """Carry out a goal. `owner`: that of the lease as a parameter of `drive`, none for the usual
-    one; the driver releases it in the end. `watch` is called at each look; when `canceled` is true
-    the robot comes to rest and the motion ends. Raises ValueError for a goal that cannot be,
-    MoveFailed and ClientError.
+    one; the driver releases it in the end. `daemon_uid`: the user whose state page is read.
+    `watch` is called at each look; when `canceled` is true the robot comes to rest and the motion
+    ends. Raises ValueError for a goal that cannot be, MoveFailed and ClientError.
     """
     limits = yield Call("params.get", {"names": limit_names(goal.axis)})
     plan = planned(goal, bounds_of(goal.axis, limits))
     begin_s = time.monotonic()
     before = yield Call("status")
     try:
-        with StatePage.open(before["robot"]) as page:
+        with StatePage.open(before["robot"], owner=daemon_uid) as page:
             start = _start(page)
             lease = yield from _lease(owner)
             motion = Motion(

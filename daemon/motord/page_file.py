@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file in shared memory that holds the state page: whose it is, and when it goes.
+"""The file in shared memory that holds the state page: where it is, whose it is, and when it goes.
 
-Every user may make files in /dev/shm. So a file is mapped only if nobody else can write to it, or
-make it shorter under the daemon (SIGBUS); what is not so is replaced by a new file.
+Every user can create files in /dev/shm. So the daemon keeps its files in a folder of its own,
+/dev/shm/motord-UID, in which no other user can create, truncate or replace them (SIGBUS). If
+another user has created that name first, the daemon makes a folder with a random ending.
 
 Locks say that its daemon lives. The kernel takes them off whatever way a process dies, so a stale
 file is told from a live one without trusting process numbers, which are given again. Who may only
@@ -18,12 +19,14 @@ import os
 import stat
 import struct
 import sys
+import tempfile
 from pathlib import Path
 from typing import Self
 
-FOLDER = Path("/dev/shm")  # noqa: S108  # POSIX shared memory, as shm_open has it
-PREFIX = "motord-"
-JOURNAL_PREFIX = "motord.journal-"
+SHARED = Path("/dev/shm")  # noqa: S108  # POSIX shared memory, as shm_open has it
+PAGE, JOURNAL = ".page", ".journal"
+SERVICE_FOLDER = Path("/run/motord")
+"""Belongs to the user that the service runs as."""
 _PID_OFFSET, _PID_BYTES = 28, 4
 _TRIES = 10
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -35,26 +38,85 @@ class PageInUse(RuntimeError):
     """Another daemon writes the page of that name."""
 
 
+def folders_of(uid: int) -> list[Path]:
+    """The folders in shared memory that only this user can write to."""
+    named = [SHARED / f"motord-{uid}", *sorted(SHARED.glob(f"motord-{uid}-*"))]
+    return [path for path in named if _is_private(path, uid)]
+
+
+def find_page(name: str, suffix: str = PAGE, owner: int | None = None) -> Path:
+    """The state page of the robot `name`, or its journal. `owner`: the user id of its daemon. By
+    default this user's own daemon, the service and root's daemon are tried in this order. If there
+    is no such file, returns where this user's daemon would create it."""
+    owners = [owner] if owner is not None else [os.geteuid(), *_service_user(), 0]
+    found = [folder / (name + suffix) for uid in owners for folder in folders_of(uid)]
+    there = [path for path in found if path.exists()]
+    living = [path for path in there if _writer_lives(path)]
+    return next(iter(living or there), SHARED / f"motord-{owners[0]}" / (name + suffix))
+
+
+def _service_user() -> list[int]:
+    try:
+        return [SERVICE_FOLDER.lstat().st_uid]
+    except FileNotFoundError:
+        return []
+
+
+def _writer_lives(path: Path) -> bool:
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        return _is_locked_by_a_writer(fd)
+    finally:
+        os.close(fd)
+
+
+def _is_private(path: Path, uid: int) -> bool:
+    try:
+        info = path.lstat()
+    except FileNotFoundError:
+        return False
+    return stat.S_ISDIR(info.st_mode) and info.st_uid == uid and not info.st_mode & _OTHERS_WRITE
+
+
+def _own_folder() -> Path:
+    """Make it if there is none. Raises OSError."""
+    uid = os.geteuid()
+    plain = SHARED / f"motord-{uid}"
+    with contextlib.suppress(FileExistsError):
+        plain.mkdir(0o700)
+    found = folders_of(uid)
+    folder = found[0] if found else Path(tempfile.mkdtemp(prefix=f"motord-{uid}-", dir=SHARED))
+    folder.chmod(0o755)  # whatever the umask: readers are other users
+    return folder
+
+
+def own_page(name: str) -> Path:
+    """Where a daemon of this user keeps the state page of the robot `name`. Raises OSError."""
+    return _own_folder() / (name + PAGE)
+
+
 class PageFile:
-    """Owner of /dev/shm/motord-NAME, or of the journal beside it, readable by all, from `open` to
-    `close`."""
+    """Owner of a robot's state page, or of the journal beside it, readable by all users, from
+    `open` to `close`."""
 
     def __init__(self, path: Path, fd: int) -> None:
         self.path = path
         self.fd = fd
 
     @classmethod
-    def open(cls, name: str, prefix: str = PREFIX) -> Self:
+    def open(cls, name: str, suffix: str = PAGE) -> Self:
         """Make the file, or take over that of a dead daemon; its readers stay attached.
 
-        Raises PageInUse where a daemon lives that owns it, or where it is another user's and cannot
-        be replaced; ValueError for a name that is no file name, OSError where the file cannot be
-        made (no /dev/shm).
+        Raises PageInUse if another daemon owns it, ValueError for a name that is no file name, and
+        OSError if the file cannot be made (no /dev/shm).
         """
         if not name or "/" in name or "\0" in name:
-            raise ValueError(f"{name!r} cannot be part of a file name in {FOLDER}")
-        path = FOLDER / (prefix + name)
+            raise ValueError(f"{name!r} cannot be part of a file name in {SHARED}")
         for _ in range(_TRIES):
+            path = _own_folder() / (name + suffix)
             fd = _open(path)
             if fd is None:
                 _remove(path)
@@ -82,6 +144,8 @@ class PageFile:
         if _is_still(self.path, self.fd):
             with contextlib.suppress(FileNotFoundError):
                 self.path.unlink()
+            with contextlib.suppress(OSError):  # another robot's page is in it
+                self.path.parent.rmdir()
         os.close(self.fd)
         self.fd = -1
 
@@ -92,7 +156,7 @@ def _open(path: Path) -> int | None:
     try:
         info = path.lstat()
     except FileNotFoundError:
-        with contextlib.suppress(FileExistsError):
+        with contextlib.suppress(FileExistsError, FileNotFoundError):  # the folder may be removed
             return os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o600)  # no reader locks it first
         return None
     if not _is_ours(info):
@@ -118,8 +182,8 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise PageInUse(
-            f"{path} belongs to another user, or others may write to it, and it cannot be replaced"
-            f" ({error.strerror}): remove it as root, or give this robot another name"
+            f"{path} is not a file of this user alone and cannot be replaced ({error.strerror}): "
+            "remove it"
         ) from None
 
 

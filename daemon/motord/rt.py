@@ -29,7 +29,7 @@ from motord.commands import (
     Refusal,
     datagram,
 )
-from motord.page_file import JOURNAL_PREFIX, PageFile, PageInUse
+from motord.page_file import JOURNAL, PageFile, PageInUse
 from motord.rt_snapshot import lease_state_of, snapshot_of
 from motord.rt_types import (
     AxisLimits,
@@ -191,7 +191,7 @@ class Loop:
     """The real-time loop of this process: one at a time, from one Python thread.
 
     A context manager; or `start` and `stop`, as often as wanted. With `page_name` the state page
-    lies at /dev/shm/motord-NAME while it runs (docs/state-page.md).
+    lies in /dev/shm while it runs (docs/state-page.md).
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class Loop:
             if self._page_name is not None:
                 page_fd = unless_started.enter_context(PageFile.open(self._page_name)).fd
             if self._page_name is not None and self._has_journal:
-                journal = PageFile.open(self._page_name, JOURNAL_PREFIX)
+                journal = PageFile.open(self._page_name, JOURNAL)
                 journal_fd = unless_started.enter_context(journal).fd
             event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             unless_started.callback(os.close, event_fd)

@@ -14,7 +14,7 @@ import struct
 from pathlib import Path
 from typing import Any, Self
 
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import find_page
 from motord.snapshot import DoubtSnapshot, ImuSnapshot, JointSnapshot, Snapshot, gyro_word
 
 REASONS = {
@@ -88,9 +88,9 @@ class StatePage:
         _, _, _, self._slots, self._stride, self._offset, _ = _HEADER.unpack_from(memory)
 
     @classmethod
-    def open(cls, robot: str) -> Self:
-        """Attach to /dev/shm/motord-ROBOT. Raises NoPage."""
-        path = FOLDER / (PREFIX + robot)
+    def open(cls, robot: str, owner: int | None = None) -> Self:
+        """Attach to the page of that robot; `owner` as find_page has it. Raises NoPage."""
+        path = find_page(robot, owner=owner)
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         except OSError as error:

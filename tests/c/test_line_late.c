@@ -379,6 +379,21 @@ static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer
     CHECK(!w.machine.answered || w.machine.answer.kind != ANSWER_OK);
 }
 
+/* Its first reply after it was set up may be one whose time is not known: then nothing was read. */
+static void a_value_that_was_never_read_has_no_stamp(void)
+{
+    line_joint_state *joint = &w.machine.joint[0];
+    for (uint32_t reads = 0; reads < 3; reads++) {   /* a count, a velocity, neither */
+        begin_late(1, false, 1);
+        joint->counts = reads == 0;
+        joint->measures = reads == 1;
+        line_forget(&w.machine, 0);
+        w.machine.drive[0].answered_ns = w.now_ns;
+        line_publish(&w.machine, 0);
+        CHECK(joint->feedback.stamp_ns == (reads == 2 ? w.now_ns : 0));
+    }
+}
+
 int main(void)
 {
     no_value_is_older_than_it_says(false);
@@ -393,5 +408,6 @@ int main(void)
     replies_quicker_than_the_wire_are_answers_also_after_a_lost_one();
     a_late_reply_to_one_read_is_not_the_answer_to_another();
     the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one();
+    a_value_that_was_never_read_has_no_stamp();
     return checks_report("line late");
 }

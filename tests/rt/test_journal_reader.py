@@ -11,7 +11,7 @@ import zstandard
 from _motord_rt import ffi, lib
 
 from motord.bus.journal import Journal
-from motord.page_file import JOURNAL_PREFIX, PageFile
+from motord.page_file import JOURNAL, PageFile
 from motord.rt_replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
 
 
@@ -44,7 +44,7 @@ class Writer:
 def written():
     """A writer, and the name of its robot."""
     name = f"t{uuid.uuid4().hex[:11]}"
-    file = PageFile.open(name, JOURNAL_PREFIX)
+    file = PageFile.open(name, JOURNAL)
     writer = Writer(file)
     yield writer, name
     writer.close()

@@ -18,7 +18,7 @@ from _motord_rt import ffi, lib
 from small_base import core_config, settings, until
 
 from motord import grants, rt
-from motord.page_file import FOLDER, PageInUse
+from motord.page_file import SHARED, PageInUse, own_page
 
 CHILD = Path(__file__).parent / "loop_child.py"
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
@@ -177,10 +177,10 @@ def test_a_stopped_process_skips_its_periods_and_does_not_make_them_good():
     assert after["ticks"] + after["overruns"] <= periods
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="no /dev/shm here")
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no /dev/shm here")
 class TestSharedPage:
     def test_the_page_lies_in_shared_memory_while_the_loop_runs(self):
-        path, state = FOLDER / f"motord-{NAME}", ffi.new("robot_state *")
+        path, state = own_page(NAME), ffi.new("robot_state *")
         with rt.Loop(core_config(), settings(), NAME) as loop, open(path, "rb") as file:
             view = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
             with ffi.from_buffer(view) as shared:
@@ -201,7 +201,7 @@ class TestSharedPage:
                 rt.Loop(core_config(), settings(), NAME).start()
             process.kill()
             process.wait(timeout=60)
-        assert (FOLDER / f"motord-{NAME}").exists()
+        assert (own_page(NAME)).exists()
         with rt.Loop(core_config(), settings(), NAME) as loop:
             assert loop.status().running
-        assert not (FOLDER / f"motord-{NAME}").exists()
+        assert not (own_page(NAME)).exists()

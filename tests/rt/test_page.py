@@ -13,7 +13,7 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.page_file import FOLDER, PageFile
+from motord.page_file import SHARED, PageFile
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE_BYTES = ffi.sizeof("robot_state")
@@ -137,7 +137,7 @@ def reader(tmp_path_factory):
 
 @pytest.fixture
 def page_file():
-    if not FOLDER.is_dir():
+    if not SHARED.is_dir():
         pytest.skip("no /dev/shm here")
     made = PageFile.open(f"test-page-{os.getpid()}")
     yield made
@@ -145,8 +145,7 @@ def page_file():
 
 
 def run_reader(program, page_file) -> subprocess.CompletedProcess:
-    name = page_file.path.name.removeprefix("motord-")
-    return subprocess.run([program, name], capture_output=True, text=True, timeout=60)
+    return subprocess.run([program, page_file.path], capture_output=True, text=True, timeout=60)
 
 
 def test_the_c_reader_of_the_docs_prints_the_same_numbers(reader, page_file):

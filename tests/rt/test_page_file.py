@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from motord import page_file
-from motord.page_file import PageFile, PageInUse
+from motord.page_file import PageFile, PageInUse, find_page
 
 PAGE_BYTES = 16384
 HOLDER = """
 import sys
 from pathlib import Path
 from motord import page_file
-page_file.FOLDER = Path(sys.argv[1])
+page_file.SHARED = Path(sys.argv[1])
 held = page_file.PageFile.open("robot")
 print("held", flush=True)
 sys.stdin.read()
@@ -28,17 +28,28 @@ sys.stdin.read()
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(page_file, "FOLDER", tmp_path)
+def shared(tmp_path, monkeypatch):
+    """As /dev/shm: every user may make files, nobody may remove those of others."""
+    monkeypatch.setattr(page_file, "SHARED", tmp_path)
+    open_to_others(tmp_path)
+    tmp_path.chmod(0o1777)
     return tmp_path
 
 
 @pytest.fixture
-def holder(folder):
+def folder(shared):
+    """This user's own."""
+    found = shared / f"motord-{os.geteuid()}"
+    found.mkdir(mode=0o755)
+    return found
+
+
+@pytest.fixture
+def holder(shared):
     """A daemon that lives and holds the page of `robot`."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(folder)],
+        [sys.executable, "-c", HOLDER, str(shared)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
@@ -48,34 +59,37 @@ def holder(folder):
         process.kill()
 
 
-def test_the_file_is_there_for_every_reader_until_it_is_closed(folder):
+def test_the_file_is_there_for_every_reader_until_it_is_closed(shared):
     page = PageFile.open("robot")
-    path = folder / "motord-robot"
+    path = shared / f"motord-{os.geteuid()}" / "robot.page"
+    assert page.path == path == find_page("robot")
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o755
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     assert not os.get_inheritable(page.fd)
     page.close()
     page.close()
-    assert not path.exists()
+    assert not path.parent.exists()
 
 
-def test_readers_get_in_whatever_the_umask(folder):
+def test_readers_get_in_whatever_the_umask():
     before = os.umask(0o077)
     try:
         page = PageFile.open("robot")
     finally:
         os.umask(before)
     assert stat.S_IMODE(page.path.stat().st_mode) == 0o644
+    assert stat.S_IMODE(page.path.parent.stat().st_mode) == 0o755
     page.close()
 
 
-def test_the_page_of_a_living_daemon_is_refused(holder, folder):
+def test_the_page_of_a_living_daemon_is_refused(holder):
     with pytest.raises(PageInUse, match="living daemon"):
         PageFile.open("robot")
-    assert (folder / "motord-robot").exists()
+    assert find_page("robot").exists()
 
 
-def test_the_page_of_a_killed_daemon_is_taken_over_in_place(holder, folder):
-    with open(folder / "motord-robot", "rb") as attached:
+def test_the_page_of_a_killed_daemon_is_taken_over_in_place(holder):
+    with open(find_page("robot"), "rb") as attached:
         holder.send_signal(signal.SIGKILL)
         holder.wait(timeout=30)
         page = PageFile.open("robot")
@@ -91,7 +105,7 @@ def test_the_refusal_names_the_process_that_the_header_names():
     page.close()
 
 
-def test_a_file_that_is_somebody_elses_by_now_is_left_alone(folder):
+def test_a_file_that_is_somebody_elses_by_now_is_left_alone():
     page = PageFile.open("robot")
     page.path.unlink()
     page.path.write_text("another's")
@@ -101,7 +115,7 @@ def test_a_file_that_is_somebody_elses_by_now_is_left_alone(folder):
 
 def test_a_link_is_not_followed(folder):
     (folder / "precious").write_text("kept")
-    (folder / "motord-robot").symlink_to(folder / "precious")
+    (folder / "robot.page").symlink_to(folder / "precious")
     with PageFile.open("robot") as page:
         assert not page.path.is_symlink()
         os.pwrite(page.fd, b"page", 0)
@@ -114,20 +128,6 @@ def test_a_name_that_is_no_file_name_is_refused(name):
         PageFile.open(name)
 
 
-OTHER_USER = """
-import os, sys
-from pathlib import Path
-from motord import page_file
-page_file.FOLDER = Path(sys.argv[1])
-if os.getuid() == 0:
-    os.setuid(65534)
-try:
-    page_file.PageFile.open("robot")
-except page_file.PageInUse as error:
-    print(error)
-"""
-
-
 def open_to_others(folder):
     """Another user may go there: what lies above it in the folder for temporary files is ours."""
     for above in folder.parents:
@@ -136,30 +136,14 @@ def open_to_others(folder):
         above.chmod(0o755)
 
 
-def test_a_file_that_belongs_to_another_user_is_said_to_be_so(tmp_path):
-    """Root's own file in the eyes of nobody; without root, a file that may not be written. Neither
-    can be replaced in that folder."""
-    path = tmp_path / "motord-robot"
-    path.touch(0o444)
-    open_to_others(tmp_path)
-    tmp_path.chmod(0o555)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    said = subprocess.run(
-        [sys.executable, "-c", OTHER_USER, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=30,
-    )
-    assert f"{path} belongs to another user" in said.stdout, said.stderr
-
-
 STRANGER = """
 import fcntl, os, struct, sys
 path, deed = sys.argv[1:]
 if os.getuid() == 0:
     os.setuid(65534)
-if deed == "makes":
+if deed == "makes the folder":
+    os.mkdir(os.path.dirname(path))
+if deed.startswith("makes"):
     fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     os.fchmod(fd, 0o666)
     os.ftruncate(fd, 1 << 20)
@@ -172,18 +156,10 @@ else:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, wish)
 print("done", flush=True)
 sys.stdin.read()
-if deed == "makes":
+if deed.startswith("makes"):
     os.ftruncate(fd, 0)
     print("shorter", flush=True)
 """
-
-
-@pytest.fixture
-def shared(folder):
-    """As /dev/shm: every user may make files, nobody may remove those of others."""
-    open_to_others(folder)
-    folder.chmod(0o1777)
-    return folder / "motord-robot"
 
 
 @contextlib.contextmanager
@@ -200,41 +176,57 @@ def stranger(path, deed):
             process.kill()
 
 
-def test_a_page_that_a_stranger_made_is_replaced_and_cannot_be_made_shorter(shared):
+def test_a_stranger_who_makes_the_folder_first_keeps_nobody_out_and_is_not_read(shared):
     """Without root the stranger is another process of this user that lets everybody write."""
-    with stranger(shared, "makes") as process, PageFile.open("robot") as page:
-        os.posix_fallocate(page.fd, 0, PAGE_BYTES)
-        process.stdin.close()
-        assert process.stdout.readline() == b"shorter\n"
-        info = os.fstat(page.fd)
-        assert (info.st_size, info.st_uid) == (PAGE_BYTES, os.geteuid())
-        assert os.path.samestat(shared.stat(), info)
+    taken = shared / f"motord-{os.geteuid()}"
+    with stranger(taken / "robot.page", "makes the folder") as process:
+        if os.geteuid() != 0:
+            taken.chmod(0o777)
+        with PageFile.open("robot") as page:
+            os.posix_fallocate(page.fd, 0, PAGE_BYTES)
+            process.stdin.close()
+            assert process.stdout.readline() == b"shorter\n"
+            info = os.fstat(page.fd)
+            assert (info.st_size, info.st_uid) == (PAGE_BYTES, os.geteuid())
+            assert os.path.samestat(find_page("robot").stat(), info)
+            assert page.path.parent != taken
+            with pytest.raises(PageInUse, match="living daemon"):
+                PageFile.open("robot")
+
+
+def test_nobody_else_can_write_in_the_folder():
+    with PageFile.open("robot") as page:
+        info = page.path.parent.stat()
+        assert info.st_uid == os.geteuid()
+        assert not info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 @pytest.mark.parametrize("deed", ["locks", "locks for reading"])
-def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nobody_out(shared, deed):
-    shared.touch(0o644)
-    with stranger(shared, deed), PageFile.open("robot") as page:
-        assert os.path.samestat(shared.stat(), os.fstat(page.fd))
+def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nobody_out(folder, deed):
+    path = folder / "robot.page"
+    path.touch(0o644)
+    with stranger(path, deed), PageFile.open("robot") as page:
+        assert os.path.samestat(path.stat(), os.fstat(page.fd))
 
 
-def test_no_lock_of_a_reader_takes_the_page_of_a_living_daemon(holder, shared):
-    with stranger(shared, "looks"), pytest.raises(PageInUse, match="living daemon"):
+def test_no_lock_of_a_reader_takes_the_page_of_a_living_daemon(holder):
+    with stranger(find_page("robot"), "looks"), pytest.raises(PageInUse, match="living daemon"):
         PageFile.open("robot")
 
 
 @pytest.mark.parametrize("kind", ["fifo", "others write", "second name"])
-def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(shared, kind):
+def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(folder, kind):
+    path = folder / "robot.page"
     if kind == "fifo":
-        os.mkfifo(shared)
+        os.mkfifo(path)
     else:
-        shared.touch()
-        shared.chmod(0o666 if kind == "others write" else 0o644)
+        path.touch()
+        path.chmod(0o666 if kind == "others write" else 0o644)
     if kind == "second name":
-        os.link(shared, shared.with_name("second"))
-    before = os.open(shared, os.O_PATH)  # its number is not given again
+        os.link(path, path.with_name("second"))
+    before = os.open(path, os.O_PATH)  # its number is not given again
     with PageFile.open("robot") as page:
-        assert stat.S_IMODE(shared.lstat().st_mode) == 0o644
+        assert stat.S_IMODE(path.lstat().st_mode) == 0o644
         assert stat.S_ISREG(os.fstat(page.fd).st_mode)
         assert not os.path.samestat(os.fstat(before), os.fstat(page.fd))
     os.close(before)

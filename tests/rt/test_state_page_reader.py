@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord import rt, state_page
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.state_page import NoPage, StatePage
 
 
@@ -20,7 +20,7 @@ from motord.state_page import NoPage, StatePage
 def page():
     """A page's name, its path, and a view through which the C core writes."""
     name = f"t{uuid.uuid4().hex[:12]}"
-    path = FOLDER / f"{PREFIX}{name}"
+    path = own_page(name)
     path.write_bytes(bytes(lib.PAGE_BYTES))
     with path.open("r+b") as file:
         yield name, path, file

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motord.client import Client, ClientError, Refused
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
 
@@ -141,7 +141,7 @@ def running(
             )
             sim, places = simulator.control, simulator.settings
         name = f"t{uuid.uuid4().hex[:12]}"
-        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        cleanup.callback(own_page(name).unlink, missing_ok=True)
         replies = REPLIES if robot == ROBOT else ()
         overrides = [f"robot.name={name}", *PATIENT, *replies, *settings, *places]
         log, socket = folder / "daemon.log", folder / "daemon.sock"

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 
 JOURNAL = "/core_journal"
 
@@ -151,7 +151,7 @@ def test_a_replay_is_played_to_the_buses_of_a_robot_file(recording, tmp_path):
     name = f"robot.name={tmp_path.name.replace('_', '-')}"
     overrides = [part for one in (name, *settings(again)) for part in ("--set", one)]
     assert outcome(recording, "--publish", ROBOT, *overrides)["identical"]
-    assert not (FOLDER / f"{PREFIX}{tmp_path.name.replace('_', '-')}").exists()
+    assert not own_page(tmp_path.name.replace("_", "-")).exists()
     (path,) = again.glob("*.mcap")
     was, now = odometry(recording), odometry(path)
     assert now[-1] == pytest.approx(was[-1], abs=0.005)
@@ -161,7 +161,7 @@ def test_a_replay_is_played_to_the_buses_of_a_robot_file(recording, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_replay_that_is_ended_early_leaves_no_state_page(recording, number):
     name = f"t{uuid.uuid4().hex[:12]}"
-    page = FOLDER / f"{PREFIX}{name}"
+    page = own_page(name)
     words = ["replay", str(recording), "--publish", str(ROBOT), "--set", f"robot.name={name}"]
     with subprocess.Popen([sys.executable, "-m", "motord", *words], cwd=ROOT) as process:
         try:

@@ -24,7 +24,7 @@ from fault_mix import BATCH_S, SERIAL_KINDS, batches
 from said import Said
 
 from motord.client import Client, ClientError, Refused
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl
@@ -92,8 +92,9 @@ def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
 
 
 class Driver(threading.Thread):
-    """Asks for another random twist every now and then, again and again; while it is told to let
-    go, for none."""
+    """Commands a random twist and changes it every now and then. Between two twists, and while it
+    is told to let go, it commands zero: the daemon ignores a source that commanded motion before
+    the robot was armed until that source has commanded zero."""
 
     def __init__(self, path: Path, seed: int) -> None:
         super().__init__(daemon=True)
@@ -104,14 +105,17 @@ class Driver(threading.Thread):
         self._dice = random.Random(seed)
 
     def run(self) -> None:
-        twist, until_s = (0.0, 0.0), 0.0
+        twist, until_s, changed = (0.0, 0.0), 0.0, False
         while not self.over.is_set():
             now_s = time.monotonic()
             if now_s >= until_s:
                 twist = (self._dice.uniform(-1.0, 1.0), self._dice.uniform(-1.5, 1.5))
                 until_s = now_s + self._dice.uniform(0.3, 1.0)
+                changed = True
+            zero = self.letting_go.is_set() or changed
+            changed = False
             try:
-                self._client.drive(*((0.0, 0.0) if self.letting_go.is_set() else twist))
+                self._client.drive(*((0.0, 0.0) if zero else twist))
             except Refused:
                 pass  # latched: whoever recovers the robot sees it
             except ClientError as error:
@@ -230,7 +234,7 @@ def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
             start_simulator(ROBOT, seed=seed, link_dir=folder, options=("--tagged",))
         )
         name = f"soak{uuid.uuid4().hex[:12]}"
-        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        cleanup.callback(own_page(name).unlink, missing_ok=True)
         log, path, tap = folder / "daemon.log", folder / "daemon.sock", folder / "tap"
         daemon = cleanup.enter_context(_daemon(name, engine, simulator.ports[LINE], folder))
         robot = cleanup.enter_context(_connected(daemon, path, log))

@@ -13,7 +13,7 @@ from typing import Self
 import zstandard
 
 from motord.bus.ros2.cdr import HEADER
-from motord.page_file import FOLDER, JOURNAL_PREFIX
+from motord.page_file import JOURNAL, find_page
 
 TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"
@@ -56,7 +56,7 @@ class Journal:
     @classmethod
     def open(cls, robot: str) -> Self:
         """Attach to the journal of that robot. Raises NoJournal."""
-        path = FOLDER / (JOURNAL_PREFIX + robot)
+        path = find_page(robot, JOURNAL)
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         except OSError as error:

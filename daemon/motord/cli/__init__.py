@@ -17,30 +17,30 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it: 128 + SIGINT."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a course, and measure it."),
-    "run": ("motord.cli.run:run", "The daemon, in the foreground."),
-    "check": ("motord.cli.check:check", "Every problem of a robot file at once."),
-    "simulate": ("motord.cli.simulate:simulate", "Be a robot's drives, on ports of their own."),
-    "status": ("motord.cli.talk:status", "How the running robot does."),
-    "arm": ("motord.cli.talk:arm", "Let the running robot move."),
-    "disarm": ("motord.cli.talk:disarm", "Come to rest and take the power off the drives."),
-    "drive": ("motord.cli.talk:drive", "Drive at V m/s and W rad/s."),
-    "move": ("motord.cli.move:move", "Drive by so many metres."),
-    "turn": ("motord.cli.move:turn", "Turn by so many radians."),
-    "stop": ("motord.cli.talk:stop", "Come to rest, stay armed."),
-    "estop": ("motord.cli.talk:estop", "Emergency stop; stays until reset."),
-    "stop-all": ("motord.cli.stop_all:stop_all", "After a crash: tell every drive to stop."),
-    "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop; stays disarmed."),
-    "reset-odometry": ("motord.cli.talk:reset_odometry", "Here is the origin of the pose."),
-    "params": ("motord.cli.talk:params", "List, get and set limits of the running robot."),
-    "scan": ("motord.cli.scan:scan", "Who answers on an RS485 line, and which drive it may be."),
-    "drives": ("motord.cli.drives:drives", "Drive profiles: list, show, check."),
-    "robots": ("motord.cli.robots:robots", "Robot files to begin with: list, print."),
-    "unit": ("motord.cli.unit:unit", "What systemd need allow a robot: its devices."),
-    "schema": ("motord.cli.schema:schema", "JSON Schema of the robot file, for editors."),
-    "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "The ROS 2 package of motord's own types."),
-    "replay": ("motord.cli.replay:replay", "A recording through the core again, bit for bit."),
-    "latency": ("motord.cli.latency:latency", "Measure the loop and its handovers."),
+    "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a test course."),
+    "run": ("motord.cli.run:run", "Run the daemon in the foreground."),
+    "check": ("motord.cli.check:check", "Check a robot file and list every problem."),
+    "simulate": ("motord.cli.simulate:simulate", "Simulate the drives of a robot."),
+    "status": ("motord.cli.talk:status", "Show the state of the running robot."),
+    "arm": ("motord.cli.talk:arm", "Power the drives; the robot may move."),
+    "disarm": ("motord.cli.talk:disarm", "Come to rest and power the drives off."),
+    "drive": ("motord.cli.talk:drive", "Drive at a speed and a turn rate."),
+    "move": ("motord.cli.move:move", "Drive a distance in metres."),
+    "turn": ("motord.cli.move:turn", "Turn by an angle in radians."),
+    "stop": ("motord.cli.talk:stop", "Come to rest and stay armed."),
+    "estop": ("motord.cli.talk:estop", "Emergency stop; latched until reset."),
+    "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),
+    "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop."),
+    "reset-odometry": ("motord.cli.talk:reset_odometry", "Set the pose to zero."),
+    "params": ("motord.cli.talk:params", "List, get and set parameters of the running robot."),
+    "scan": ("motord.cli.scan:scan", "Find the drives on an RS485 line."),
+    "drives": ("motord.cli.drives:drives", "List, show, check or create drive profiles."),
+    "robots": ("motord.cli.robots:robots", "List the example robot files, or print one."),
+    "unit": ("motord.cli.unit:unit", "Print the systemd settings for a robot's devices."),
+    "schema": ("motord.cli.schema:schema", "Print the JSON Schema of the robot file."),
+    "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "Write the ROS 2 packages of motord."),
+    "replay": ("motord.cli.replay:replay", "Run a recording through the core again."),
+    "latency": ("motord.cli.latency:latency", "Measure the timing of this machine."),
 }
 """Name → where it is, and its line in the help; in the order of the help."""
 
@@ -138,12 +138,13 @@ def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None
     help="Show the version and exit.",
 )
 def cli() -> None:
-    """Make motors on RS485 behave as one robot base: safe, on time, and visible.
+    """Drive the motors of a robot: RS485, CAN, PWM pins and motor boards as one base.
 
     \b
     Example: motord demo
              motord check robot.toml && motord run robot.toml
 
-    Exit status: 0 done, 1 it failed, 2 wrong usage or robot file, 3 a fault is latched or hardware
-    is missing, 130 after Ctrl-C. With --json an error is an object too: error, exit_status.
+    Exit status: 0 success, 1 failure, 2 wrong usage or a wrong robot file, 3 a latched fault or
+    missing hardware, 130 Ctrl-C. With --json, errors are JSON objects with the keys error and
+    exit_status.
     """

@@ -18,10 +18,10 @@ from motord.config import ConfigError, Problem, Robot, load_robot
 @set_option
 @json_option
 def check(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Every problem of a robot file at once, as `file:line: key: problem`.
+    """Check a robot file and print every problem as `file:line: key: problem`.
 
-    Warnings (`file:line: key: warning: ...`) are about what works but deserves a look. Exit status
-    2 when there is a problem, 0 when there is none.
+    A warning (`file:line: key: warning: ...`) marks a setting that works but is probably not what
+    you want. The exit status is 2 if there is a problem and 0 if there is none.
 
     \b
     Example: motord check robot.toml

@@ -86,9 +86,11 @@ set_option = click.option(
     "overrides",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Replace a value of the robot file, as in limits.linear_m_s=0.3; may be repeated.",
+    help="Override a value of the robot file: limits.linear_m_s=0.3. Repeatable.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object on stdout."
+)
 
 
 def print_json(value: Any) -> None:

@@ -32,25 +32,26 @@ from motord_hal.sim.control import ControlError
     type=click.FloatRange(5.0, 3600.0),
     default=20.0,
     show_default=True,
-    help="How long the course takes.",
+    help="Duration of the course.",
 )
 @click.option(
     "--robot",
     default="demo",
     show_default=True,
     metavar="NAME|FILE",
-    help="A robot of config/robots, or a robot file.",
+    help="An example robot (see motord robots) or a robot file.",
 )
 @set_option
-@click.option("--stay", is_flag=True, help="Afterwards leave drives and daemon up until Ctrl-C.")
+@click.option("--stay", is_flag=True, help="Keep the drives and the daemon running until Ctrl-C.")
 @json_option
 def demo(seconds: float, robot: str, overrides: tuple[str, ...], stay: bool, as_json: bool) -> None:
-    """Drive a simulated robot over a course, and measure it.
+    """Drive a simulated robot over a test course and measure how well it does.
 
-    Starts the robot's drives in a process of their own (real Modbus RTU on a pty, paced at the baud
-    rate, with motors and wheels), the daemon on them, and drives as any program would. Then it
-    compares odometry with where the simulated robot really is. No hardware, no root. Odometry with
-    position counters is judged, without them it is an estimate.
+    The demo simulates the drives in a second process: real Modbus RTU on a pseudo-terminal, paced
+    at the baud rate, with motors, wheels and ground. It starts the daemon on them and drives as any
+    program does. Then it compares the odometry with the true position of the simulated robot. You
+    need no hardware and no root. Without position counters the odometry is an estimate, and the
+    demo only reports its error.
 
     \b
     Example: motord demo

@@ -23,23 +23,23 @@ from motord_hal.errors import ProfileError
     "--answers",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="With new: the answers as a TOML file instead of questions.",
+    help="With new: read the answers from this TOML file instead of asking.",
 )
 @click.option(
     "--check",
     "file",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="Check a profile of your own: every problem at once, as file:line: key: problem.",
+    help="Check a profile of your own and print every problem as file:line: key: problem.",
 )
 @json_option
 def drives(
     name: str | None, path: Path | None, answers: Path | None, file: Path | None, as_json: bool
 ) -> None:
-    """List the drive profiles, show one in full, or begin a new one.
+    """List the drive profiles, show one in full, or create a new one.
 
-    A profile is a file: the registers of a drive and what to do with them. Name yours in a robot
-    file by its path, as in drive = "./mydrive.toml".
+    A profile is a file that describes a drive: its registers and how to use them. A robot file
+    refers to your own profile by its path, such as drive = "./mydrive.toml".
 
     \b
     Example: motord drives

@@ -26,34 +26,34 @@ QUIET_PERIOD_S = 5.0
     type=click.FloatRange(10.0, 20000.0),
     default=1000.0,
     show_default=True,
-    help="Rate of the loop.",
+    help="Loop rate.",
 )
 @click.option(
     "--seconds",
     type=click.FloatRange(0.2, 86400.0),
     default=30.0,
     show_default=True,
-    help="How long; Ctrl-C ends it early with what was measured.",
+    help="Duration. Ctrl-C ends early and prints the results so far.",
 )
 @click.option(
     "--priority",
     type=click.IntRange(0, 99),
     default=80,
     show_default=True,
-    help="SCHED_FIFO priority of the loop; 0: SCHED_OTHER.",
+    help="SCHED_FIFO priority of the loop; 0 selects SCHED_OTHER.",
 )
 @click.option(
     "--cpu",
     type=click.IntRange(0, 63),
     multiple=True,
-    help="Bind the loop to this CPU; may be repeated. Default: any.",
+    help="Bind the loop to this CPU. Repeatable. Default: any.",
 )
 @click.option(
     "--load",
     type=click.Choice(LOADS),
     default="none",
     show_default=True,
-    help="Meanwhile: processes that compute, processes that write and fsync, or a thread of this "
+    help="Load during the measurement: computing processes, writing processes, or a thread of this "
     "process that keeps Python's GIL busy.",
 )
 @click.option(
@@ -61,7 +61,7 @@ QUIET_PERIOD_S = 5.0
     "picture",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="F.png",
-    help="Draw a histogram and a time line (needs the plot extra).",
+    help="Draw a histogram and a time line. Needs the plot extra.",
 )
 @click.option(
     "--compare",
@@ -69,7 +69,7 @@ QUIET_PERIOD_S = 5.0
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
     nargs=2,
     metavar="A.json B.json",
-    help="Measure nothing: two reports of --json side by side, with ratios.",
+    help="Compare two reports of --json side by side instead of measuring.",
 )
 @json_option
 def latency(
@@ -83,11 +83,12 @@ def latency(
     pair: tuple[Path, Path] | None,
     as_json: bool,
 ) -> None:
-    """Measure the loop and its handovers on this machine.
+    """Measure the timing of the control loop on this machine.
 
-    Runs the real loop with the real core and no motor, beside cyclictest where that is installed:
-    how late each tick wakes, what its work costs, from a command to the core, from the core to
-    asyncio, and from a command to a byte on a port. Ends with the machine's latency class.
+    Runs the real loop with the real core and without a motor, beside cyclictest if it is installed.
+    It measures how late each tick wakes, how long its work takes, and the time from a command to
+    the core, from the core to asyncio, and from a command to a byte on a port. It ends with the
+    latency class of the machine.
 
     \b
     Example: motord latency

@@ -24,21 +24,21 @@ _UNITS = {"linear": "m", "angular": "rad"}
 _timeout = click.option(
     "--timeout-s",
     type=POSITIVE,
-    help="Give up after; otherwise after twice what it should take, and 5 s.",
+    help="Give up after this time. Default: twice the expected time, plus 5 s.",
 )
 
 
 def _at_most(unit: str) -> Callable[[Any], Any]:
     return click.option(
         f"--speed-{unit}", "velocity_u_s", type=POSITIVE,
-        help="At most; otherwise the robot's limit.",
+        help="Maximum speed. Default: the robot's limit.",
     )  # fmt: skip
 
 
 def _near(unit: str, usual: str) -> Callable[[Any], Any]:
     return click.option(
         f"--tolerance-{unit}", "tolerance_u", type=POSITIVE,
-        help=f"How near is there; otherwise {usual}.",
+        help=f"Accepted distance to the goal. Default: {usual}.",
     )  # fmt: skip
 
 
@@ -50,8 +50,9 @@ def _near(unit: str, usual: str) -> Callable[[Any], Any]:
 @json_option
 @talking
 def move(client: Client, distance_m: float, as_json: bool, **asked: float | None) -> None:
-    """Drive M metres along the odometry, backwards for a negative number. The robot has to be
-    armed. Ctrl-C brings it to rest.
+    """Drive M metres by odometry; a negative number drives backwards.
+
+    The robot must be armed. Ctrl-C brings it to rest.
 
     \b
     Example: motord move 1
@@ -68,8 +69,9 @@ def move(client: Client, distance_m: float, as_json: bool, **asked: float | None
 @json_option
 @talking
 def turn(client: Client, angle_rad: float, as_json: bool, **asked: float | None) -> None:
-    """Turn on the spot by RAD radians (left is positive). The robot has to be armed. Ctrl-C brings
-    it to rest.
+    """Turn on the spot by RAD radians; positive is left.
+
+    The robot must be armed. Ctrl-C brings it to rest.
 
     \b
     Example: motord turn 1.5708

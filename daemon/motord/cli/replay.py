@@ -38,17 +38,17 @@ LAST_SHOWN_S = 1.0
     "robot_file",
     metavar="ROBOT.toml",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Play it at its own pace to the buses of that robot file, as a daemon would.",
+    help="Publish the recording at its own pace on the buses of that robot file.",
 )
 @set_option
 @json_option
 def replay(
     *, recording: Path, robot_file: Path | None, overrides: tuple[str, ...], as_json: bool
 ) -> None:
-    """Run the core again on what was recorded, and compare bit for bit.
+    """Run the core again on a recording and compare the results bit by bit.
 
-    Needs a recording of [publish.NAME] kind = "mcap" with journal = true. No line is opened and
-    nothing is driven. Ends with status 1 at a difference.
+    The recording must come from [publish.NAME] with kind = "mcap" and journal = true. No line is
+    opened and no motor moves. The exit status is 1 if a result differs.
 
     \b
     Example: motord replay recordings/base-20260101T120000-000000000-all.mcap

@@ -14,10 +14,10 @@ from motord_hal.paths import config_dir
 @click.argument("name", required=False)
 @json_option
 def robots(name: str | None, as_json: bool) -> None:
-    """List the robot files that come with motord, or print one to begin your own with.
+    """List the example robot files of motord, or print one as a start for your own.
 
-    The printed file names the robot file's JSON Schema by its full path, so that an editor
-    completes keys wherever you save it.
+    The printed file names the JSON Schema by its full path, so your editor completes the keys
+    wherever you save the file.
 
     \b
     Example: motord robots

@@ -21,7 +21,7 @@ from motord.cli.common import (
     robot_argument,
     set_option,
 )
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.rpc import SocketInUse
 from motord.rt import ConfigRefused, PageInUse
 from motord_hal.errors import PortError, ProfileError
@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
     "path",
     metavar="PATH",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Local socket; /run/motord/ROBOT.sock or the user's own folder otherwise.",
+    help="Local socket. Default: /run/motord/ROBOT.sock or the user's own folder.",
 )
 @click.option(
     "--bus/--no-bus",
@@ -49,12 +49,12 @@ _log = logging.getLogger(__name__)
 def run(
     robot_file: Path, overrides: tuple[str, ...], path: Path | None, bus: bool, as_json: bool
 ) -> None:
-    """The daemon, in the foreground; the log goes to stderr.
+    """Run the daemon in the foreground. It logs to stderr.
 
-    Starts disarmed: motord arm lets the robot move. SIGINT and SIGTERM bring it to rest, take the
-    power off and end; a second one does not wait for the ramp. Tells a service manager (sd_notify)
-    when it is ready and that everything still moves. With --json, one object on stdout when it
-    listens: robot, pid, socket, state_page.
+    The robot starts disarmed; run motord arm to let it move. SIGINT and SIGTERM bring the robot to
+    rest, power the drives off and end the daemon. A second signal does not wait for the ramp. The
+    daemon tells a service manager (sd_notify) when it is ready and feeds its watchdog. With --json
+    it prints one object once it listens: robot, pid, socket, state_page.
 
     \b
     Example: motord run robot.toml
@@ -65,7 +65,7 @@ def run(
 
     def say_ready(socket: Path) -> None:
         name = robot.robot.name
-        page = FOLDER / f"{PREFIX}{name}"
+        page = own_page(name)
         try:
             print_json(
                 {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}

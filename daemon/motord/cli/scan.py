@@ -30,15 +30,21 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
 
 @click.command
 @click.argument("port")
-@click.option("--units", "--unit", callback=_units, default="1-16", help="As 1-16 or 7.")
-@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="This one only.")
-@click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="This one only.")
+@click.option(
+    "--units", "--unit", callback=_units, default="1-16", help="Units to ask, such as 1-16 or 7."
+)
+@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="Try only this one.")
+@click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Try only this one.")
 @click.option(
     "--within-s", type=click.FloatRange(0.1, 3600), default=60.0, show_default=True,
-    help="Stop looking after so many seconds.",
+    help="Stop the scan after this time.",
 )  # fmt: skip
-@click.option("--directions", is_flag=True, help="Try who turns the transceiver; needs one unit.")
-@click.option("--gpio-chip", default="", help="For --directions: chip of the DE line.")
+@click.option(
+    "--directions",
+    is_flag=True,
+    help="Find how the transceiver changes direction. Needs exactly one unit.",
+)
+@click.option("--gpio-chip", default="", help="For --directions: GPIO chip of the DE line.")
 @click.option("--gpio-line", default="", help="For --directions: name or number of the DE line.")
 @json_option
 def scan(
@@ -52,10 +58,10 @@ def scan(
     gpio_line: str,
     as_json: bool,
 ) -> None:
-    """Who answers on the line at PORT: baud rate, parity, units, and the drives they may be.
+    """Find the drives on the line at PORT: baud rate, parity, units and matching profiles.
 
-    It only reads. PORT is a device file or usb:SERIAL; nobody else may have it open. Exit status 0
-    when somebody was found, 1 when nobody answers, 3 when the port cannot be had.
+    The scan only reads. PORT is a device file or usb:SERIAL; no other program may have it open. The
+    exit status is 0 if a drive answered, 1 if none did, and 3 if the port cannot be opened.
 
     \b
     Example: motord scan /dev/ttyUSB0

@@ -14,9 +14,9 @@ from motord.config.schema import robot_schema
 @click.command
 @json_option
 def schema(as_json: bool) -> None:
-    """JSON Schema of the robot file, each number with its SI unit: for editors.
+    """Print the JSON Schema of the robot file, with the SI unit of each number, for editors.
 
-    It is JSON either way: indented for people, on one line with --json.
+    The output is indented; with --json it is on one line.
 
     \b
     Example: motord schema > robot.schema.json

@@ -65,60 +65,60 @@ class _AddressType(click.ParamType[_Address]):
     "faults",
     metavar="SPEC",
     multiple=True,
-    help="Something that goes wrong, as in drop:p=0.05 or reboot:at_s=3,unit=1; may be repeated.",
+    help="A fault to simulate: drop:p=0.05 or reboot:at_s=3,unit=1. Repeatable.",
 )
-@click.option("--list-faults", is_flag=True, help="Say which faults and keys there are, and end.")
+@click.option("--list-faults", is_flag=True, help="List the faults with their keys and exit.")
 @click.option(
     "--seed",
     type=click.IntRange(0, SEED_MAX),
-    help="Of the faults; the same seed, the same faults.",
+    help="Seed of the faults; the same seed gives the same faults.",
 )
 @click.option(
     "--tcp",
     type=_AddressType(),
     metavar="[HOST:]PORT",
-    help="Each line behind a Modbus TCP gateway, on this port, the next, ...; 0: free ones.",
+    help="Serve each line as a Modbus TCP gateway, on this port and the next ones; 0: free ports.",
 )
 @click.option(
     "--rtu-over-tcp",
     type=_AddressType(),
     metavar="[HOST:]PORT",
-    help="Each line's RTU frames through a TCP connection, on this port, the next, ...",
+    help="Serve the RTU frames of each line over TCP, on this port and the next ones.",
 )
 @click.option(
     "--can",
     metavar="INTERFACE:CHANNEL",
     default="",
-    help="The bus that CAN lines are on, as socketcan:vcan0; UDP datagrams of their own otherwise.",
+    help="Interface of the CAN lines: socketcan:vcan0. Default: UDP datagrams.",
 )
 @click.option(
     "--units",
     type=click.IntRange(0, UNIT_MAX),
     default=0,
-    help="At least this many drives on each line; the spare ones turn no wheel of the robot.",
+    help="Simulate at least this many drives on each line; extra ones turn no wheel.",
 )
 @click.option(
     "--tagged",
     is_flag=True,
-    help="Counters tell their unit, and what is answered is kept for the control socket.",
+    help="Encode the unit in the counters and keep the answers for the control socket.",
 )
 @click.option(
     "--priority",
     type=click.IntRange(0, 98),
     default=0,
-    help="SCHED_FIFO priority, with precise wake-ups; 0: ordinary scheduling.",
+    help="SCHED_FIFO priority with precise wake-ups; 0: normal scheduling.",
 )
 @click.option(
     "--link-dir",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Where each line's port appears under the line's name; a fresh folder otherwise.",
+    help="Folder for the ports, one link named after each line. Default: a new folder.",
 )
 @click.option(
     "--control",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Path of the control socket; control.sock beside the ports otherwise.",
+    help="Path of the control socket. Default: control.sock beside the ports.",
 )
-@click.option("--stop-on-eof", is_flag=True, help="End when stdin does: for who starts it.")
+@click.option("--stop-on-eof", is_flag=True, help="Exit at the end of stdin, for a parent process.")
 @json_option
 def simulate(
     robot_file: Path | None,
@@ -137,10 +137,10 @@ def simulate(
     stop_on_eof: bool,
     as_json: bool,
 ) -> None:
-    """Be the drives of a robot, with motors, wheels and ground, on ports of their own.
+    """Simulate the drives of a robot, with motors, wheels and ground, on ports of their own.
 
-    Says where the ports are (with --json: one object, robot, ports, settings, control, seed) and
-    runs until SIGINT or SIGTERM. Faults are described in docs/simulator.md.
+    Prints where the ports are and runs until SIGINT or SIGTERM. With --json it prints one object:
+    robot, ports, settings, control, seed. docs/simulator.md describes the faults.
 
     \b
     Example: motord simulate robot.toml --link-dir ports

@@ -38,12 +38,12 @@ WITHIN_S = 5.0
 )  # fmt: skip
 @json_option
 def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_json: bool) -> None:
-    """Tell every drive of the robot to stop, and take its power off when it rests.
+    """Stop every drive of the robot, then power it off once it is at rest.
 
-    For after a crash: opens the lines itself, so it refuses while the daemon runs. Sends quick
-    stop, zero and power off, whatever a drive does not answer. The drives are those of the file as
-    it was when the daemon started, unless there is a --set. Exit status 3 where a drive did not
-    acknowledge all of it.
+    Use it after a crash. It opens the lines itself, so it refuses while the daemon runs. It sends
+    quick stop, zero and power-off to each drive, even if the drive does not answer. It uses the
+    robot file as it was when the daemon started, unless you pass --set. The exit status is 3 if a
+    drive did not acknowledge everything.
 
     \b
     Example: motord stop-all robot.toml

@@ -29,13 +29,15 @@ _LATCHED = ("fault", "estop")
 _HINDERED = ("configuring", *_LATCHED)
 
 
-_robot_option = click.option("--robot", metavar="NAME", help="Which robot, where several run.")
+_robot_option = click.option(
+    "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
+)
 _socket_option = click.option(
     "--socket",
     "path",
     metavar="PATH",
     type=click.Path(path_type=Path),
-    help="Socket of the daemon, where it is not in its usual place.",
+    help="The daemon's socket, if it is not in the default place.",
 )
 
 
@@ -118,7 +120,9 @@ def _show_state(state: str, why: list[str], *, as_json: bool) -> None:
 @json_option
 @talking
 def status(client: Client, as_json: bool) -> None:
-    """How the running robot does. Exit status 3 where a fault or an emergency stop is latched.
+    """Show the state of the running robot.
+
+    The exit status is 3 if a fault or an emergency stop is latched.
 
     \b
     Example: motord status
@@ -137,7 +141,7 @@ def status(client: Client, as_json: bool) -> None:
 @json_option
 @talking
 def arm(client: Client, as_json: bool) -> None:
-    """Put the drives under power, at zero speed: from now on a command moves the robot.
+    """Power the drives at zero speed. After this, a command moves the robot.
 
     \b
     Example: motord arm && motord drive 0.2 0
@@ -149,7 +153,7 @@ def arm(client: Client, as_json: bool) -> None:
 @json_option
 @halting
 def disarm(path: Path, as_json: bool) -> None:
-    """Come to rest and take the power off the drives.
+    """Come to rest, then power the drives off.
 
     \b
     Example: motord disarm
@@ -161,8 +165,9 @@ def disarm(path: Path, as_json: bool) -> None:
 @json_option
 @halting
 def stop(path: Path, as_json: bool) -> None:
-    """Come to rest, and stay armed. Who goes on sending commands meanwhile is not obeyed until he
-    has sent zero, or nothing for a moment.
+    """Come to rest and stay armed.
+
+    A program that keeps sending commands is ignored until it sends zero or pauses.
 
     \b
     Example: motord stop
@@ -175,8 +180,10 @@ def stop(path: Path, as_json: bool) -> None:
 @_robot_option
 @_socket_option
 def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
-    """Emergency stop of every robot that runs on this machine, or of one. Stays until motord reset.
-    (Not a substitute for the button that cuts the power.)
+    """Emergency stop: all robots on this machine, or one with --robot.
+
+    The stop is latched until you run motord reset. It does not replace a button that cuts the
+    power.
 
     \b
     Example: motord estop
@@ -208,7 +215,7 @@ def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
 @json_option
 @talking
 def reset(client: Client, as_json: bool) -> None:
-    """Clear a fault or an emergency stop, in the drives too. The robot stays disarmed.
+    """Clear a fault or an emergency stop, also in the drives. The robot stays disarmed.
 
     \b
     Example: motord status; motord reset && motord arm
@@ -220,7 +227,7 @@ def reset(client: Client, as_json: bool) -> None:
 @json_option
 @talking
 def reset_odometry(client: Client, as_json: bool) -> None:
-    """Make the robot's pose the origin: x, y and heading are 0 from now on.
+    """Set the pose to zero: x, y and heading start at 0 here.
 
     \b
     Example: motord reset-odometry && motord move 1
@@ -234,9 +241,14 @@ def reset_odometry(client: Client, as_json: bool) -> None:
 @click.option(
     "--seconds",
     type=click.FloatRange(0.0, min_open=True),
-    help="How long; until Ctrl-C otherwise.",
+    help="Drive this long. Default: until Ctrl-C.",
 )
-@click.option("--owner", default="motord-drive", show_default=True, help="Name of the lease.")
+@click.option(
+    "--owner",
+    default="motord-drive",
+    show_default=True,
+    help="The name under which this command holds its lease.",
+)
 @json_option
 @talking
 def drive(
@@ -247,8 +259,9 @@ def drive(
     owner: str,
     as_json: bool,
 ) -> None:
-    """Drive at V m/s, turning at W rad/s (left is positive), until Ctrl-C. The robot has to be
-    armed.
+    """Drive at V m/s and turn at W rad/s (positive is left) until Ctrl-C.
+
+    The robot must be armed.
 
     \b
     Example: motord drive 0.3 0

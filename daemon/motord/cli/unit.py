@@ -16,9 +16,9 @@ from motord.tools.unit import devices, drop_in
 @set_option
 @json_option
 def unit(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """A drop-in for motord@ROBOT.service: the devices of this robot file, and no other.
+    """Print a drop-in for motord@ROBOT.service that allows only the devices of this robot file.
 
-    Without one the unit allows every kind of device that motors hang on.
+    Without a drop-in the unit allows every kind of device that motord can use.
 
     \b
     Example: motord unit robot.toml > robot.conf    (docs/service.md says where it goes)

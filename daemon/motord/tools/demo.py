@@ -24,7 +24,7 @@ from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.imu_section import ChipImu
 from motord.config.wheels import counter_bits, profile_of, velocity_range_rad_s
-from motord.page_file import FOLDER, PREFIX
+from motord.page_file import own_page
 from motord.tools.course import COURSE, CURVES, Course, Pose, Score, command_at, score
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator
@@ -182,7 +182,7 @@ def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
         # a name of its own: a daemon of the same robot may be running on this machine
         name = f"{robot_file.stem}-{os.getpid()}-{next(_stages)}"
         settings = [*overrides, f"robot.name={name}", *sim.settings]
-        cleanup.callback((FOLDER / f"{PREFIX}{name}").unlink, missing_ok=True)
+        cleanup.callback(own_page(name).unlink, missing_ok=True)
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
                 [

@@ -10,6 +10,7 @@ stand low byte first, as all usual microcontrollers keep them.
 
 from __future__ import annotations
 
+import binascii
 import enum
 import math
 import struct
@@ -47,7 +48,6 @@ _IMU = struct.Struct("<3i3hH")
 _NO_RATE, _NO_ACCELERATION = -(1 << 31), -(1 << 15)
 """Not measured."""
 _TIME_US = 1 << 32
-_POLYNOMIAL = 0x1021
 
 
 class FrameError(ValueError):
@@ -68,25 +68,9 @@ class Frame:
     payload: bytes
 
 
-def _crc_table() -> tuple[int, ...]:
-    rows = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            crc = crc << 1 ^ _POLYNOMIAL if crc & 0x8000 else crc << 1
-        rows.append(crc & 0xFFFF)
-    return tuple(rows)
-
-
-_CRC_TABLE = _crc_table()
-
-
 def crc16(data: bytes, start: int = 0xFFFF) -> int:
     """Polynomial 0x1021, not reflected: CRC-16/IBM-3740 (start 0xFFFF), CRC-16/XMODEM (start 0)."""
-    crc = start
-    for byte in data:
-        crc = crc << 8 & 0xFFFF ^ _CRC_TABLE[crc >> 8 ^ byte]
-    return crc
+    return binascii.crc_hqx(data, start)
 
 
 def build(frame: Frame) -> bytes:

@@ -95,7 +95,11 @@ class PtyPort:
         """A new pty, and the link to it."""
         if self.link.exists() and not self.link.is_symlink():
             raise FileExistsError(errno.EEXIST, "is in the way of a line's port", str(self.link))
-        self._fd, slave_fd = os.openpty()
+        try:
+            self._fd, slave_fd = os.openpty()
+        except OSError as error:  # it names no file
+            why = f"{error.strerror}: a simulated port is a pseudo-terminal; is devpts mounted?"
+            raise OSError(error.errno, why, "/dev/ptmx") from None
         os.set_blocking(self._fd, False)
         # A pty's modes are set from its master as well, so nothing keeps the other side open and a
         # client that goes away is seen.
