@@ -5,12 +5,14 @@
 #include <fcntl.h>
 #include <link.h>
 #include <linux/capability.h>
+#include <math.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "loop.h"
@@ -157,6 +159,27 @@ static bool may_lock_without_limit(void)
     return syscall(SYS_capget, &header, data) == 0 && (data[0].effective & (1U << CAP_IPC_LOCK)) != 0;
 }
 
+/* Of a library that the threads in C call. Not 0: it failed. Source: mlock(2): it brings all pages of the range in. */
+static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
+{
+    const uintptr_t used[] = {(uintptr_t)&lock_library, (uintptr_t)&clock_nanosleep, (uintptr_t)&exp};
+    (void)size;
+    (void)data;
+    bool is_used = false;
+    for (size_t i = 0; i < sizeof used / sizeof used[0]; i++) {
+        is_used = is_used || is_loaded_at(object, used[i]);
+    }
+    int failed = 0;
+    for (uint16_t i = 0; is_used && i < object->dlpi_phnum; i++) {
+        if (object->dlpi_phdr[i].p_type == PT_LOAD) {
+            uintptr_t begin = segment_at(object, i);
+            uintptr_t page = begin & ~(uintptr_t)(CODE_PAGE_BYTES - 1);
+            failed |= mlock((const void *)page, object->dlpi_phdr[i].p_memsz + (begin - page));
+        }
+    }
+    return failed;
+}
+
 /* Under a limit MCL_FUTURE would be granted now and then refuse memory to Python in the middle of a drive. */
 void loop_memory_lock(loop_grant *grant)
 {
@@ -164,9 +187,9 @@ void loop_memory_lock(loop_grant *grant)
         grant->memory_lock_errno = ENOMEM;
         return;
     }
-    /* All there is, static memory and code, is brought in now. What comes later is Python's, and stays once it has been
-     * touched: whole stacks of its threads, 8 MB each, need not be there. Threads in C touch theirs before their work. */
-    bool locked = mlockall(MCL_CURRENT | MCL_FUTURE) == 0 && mlockall(MCL_FUTURE | MCL_ONFAULT) == 0;
+    /* What the threads in C use is brought in now: static memory and code of this library, libc and libm. All else is
+     * Python's and stays once it has been touched. Threads in C touch their stacks before their work. */
+    bool locked = mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0 && dl_iterate_phdr(lock_library, NULL) == 0;
     grant->memory_lock_errno = locked ? 0 : errno;
 }
 

@@ -74,10 +74,12 @@ def ros2(rate_hz: float) -> tuple[str, ...]:
 
 
 def memory() -> dict[str, dict[str, float]]:
-    """Of the daemon of the demonstration robot, alone, and of both processes with ROS 2 on DDS."""
+    """Of the daemon of the demonstration robot, alone, and of both processes with ROS 2 on DDS;
+    of the first also the CPU from its start to `idle`."""
     with stage() as made:
+        start_s = cpu_s(made.daemon.pid)
         time.sleep(SETTLE_S)
-        found = {"daemon alone": memory_mb(made.daemon.pid)}
+        found = {"daemon alone": memory_mb(made.daemon.pid) | {"cpu_to_idle_s": start_s}}
     with stage(*ros2(FAST_HZ)) as made:
         pid = bus_pid(made)
         time.sleep(SETTLE_S)
