@@ -40,7 +40,7 @@ int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out)
     const uint8_t *body = raw + HEADER_BYTES;
     size_t room = bytes - HEADER_BYTES;
     uint64_t frame_bytes = number_at(body + 8, 4, little);
-    size_t twist_at = (HEAD_BYTES + frame_bytes + 7) & ~(uint64_t)7;
+    uint64_t twist_at = (HEAD_BYTES + frame_bytes + 7) & ~(uint64_t)7;
     if (twist_at + DOUBLES * sizeof(double) > room) {
         return 1 + TWIST_NOT_ONE;
     }

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -98,7 +97,6 @@ class Exchange:
         self._setpoints = ffi.new("setpoints *")
         self._feedback = ffi.new("joint_feedback *")
         self._imu = ffi.new("imu_sample *")
-        self._wake_fds: dict[int, int] = {}
 
     @classmethod
     def of_loop(cls) -> Exchange:
@@ -139,17 +137,6 @@ class Exchange:
         """How often a line's set-points have become enabled: those of a short while it may never
         see. Ask it before the take."""
         return int(lib.exchange_enabled_count(self._exchange, line))
-
-    def line_wake_fd(self, line: int) -> int:
-        """An eventfd that the loop writes to when the line has something new to tell. The loop may
-        do so at any time: it stays open as long as there are mailboxes."""
-        if line not in self._wake_fds:
-            fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            self._wake_fds[line] = fd
-            if self._memory is not None:
-                weakref.finalize(self, os.close, fd)
-            _check(lib.exchange_set_line_wake(self._exchange, line, fd), "line", line)
-        return self._wake_fds[line]
 
     def wake_line(self, line: int) -> None:
         """The loop's side, for tests."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import bus_at_work
-import bus_command
 import datagram
 import disturbed
 
@@ -35,7 +34,6 @@ def measure(quick: bool) -> dict[str, Any]:
         "memory_mb": bus_at_work.memory(),
         "cpu_percent": bus_at_work.cpu(seconds),
         "disturbed": disturbed.measure(2, 1, 3.0) if quick else disturbed.measure(9, 5, 4.0),
-        "cmd_vel": bus_command.measure(count),
         "datagram": datagram.measure(count),
     }
 
@@ -51,7 +49,6 @@ def smoke() -> dict[str, Any]:
         "memory_mb": bus_at_work.memory(),
         "cpu_percent": bus_at_work.cpu(0.3, rates_hz=(bus_at_work.FAST_HZ,)),
         "disturbed": disturbed.struck("SIGKILL", 1, 1.0) | disturbed.readers(1, 1.0),
-        "cmd_vel_us": bus_command.delays_us(0, 2, seed=0),
     }
 
 
@@ -79,10 +76,9 @@ def table(found: dict[str, Any]) -> str:
             f"  overruns {other['overruns']:g} by {calm['overruns']:g}"
             f"  errors {other['errors']:g} by {calm['errors']:g}"
         )
-    for what in ("cmd_vel", "datagram"):
-        rows.append(f"from {what} to byte, µs:")
-        rows += [f"  {name:8} p50 {row['p50_us']:6.0f}  p90 {row['p90_us']:6.0f}  p99"
-                 f" {row['p99_us']:6.0f}" for name, row in found[what].items()]  # fmt: skip
+    rows.append("from datagram to byte, µs:")
+    rows += [f"  {name:8} p50 {row['p50_us']:6.0f}  p90 {row['p90_us']:6.0f}  p99"
+             f" {row['p99_us']:6.0f}" for name, row in found["datagram"].items()]  # fmt: skip
     return "\n".join(rows)
 
 
@@ -103,16 +99,6 @@ def verdicts(found: dict[str, Any]) -> Verdicts:
         (f"motord-bus with ROS 2 has {bus_mb:.1f} MB ({BUS_MB:g})", bus_mb <= BUS_MB, False),
         (f"{start_s:.2f} s of CPU to idle ({START_S:g})", start_s <= START_S, False),
     ]
-    idle, hogged = found["cmd_vel"]["idle"], found["cmd_vel"]["hogged"]
-    reached = idle["p50_us"] <= bus_command.GOAL_P50_US and (
-        idle["p99_us"] <= bus_command.GOAL_P99_US
-    )
-    p50_us, p99_us = idle["p50_us"], idle["p99_us"]
-    text = f"cmd_vel on DDS to byte: p50 {p50_us:.0f} µs (500), p99 {p99_us:.0f} (1500)"
-    said.append((text, reached, False))
-    ratio = hogged["p50_us"] / idle["p50_us"]
-    text = f"and with 4 hogs in the daemon {ratio:.2f} times that ({bus_command.GOAL_RATIO:g})"
-    said.append((text, ratio <= bus_command.GOAL_RATIO, False))
     for name, row in found["disturbed"].items():
         late = row["ratio"]["p99_us"]
         said.append((f"{name}: lateness p99 {late:.2f} times ({LATER:g})", late <= LATER, False))

@@ -76,8 +76,10 @@ lease_s = 2.0
 
 
 @contextlib.contextmanager
-def daemon(folder: Path, port: str, hogs: int, more: str = "") -> Iterator[Client]:
-    """The daemon, armed; `more`: further sections of its robot file."""
+def daemon(
+    folder: Path, port: str, hogs: int, more: str = "", *, begin: bool = True
+) -> Iterator[Client]:
+    """The daemon, armed; `more`: further sections of its robot file; `begin`: its hogs do."""
     robot = folder / "robot.toml"
     name = f"bench{uuid.uuid4().hex[:8]}"
     text = ROBOT.format(name=name, port=port, profile=HERE / "bench-drive.toml") + more
@@ -92,7 +94,8 @@ def daemon(folder: Path, port: str, hogs: int, more: str = "") -> Iterator[Clien
         with _connected(path) as robot_client:
             _until(lambda: robot_client.status()["state"] == "idle", "idle")
             _until(robot_client.arm, "arming")
-            process.send_signal(signal.SIGUSR1)
+            if begin:
+                process.send_signal(signal.SIGUSR1)
             yield robot_client
     finally:
         process.terminate()

@@ -57,71 +57,6 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 0 && w.peer.enabled == 1);
 }
 
-/* The loop has woken the line. */
-static void kick(double velocity_rad_s)
-{
-    uint32_t before = w.sent_count;
-    bool due = w.now_ns >= w.machine.cycle.due_ns;
-    w.velocity_rad_s = velocity_rad_s;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        w.machine.newest.joint[j] = (joint_setpoint){velocity_rad_s, velocity_rad_s, velocity_rad_s};
-    }
-    board_machine_kick(&w.machine, w.now_ns);
-    CHECK(w.sent_count == before && (!due || w.now_ns >= w.machine.cycle.due_ns));
-}
-
-static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
-{
-    board_table table = frames_table();
-    table.period_ns = 20 * MS;
-    table.gap_ns = 3 * MS;
-    begin_with(table);
-    arm_and_turn();
-    go_on(200 * MS);
-    w.now_ns = w.machine.cycle.due_ns;
-    step();
-    uint32_t before = w.sent_count;
-    w.now_ns += 10 * MS;
-    kick(1.0);   /* nothing new */
-    step();
-    CHECK(w.sent_count == before);
-    kick(2.0);
-    step();
-    CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 2000);
-    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS);   /* the cycle goes on from there */
-    w.now_ns += MS;
-    kick(3.0);
-    step();
-    CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS);   /* the wire is still busy */
-    w.now_ns = w.wake_ns;
-    step();
-    CHECK(w.sent_count == before + 2 && told(TARGET, 4, 1) == 3000);
-}
-
-static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
-{
-    begin();
-    arm_and_turn();
-    uint32_t before = w.sent_count;
-    for (int32_t i = 0; i < 1000; i++) {
-        kick(1.0 + 0.001 * i);
-        step();
-        speak();
-        w.now_ns += MS;
-    }
-    CHECK(w.sent_count - before >= 140 && w.sent_count - before <= 2 * 100 + EARLY_AT_ONCE + 1);
-}
-
-static void a_kick_tells_a_board_that_is_not_armed_nothing(void)
-{
-    begin();
-    set_up();
-    int64_t due_ns = w.machine.cycle.due_ns;
-    kick(2.0);
-    CHECK(w.machine.cycle.due_ns == due_ns && w.moving_count == 0);
-}
-
 static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
 {
     begin();
@@ -492,9 +427,6 @@ int main(void)
     the_newest_set_points_are_in_the_frame_that_leaves();
     a_set_point_that_is_no_number_or_too_great_is_harmless();
     a_set_point_of_zero_does_not_wait_for_its_cycle();
-    a_new_set_point_goes_out_at_once_but_not_before_the_gap();
-    set_points_that_change_all_the_time_double_the_frames_at_most();
-    a_kick_tells_a_board_that_is_not_armed_nothing();
     a_stop_that_was_overtaken_unseen_is_still_carried_out();
     each_write_of_a_job_goes_out_with_a_frame_of_its_own();
     a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile();

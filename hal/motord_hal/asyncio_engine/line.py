@@ -15,8 +15,7 @@ from typing import TypeVar
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.asyncio_engine.tally import CycleTally
-from motord_hal.asyncio_engine.wake import Wake
-from motord_hal.clock import now_s, within
+from motord_hal.clock import now_s, sleep_until_s, within
 from motord_hal.drives.profile import Step
 from motord_hal.engine.job import Job, clear_steps
 from motord_hal.engine.line import DriveLine, fresh
@@ -24,7 +23,7 @@ from motord_hal.engine.parameter import readable, write_steps
 from motord_hal.engine.plan import REST, Plan, Wanted
 from motord_hal.errors import NoReply, PortError
 from motord_hal.ports import DriveState, LineSpec, Listener
-from motord_hal.rt import Exchange, JointSetpoint
+from motord_hal.rt import Exchange
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
@@ -57,9 +56,6 @@ class AsyncioLine(DriveLine[AnyDrive]):
         self._exchange = exchange
         self._period_s = period_s
         self._cycles = CycleTally()
-        self._wake = Wake(exchange, spec.index, period_s)
-        self._told: tuple[JointSetpoint, ...] = ()
-        """The set-points of the newest cycle."""
 
     @property
     def engine(self) -> str:
@@ -98,29 +94,21 @@ class AsyncioLine(DriveLine[AnyDrive]):
         for drive in self._drives:
             drive.opened()
         due_s = now_s()
-        with self._wake.open():
-            while True:
-                self._look()
-                self._cycles.begin()
-                await self._obey_setpoints()
-                self._told = self._exchange.take_setpoints(self.spec.index).joints
-                await self._cycle()
-                due_s = max(due_s + self._period_s, now_s())
-                await self._wait_for_cycle(due_s)
-                due_s = min(due_s, now_s())
+        while True:
+            self._look()
+            self._cycles.begin()
+            await self._obey_setpoints()
+            await self._cycle()
+            due_s = max(due_s + self._period_s, now_s())
+            await self._wait_for_cycle(due_s)
+            due_s = min(due_s, now_s())
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """A stop does not wait for the next cycle of a slow line, nor does a new set-point."""
+        """A stop does not wait for the next cycle of a slow line."""
         await asyncio.sleep(self.least_pause_s)
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
-            woken = await self._wake.wait_until_s(min(due_s, now_s() + LOOK_EVERY_S))
-            if woken and self._has_news() and self._wake.may_hurry():
-                return
+            await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
             self._look()
-
-    def _has_news(self) -> bool:
-        armed = any(drive.state is DriveState.ARMED for drive in self._drives)
-        return armed and self._exchange.take_setpoints(self.spec.index).joints != self._told
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
         wishes = self._wanted(drive).values()
