@@ -4,17 +4,14 @@
 #include <errno.h>
 #include <linux/gpio.h>
 #include <math.h>
-#include <poll.h>
 #include <pthread.h>
 #include <string.h>
-#include <sys/eventfd.h>
 #include <sys/ioctl.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "fresh.h"
 #include "loop.h"
-#include "pace.h"
 
 enum { EPOCH_BITS = 16 };   /* of the encoder's own epochs, below those of openings */
 static const int64_t NS_PER_S = 1000000000;
@@ -56,13 +53,10 @@ typedef struct {
     int64_t reported_ns;
     uint32_t number;
     bool made, joinable;
-    cycle_clock pace;                   /* of what is told between two cycles */
     _Atomic bool stop_asked;
 } pwm_thread;
 
 static pwm_thread threads[LINES_MAX];
-/* The loop may write to one at any time, so they stay open for good; 0: none yet. */
-static int wake_fd[LINES_MAX];
 
 /* --------------------------------------------------------------------------------------------------- the pins */
 static int write_number(int fd, uint64_t value)
@@ -295,64 +289,18 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-static void take_newest(pwm_thread *t)
+static int cycle(pwm_thread *t, int64_t now_ns)
 {
+    double level[PWM_OUTPUTS_MAX];
+    uint64_t inputs_before = t->out.active_inputs;
+    int error = read_inputs(t);
+    error = error != 0 ? error : read_encoders(t, now_ns);
     t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     t->newest.stamp_ns = stamp_since(t->newest.stamp_ns, clock_resumed_ns());
     (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
-}
-
-/* Not to pins of a line that has failed in this cycle: it ends, at rest. */
-static int tell(pwm_thread *t, int64_t now_ns, bool good)
-{
-    double level[PWM_OUTPUTS_MAX];
     bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);
-    return good ? apply(t, level) : 0;
-}
-
-static bool moves_nothing(const pwm_thread *t)
-{
-    bool moves = false;
-    for (uint32_t i = 0; i < t->config.joint_count; i++) {
-        moves |= t->newest.joint[t->config.joint[i].index].duty != 0.0;
-    }
-    return t->newest.enabled == 0 || !moves;
-}
-
-/* Woken: what is new, and a stop or a wish always, does not wait for the cycle. */
-static int tell_early(pwm_thread *t, int64_t now_ns)
-{
-    take_newest(t);
-    bool wished = t->wish.number != t->state.number;
-    if (!wished && !moves_nothing(t) && !cycle_clock_early(&t->pace, t->config.period_ns, now_ns)) {
-        return 0;
-    }
-    int error = tell(t, now_ns, true);
-    if (error == 0) {
-        put_report(t, true, 0, now_ns, t->out.active_inputs);
-    }
-    return error;
-}
-
-/* true: woken before. */
-static bool wait_until(const pwm_thread *t, int64_t due_ns)
-{
-    struct pollfd wake = {.fd = wake_fd[t->number], .events = POLLIN};
-    int64_t left_ns = due_ns - clock_now_ns();
-    left_ns = left_ns > 0 ? left_ns : 0;
-    struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
-    uint64_t wakes;
-    return ppoll(&wake, 1, &left, NULL) > 0 && read(wake.fd, &wakes, sizeof wakes) > 0;
-}
-
-static int cycle(pwm_thread *t, int64_t now_ns)
-{
-    uint64_t inputs_before = t->out.active_inputs;
-    int error = read_inputs(t);
-    error = error != 0 ? error : read_encoders(t, now_ns);
-    take_newest(t);
-    int wrote = tell(t, now_ns, error == 0);
+    int wrote = error == 0 ? apply(t, level) : 0;
     error = error != 0 ? error : wrote;
     t->out.cycles++;
     if (error == 0) {
@@ -370,12 +318,9 @@ static void *run(void *arg)
     int error = rest(t);
     int64_t due_ns = clock_now_ns();
     while (!t->stop_asked && error == 0) {
-        bool woken = wait_until(t, due_ns);
+        struct timespec until = {.tv_sec = due_ns / NS_PER_S, .tv_nsec = due_ns % NS_PER_S};
+        (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
         int64_t now_ns = clock_now_ns();
-        if (now_ns < due_ns) {
-            error = woken ? tell_early(t, now_ns) : 0;
-            continue;
-        }
         error = cycle(t, now_ns);
         due_ns += t->config.period_ns;
         if (due_ns < now_ns) {
@@ -402,13 +347,6 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     if (t->joinable) {
         return -EBUSY;
     }
-    if (wake_fd[line] == 0) {
-        int fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-        if (fd < 0) {
-            return -errno;
-        }
-        wake_fd[line] = fd;
-    }
     memset(t, 0, sizeof *t);
     t->config = *config;
     t->number = line;
@@ -426,18 +364,7 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
     int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
     t->made = t->joinable = error == 0;
-    if (error == 0) {
-        (void)exchange_set_line_wake(t->exchange, line, wake_fd[line]);
-    }
     return error;
-}
-
-static void wake(uint32_t line)
-{
-    const uint64_t one = 1;
-    if (write(wake_fd[line], &one, sizeof one) < 0) {
-        return;   /* full: it is awake */
-    }
 }
 
 int pwm_line_stop(uint32_t line)
@@ -445,9 +372,7 @@ int pwm_line_stop(uint32_t line)
     if (line >= LINES_MAX || !threads[line].joinable) {
         return -ESRCH;
     }
-    (void)exchange_set_line_wake(threads[line].exchange, line, -1);
     threads[line].stop_asked = true;
-    wake(line);
     int error = pthread_join(threads[line].thread, NULL);
     threads[line].joinable = false;
     return -error;
@@ -457,7 +382,6 @@ void pwm_line_put_control(uint32_t line, const bridge_control *control)
 {
     if (line < LINES_MAX && threads[line].made) {
         mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
-        wake(line);
     }
 }
 

@@ -9,7 +9,6 @@ import fcntl
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -118,22 +117,6 @@ async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(c
         await rig.line.disarm()
         await until(lambda: chip.duties() == REST)
         await rig.ready()
-
-
-async def test_a_new_set_point_a_wish_and_a_stop_do_not_wait_for_the_cycle(chip):
-    """The cycle is longer than this test waits for anything."""
-    spec = replace(spec_of(chip), cycle_hz=0.01, setpoint_timeout_s=1000.0)
-    async with running(spec, in_haste=True) as rig:
-        await rig.ready()
-        await rig.line.arm()
-        rig.loop.enabled = True
-        for part in (0.5, 0.2, 1.0, 0.0, 0.5):
-            rig.loop.duty = {0: part}
-            rig.loop.put()
-            rig.loop.exchange.wake_line(0)
-            await until(lambda part=part: chip.duties()[0] == round(50_000 * part))
-        await rig.line.disarm()
-        await until(lambda: chip.duties() == REST)
 
 
 async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chip):
