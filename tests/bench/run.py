@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,board,datagram,...]
+python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,board,twist,...]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
