@@ -86,8 +86,8 @@ def _hogs_of_bus(count: int) -> Iterator[None]:
 
 
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
-    """Of each command, as datagram.delays_us, and how many did not come to the wire. The daemon's
-    hogs have its CPU; motord-bus keeps the others."""
+    """Of each command, as datagram.delays_us, and how many the daemon did not accept. A fault
+    ends it: the rest is not written. The daemon's hogs have its CPU; motord-bus keeps the others."""
     chance, found = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as made,
@@ -105,13 +105,19 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
         _until(lambda: write(0.0), "reader of cmd_vel")
         if bus_hogs:
             os.kill(pid, signal.SIGUSR1)
-        for number in range(count):
+        time.sleep(max(PAUSE_S))
+        begun, written = robot.status()["commands"]["accepted"], 0
+        while written < count:
             judge.ask("changed")
-            given_ns = write(0.3 if number % 2 else 0.6)
+            given_ns = write(0.3 if written % 2 else 0.6)
+            written += 1
             time.sleep(chance.uniform(*PAUSE_S))
-            found.append((given_ns, judge.ask("changed")["changed_ns"]))
-    delays = [(came_ns - given_ns) / 1e6 for given_ns, came_ns in found if came_ns > given_ns > 0]
-    return delays, count - len(delays)
+            came_ns = judge.ask("changed")["changed_ns"]
+            if robot.status()["state"] == "fault":
+                break  # what is on the wire from now on is no answer to a command
+            found.append((given_ns, came_ns))
+        lost = begun + written - robot.status()["commands"]["accepted"]
+    return [(came - given) / 1e6 for given, came in found if came > given > 0], lost
 
 
 def measure(count: int) -> Found:
@@ -129,7 +135,7 @@ def measure(count: int) -> Found:
 def table(found: Found) -> str:
     rows = [
         f"{where:16} p50 {row.get('p50_ms', math.nan):6.2f}  p99 {row.get('p99_ms', math.nan):6.2f}"
-        f" ms  lost {row['lost']:g} of {row['lost'] + row['samples']:g}"
+        f" ms  {row['samples']:g} samples, lost {row['lost']:g}"
         for where, row in found.items()
     ]
     goal = (
