@@ -87,7 +87,7 @@ def _hogs_of_bus(count: int) -> Iterator[None]:
 
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
     """Of each command, as datagram.delays_us, and how many the daemon did not accept. A fault
-    ends it: the rest is not written. The daemon's hogs have its CPU; motord-bus keeps the others."""
+    ends it. The daemon's hogs have its CPU; motord-bus keeps the others."""
     chance, found = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as made,
