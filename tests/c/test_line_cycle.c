@@ -1,0 +1,413 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and what comes of each answer. */
+#include "line_wire.h"
+
+enum { WAY = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
+
+static line_drive_state *drive;
+
+/* One drive that is told magnitude and way, and has two ranges that are read in turn. */
+static void begin_ways(double wanted_rad_s)
+{
+    begin_with(2, 0);
+    line_drive *table = &w.table.drive[0];
+    table->way_count = 1;
+    table->way[0] = (line_way){.rest = frame_of(1, WRITE, WAY, WAY_REST), .forward = frame_of(1, WRITE, WAY, WAY_FORWARD),
+                               .reverse = frame_of(1, WRITE, WAY, WAY_REVERSE)};
+    table->cyclic[0].setpoint[0].magnitude = 1;
+    table->cyclic[0].setpoint[0].raw_min = 0.0;
+    table->extra_count = 2;
+    for (uint32_t i = 0; i < 2; i++) {
+        table->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
+        table->extra[i].field_count = 1;
+        table->extra[i].field[0] = (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xff,
+                                                .equals = 1, .si_per_raw = 1.0};
+    }
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
+                                   .joint = {{.velocity_rad_s = wanted_rad_s}}};
+    drive = &w.machine.drive[0];
+    drive->mode = DRIVE_ARMED;
+    drive->enabled = 1;
+    drive->cycle_count = 1;   /* its extra range is read in every fourth cycle, and not in this one */
+    drive->answered_ns = w.now_ns;
+}
+
+static void want(double velocity_rad_s)
+{
+    w.machine.newest.joint[0].velocity_rad_s = velocity_rad_s;
+}
+
+/* The next frame of the cycle is under way; register and value, NO_FRAME: the cycle is over. */
+static uint32_t sends(void)
+{
+    line_frame frame;
+    if (!line_next_in_cycle(&w.machine, 0, w.now_ns, &frame)) {
+        return NO_FRAME;
+    }
+    w.machine.work = WORK_CYCLE;
+    w.machine.worker = 0;
+    w.machine.transaction.frame = frame;
+    w.machine.start_ns = w.now_ns;
+    w.machine.end_ns = w.now_ns + 8 * CHARACTER_NS;
+    return (uint32_t)frame.request[3] << 8 | frame.request[5];
+}
+
+static void answers_with(uint8_t value)
+{
+    const line_frame *frame = &w.machine.transaction.frame;
+    w.now_ns = w.machine.end_ns + DEVICE_NS + frame->reply_bytes * CHARACTER_NS;
+    uint8_t reply[8] = {1, READ, 2, 0, value};
+    line_drive_answered(&w.machine, 0, reply, w.now_ns);
+    w.machine.work = WORK_NONE;
+}
+
+static uint32_t frame_to(uint32_t address, uint32_t value)
+{
+    return address << 8 | value;
+}
+
+/* A whole cycle: what is sent, and all of it is answered. */
+static void goes(const uint32_t *frames, uint32_t count)
+{
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    for (uint32_t i = 0; i < count; i++) {
+        CHECK(sends() == frames[i]);
+        answers_with(0);
+    }
+    CHECK(sends() == NO_FRAME && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
+    drive->cycle_count = 1;
+}
+#define GOES(...) goes((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
+
+static void rest_is_told_before_another_way_and_the_way_after_its_first_magnitude(void)
+{
+    begin_ways(1.0);
+    uint32_t rest = frame_to(WAY, WAY_REST), forward = frame_to(WAY, WAY_FORWARD), reverse = frame_to(WAY, WAY_REVERSE);
+    uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    GOES(rest, fast, forward, status);
+    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->told_motion);
+    want(0.5);
+    GOES(slow, status);
+    want(-0.5);
+    GOES(rest, slow, reverse, status);
+    CHECK(drive->way_told[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
+    want(0.0);
+    GOES(still, rest, status);
+    CHECK(drive->way_told[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->told_motion);
+    GOES(still, status);
+    want(0.5);
+    GOES(slow, forward, status);
+    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD);
+}
+
+static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
+{
+    begin_ways(1.0);
+    GOES(frame_to(WAY, WAY_REST), frame_to(SPEED, 100), frame_to(WAY, WAY_FORWARD), frame_to(STATUS, 1));
+    want(-1.0);
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(sends() == frame_to(WAY, WAY_REST) && drive->way_told[0] == WAY_UNKNOWN);
+    answers_with(0);
+    CHECK(drive->way_told[0] == WAY_REST && drive->place == 1);
+    CHECK(sends() == frame_to(SPEED, 100));
+    answers_with(0);
+    CHECK(sends() == frame_to(WAY, WAY_REVERSE));
+    want(0.0);   /* while it is on its way */
+    answers_with(0);
+    CHECK(drive->way_told[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
+}
+
+/* Rest would take its brake off: it comes with the power-off. */
+static void one_that_is_stopping_is_told_no_way(void)
+{
+    begin_ways(1.0);
+    drive->mode = DRIVE_READY;
+    drive->stopping = true;
+    w.machine.joint[0].feedback.velocity_rad_s = 3.0;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(sends() == frame_to(SPEED, 0));
+    answers_with(0);
+    CHECK(sends() == frame_to(STATUS, 1));
+}
+
+static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
+{
+    begin_ways(0.0);
+    drive->way_told[0] = WAY_REST;
+    uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    drive->mode = DRIVE_READY;
+    drive->enabled = 0;
+    drive->cycle_count = 4;
+    GOES(still, status, frame_to(EXTRA, 1));
+    CHECK(drive->extra_next == 1 && drive->enabled == 0);
+    drive->cycle_count = 8;
+    GOES(still, status, frame_to(EXTRA + 1, 1));
+    CHECK(drive->extra_next == 0);
+    drive->cycle_count = 7, drive->extra_next = 1;
+    GOES(still, status);
+    drive->enabled = 2;
+    GOES(still, status, frame_to(EXTRA, 1));
+    w.machine.table.drive[0].extra_count = 0;
+    drive->enabled = 2, drive->cycle_count = 8;
+    GOES(still, status);
+}
+
+static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up(void)
+{
+    begin_ways(0.0);
+    drive->due_ns = w.now_ns;
+    drive->cycle_start_ns = drive->cycle_ns = 0;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns + 20 * MS && drive->cycle_start_ns == w.now_ns && drive->cycle_ns == 0);
+    CHECK(drive->stage == STAGE_REST && drive->place == 0 && w.machine.current == 0);
+    w.now_ns += 24 * MS;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->cycle_ns == 24 * MS && drive->due_ns == w.now_ns + 16 * MS);
+    w.now_ns += 16 * MS;
+    drive->place = 3, drive->cycle_motion = true;
+    w.machine.newest.tick = 99;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->cycle_ns == 23 * MS && drive->due_ns == w.now_ns + 20 * MS);
+    CHECK(drive->place == 0 && !drive->cycle_motion && drive->frozen.tick == 99);
+    w.now_ns += 40 * MS;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns);
+    w.now_ns = drive->due_ns + 20 * MS + 1;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns);
+}
+
+/* The end of a cycle in which nothing is to be sent any more. */
+static void ends(void)
+{
+    line_frame frame;
+    w.machine.news = false;
+    w.machine.current = 0;
+    w.machine.feedback_mask = 0;
+    drive->stage = STAGE_EXTRA, drive->place = 1;
+    uint64_t cycles = drive->count.cycles, count = drive->cycle_count;
+    CHECK(!line_next_in_cycle(&w.machine, 0, w.now_ns, &frame));
+    CHECK(drive->count.cycles == cycles + 1 && drive->cycle_count == count + 1 && w.machine.feedback_mask == 1);
+    CHECK(drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
+}
+
+static void the_end_of_a_cycle_judges_what_the_drive_said(void)
+{
+    begin_ways(0.0);
+    drive->lost_setup = true;
+    ends();
+    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_LOST_SETUP && drive->stop == STOP_POWER_OFF);
+    begin_ways(0.0);
+    ends();
+    CHECK(drive->mode == DRIVE_ARMED && drive->stop == STOP_NOTHING);
+    drive->enabled = 0;
+    ends();
+    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_DISABLED_ITSELF && drive->stop == STOP_POWER_OFF);
+    for (uint32_t how = 0; how < 3; how++) {
+        begin_ways(0.0);
+        drive->mode = DRIVE_READY, drive->enabled = 2;
+        drive->stopping = how != 2;
+        w.machine.joint[0].feedback.velocity_rad_s = how == 1 ? 0.2 : 0.05;
+        ends();
+        CHECK(drive->stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (how == 1));
+    }
+}
+
+/* Power that nobody has asked for is taken in each cycle, and said once. */
+static void one_that_is_enabled_without_being_armed_is_switched_off(void)
+{
+    for (uint32_t how = 0; how < 7; how++) {
+        begin_ways(0.0);
+        drive->mode = how == 1 ? DRIVE_OFF : DRIVE_READY;
+        drive->enabled = how == 2 ? 2 : 1;
+        drive->stopping = how == 3;
+        w.machine.joint[0].feedback.velocity_rad_s = 3.0;
+        drive->stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
+        drive->cycle_start_ns = w.now_ns;
+        drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
+        drive->still_enabled = how == 6 ? 2 : 1;   /* of three tries */
+        ends();
+        bool nobody = how == 0 || how == 6;
+        CHECK(drive->stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
+        CHECK(drive->demoted == (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0) && w.machine.news == (how == 6));
+    }
+    drive->stop = STOP_NOTHING, drive->mode = DRIVE_READY;
+    ends();
+    CHECK(drive->still_enabled == 4 && !w.machine.news);
+    drive->enabled = 0;
+    ends();
+    CHECK(drive->still_enabled == 0);
+}
+
+static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
+{
+    begin_ways(0.0);
+    drive->way_told[0] = WAY_REST;
+    drive->cycle_count = 4;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    w.machine.feedback_mask = 0;
+    CHECK(sends() == frame_to(SPEED, 0));
+    answers_with(0);
+    CHECK(w.machine.feedback_mask == 0);
+    CHECK(sends() == frame_to(STATUS, 1));
+    answers_with(150);
+    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
+    CHECK(drive->answered_ns == w.machine.end_ns && drive->count.heard_ns == w.now_ns);
+}
+
+static void a_reply_that_took_longer_than_usual_tells_no_value(void)
+{
+    for (uint32_t late = 0; late < 2; late++) {
+        begin_ways(0.0);
+        drive->way_told[0] = WAY_REST;
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        CHECK(sends() == frame_to(SPEED, 0));
+        answers_with(0);
+        CHECK(sends() == frame_to(STATUS, 1));
+        drive->usual_ns = DEVICE_NS - (int64_t)late;
+        w.machine.joint[0].feedback.velocity_rad_s = 7.0;
+        uint64_t exchanges = drive->count.exchanges;
+        answers_with(150);
+        CHECK(w.machine.joint[0].feedback.velocity_rad_s == (late != 0 ? 7.0 : 1.5) && drive->place == 2);
+        CHECK(drive->count.exchanges == exchanges + 1);
+    }
+}
+
+/* Nobody was there to stop it while it stopped by itself: it is told so. */
+static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
+{
+    for (uint32_t how = 0; how < 4; how++) {
+        begin_ways(0.0);
+        drive->way_told[0] = WAY_REST;
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        CHECK(sends() == frame_to(SPEED, 0));
+        drive->failures = 2;
+        drive->owed_count = 0;
+        drive->answered_ns = w.machine.end_ns - 500 * MS - (how != 1);
+        drive->mode = how == 2 ? DRIVE_READY : DRIVE_ARMED;
+        w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : 500 * MS;
+        answers_with(0);
+        CHECK(drive->demoted == (how == 0 ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->stopping == (how == 0));
+        CHECK(drive->failures == 0 && drive->place == (how == 0 ? 0 : 1));   /* its cycle is over then */
+    }
+}
+
+static void a_quiet_drive_that_answers_is_told_to_switch_off_first(void)
+{
+    begin_ways(0.0);
+    drive->mode = DRIVE_QUIET;
+    line_frame frame;
+    line_next_probe(&w.machine, 0, w.now_ns, &frame);
+    w.machine.transaction.frame = frame;
+    w.machine.work = WORK_PROBE;
+    w.machine.end_ns = w.now_ns;
+    drive->smoothed_ns = 0;
+    answers_with(0);
+    CHECK(drive->back && drive->stop == STOP_POWER_OFF && drive->mode == DRIVE_QUIET && drive->smoothed_ns == DEVICE_NS + 1);
+}
+
+static void each_failure_is_counted_by_its_kind(void)
+{
+    static const struct {
+        uint32_t failure, no_reply, bad_reply, refused;
+    } KINDS[] = {{ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0}, {ANSWER_REFUSED, 0, 0, 1}};
+    for (uint32_t i = 0; i < 4; i++)
+        for (uint32_t current = 0; current < 2; current++) {
+            begin_ways(0.0);
+            line_cycle_begin(&w.machine, 0, w.now_ns);
+            (void)sends();
+            w.machine.current = current;
+            drive->deadline_ns = 1 * MS;
+            line_drive_failed(&w.machine, 0, KINDS[i].failure, 4, w.now_ns);
+            CHECK(drive->failures == 1 && drive->last_failure == KINDS[i].failure && drive->last_exception == 4);
+            CHECK(drive->count.no_reply == KINDS[i].no_reply && drive->count.bad_reply == KINDS[i].bad_reply);
+            CHECK(drive->count.refused == KINDS[i].refused && drive->count.exchanges == 1);
+            bool refused = KINDS[i].refused != 0;
+            CHECK(drive->deadline_ns == (refused ? 1 : 2) * MS && drive->owed_count == !refused);
+            CHECK(drive->quiet_until_ns == (refused ? 0 : w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS));
+            CHECK(drive->stage == STAGE_IDLE && w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+        }
+}
+
+static void so_many_failures_as_it_has_tries_make_it_quiet(void)
+{
+    for (uint32_t how = 0; how < 5; how++) {
+        begin_ways(0.0);
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        (void)sends();
+        drive->mode = how == 1 ? DRIVE_READY : how >= 2 && how < 4 ? DRIVE_OFF : DRIVE_ARMED;
+        drive->stop = how == 3 ? STOP_QUICK : STOP_NOTHING;
+        drive->failures = how == 4 ? 1 : 2;
+        line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
+        CHECK((drive->mode == DRIVE_QUIET) == (how != 2 && how != 4));
+    }
+    for (uint32_t failures = 1; failures < 3; failures++) {
+        begin_ways(0.0);
+        drive->failures = failures;
+        drive->due_ns = 1;
+        line_drive_not_reached(&w.machine, 0, w.now_ns);
+        CHECK(drive->due_ns == w.now_ns && drive->last_failure == ANSWER_NEVER_SILENT && drive->last_exception == 0);
+        CHECK((drive->mode == DRIVE_QUIET) == (failures == 2) && drive->count.bad_reply == 1);
+    }
+}
+
+/* The frame of the newest stop that was not heard is not told again at once at the end: each is to be told. */
+static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
+{
+    for (uint32_t how = 0; how < 3; how++) {
+        begin_ways(0.0);
+        line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+        line_frame frame;
+        CHECK(line_next_stop(&w.machine, 0, &frame));
+        w.machine.transaction.frame = frame;
+        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2);   /* of an older stop */
+        w.machine.work = WORK_STOP;
+        w.machine.shut = how == 0 ? 0 : 2;
+        w.machine.table.drive[0].tries = 100;
+        line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
+        CHECK(drive->stop_failures == 1 && drive->stop_place == (how == 1) && drive->stop_done == 0);
+    }
+}
+
+static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
+{
+    for (uint32_t older = 0; older < 2; older++) {
+        begin_ways(0.0);
+        drive->mode = DRIVE_OFF;
+        line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+        drive->stop_done = 1;
+        line_frame frame;
+        CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 1);
+        w.machine.transaction.frame = frame;
+        w.machine.transaction.frame.request[5] ^= (uint8_t)older;
+        w.machine.work = WORK_STOP;
+        for (uint32_t i = 1; i <= 3; i++) {
+            CHECK(drive->stop_done == 1 && !drive->stop_refused && drive->stop_failures == i - 1);
+            drive->failures = 0;
+            line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
+        }
+        CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) && drive->stop_failures == 0);
+    }
+}
+
+int main(void)
+{
+    rest_is_told_before_another_way_and_the_way_after_its_first_magnitude();
+    a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
+    one_that_is_stopping_is_told_no_way();
+    a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
+    cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
+    the_end_of_a_cycle_judges_what_the_drive_said();
+    one_that_is_enabled_without_being_armed_is_switched_off();
+    the_core_hears_of_a_cycle_with_the_last_of_what_it_reads();
+    a_reply_that_took_longer_than_usual_tells_no_value();
+    an_answer_after_its_watchdog_stops_an_armed_drive();
+    a_quiet_drive_that_answers_is_told_to_switch_off_first();
+    each_failure_is_counted_by_its_kind();
+    so_many_failures_as_it_has_tries_make_it_quiet();
+    at_the_end_a_frame_that_fails_makes_room_for_the_next();
+    a_frame_of_a_stop_that_is_refused_so_often_counts_as_done();
+    return checks_report("line cycle");
+}
