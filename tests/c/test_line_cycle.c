@@ -312,7 +312,8 @@ static void each_failure_is_counted_by_its_kind(void)
 {
     static const struct {
         uint32_t failure, no_reply, bad_reply, refused;
-    } KINDS[] = {{ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0}, {ANSWER_REFUSED, 0, 0, 1}};
+    } KINDS[] = {{ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0},
+                 {ANSWER_REFUSED, 0, 0, 1}};
     for (uint32_t i = 0; i < 4; i++)
         for (uint32_t current = 0; current < 2; current++) {
             begin_ways(0.0);
@@ -326,7 +327,8 @@ static void each_failure_is_counted_by_its_kind(void)
             CHECK(drive->count.refused == KINDS[i].refused && drive->count.exchanges == 1);
             bool refused = KINDS[i].refused != 0;
             CHECK(drive->deadline_ns == (refused ? 1 : 2) * MS && drive->owed_count == !refused);
-            CHECK(drive->quiet_until_ns == (refused ? 0 : w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS));
+            int64_t late_ns = w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS;
+            CHECK(drive->quiet_until_ns == (refused ? 0 : late_ns));
             CHECK(drive->stage == STAGE_IDLE && w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         }
 }
