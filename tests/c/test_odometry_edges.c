@@ -260,8 +260,29 @@ static void a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring(void)
     }
 }
 
+/* By series for small turns, by the sine for others: right to the last bits on both sides of the change. */
+static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
+{
+    static const double HALF_RAD[] = {1e-4, 0.05, 0.0999, 0.1001, 0.14, 0.3, 0.9};
+    for (size_t i = 0; i < sizeof HALF_RAD / sizeof HALF_RAD[0]; i++) {
+        base b = begun(32);
+        for (int j = 0; j < 2; j++)
+            b.config.joint[j].velocity_max_rad_s = 1e4;
+        odometry_init(&b.state, &b.config);
+        heard(&b, STEP_NS, 0, NAN);
+        int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), way = 40000;
+        comes(&b, 0, STEP_NS, way - turn, NAN);
+        comes(&b, 1, STEP_NS, way + turn, NAN);
+        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        long double half_rad = (long double)turn * (long double)COUNT_RAD * 0.1L / 0.5L;
+        long double chord_m = (long double)way * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
+        CHECK(fabs((double)(hypotl(b.state.x_m, b.state.y_m) / chord_m - 1.0L)) < 1.5e-15);
+    }
+}
+
 int main(void)
 {
+    the_chord_of_an_arc_is_right_to_the_last_bits();
     a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring();
     what_was_refused_is_no_reach_once_a_sample_was_believed();
     an_estimate_is_taken_back_by_the_counts_that_follow();
