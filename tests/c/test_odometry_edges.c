@@ -280,8 +280,31 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
     }
 }
 
+/* Then the heading is as uncertain as the gyro, whatever the wheels scrub, and has nothing to do with the way's error. */
+static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
+{
+    base b = begun(32);
+    b.config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .heading_variance_rad2_per_s = 1e-5,
+                                  .turn_variance_rad2_per_rad = 1e-3};
+    heard(&b, STEP_NS, 0, NAN);
+    gyro_state *gyro = &b.state.gyro;
+    gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns;
+    heard(&b, STEP_NS, 0, NAN);
+    CHECK(b.state.by_gyro == 0 && gyro->referenced == 1);
+    comes(&b, 0, STEP_NS, 1000, NAN);
+    comes(&b, 1, STEP_NS, 1400, NAN);
+    gyro->stamp_ns = b.feedback[0].stamp_ns;
+    gyro->yaw_rad = 0.02;
+    odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+    double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02, way_m = 1200 * COUNT_RAD * 0.1;
+    CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) && near(b.state.distance_m, way_m));
+    CHECK(fabs(b.state.pose_covariance[5] / turn_rad2 - 1.0) < 1e-9 && b.state.twist_covariance[1] == 0.0);
+    CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * way_m * sin(0.01)) - 1.0) < 1e-9);
+}
+
 int main(void)
 {
+    a_turn_by_the_gyro_has_the_gyro_s_variance();
     the_chord_of_an_arc_is_right_to_the_last_bits();
     a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring();
     what_was_refused_is_no_reach_once_a_sample_was_believed();
