@@ -160,6 +160,9 @@ static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
     bridge_pin pin = {.period_ns = 1000};
     CHECK(bridge_duty_ns(&pin, 0.05) == 50 && bridge_duty_ns(&pin, 0.00145) == 1 && bridge_duty_ns(&pin, 0.00155) == 2);
     CHECK(bridge_duty_ns(&pin, 0.0) == 0 && bridge_duty_ns(&pin, 1.0) == 1000 && bridge_duty_ns(&pin, 1.05) == 1000);
+    pin.period_ns = (UINT64_C(1) << 53) + 3; /* the nearest double is more */
+    CHECK(bridge_duty_ns(&pin, 1.0) == pin.period_ns);
+    pin.period_ns = 1000;
     pin.inverted = 1;
     CHECK(bridge_duty_ns(&pin, 0.0) == 1000 && bridge_duty_ns(&pin, 1.0) == 0 && bridge_duty_ns(&pin, INFINITY) == 0);
 }
@@ -218,6 +221,8 @@ static void each_number_of_a_config_ends_where_it_says(void)
             CHECK(bridge_config_check(&config) == 0);
             config.output[i].base[mode] = 0.0, config.output[i].slope[mode] = 1.0;
             CHECK(bridge_config_check(&config) == 0);
+            config.output[i].base[mode] = 1.05, config.output[i].slope[mode] = -0.5;
+            CHECK(bridge_config_check(&config) == -EINVAL);
             config.output[i].base[mode] = 1.5, config.output[i].slope[mode] = -1.0;
             CHECK(bridge_config_check(&config) == -EINVAL);
             config.output[i].base[mode] = -0.5, config.output[i].slope[mode] = 1.0;

@@ -118,6 +118,41 @@ static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(v
     CHECK(drive->way_told[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
 }
 
+/* Two exchanges of set-points: one of them that is not zero is a motion. */
+static void a_motion_in_any_exchange_is_a_motion(void)
+{
+    for (uint32_t which = 0; which < 2; which++) {
+        begin_ways(0.0);
+        line_drive *table = &w.machine.table.drive[0];
+        table->way_count = 0;
+        table->cyclic[2] = table->cyclic[1];
+        table->cyclic[1] = table->cyclic[0];
+        table->cyclic[1].setpoint[0].joint = 1;
+        table->cyclic_count = 3;
+        w.machine.newest.joint[which].velocity_rad_s = 1.0;
+        GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0), frame_to(STATUS, 1));
+        CHECK(drive->told_motion);
+        w.machine.newest.joint[which].velocity_rad_s = 0.0;
+        GOES(frame_to(SPEED, 0), frame_to(SPEED, 0), frame_to(STATUS, 1));
+        CHECK(!drive->told_motion);
+    }
+}
+
+static void each_of_several_ways_is_told(void)
+{
+    begin_ways(1.0);
+    line_drive *table = &w.machine.table.drive[0];
+    table->way_count = 2;
+    table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST), .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
+                               .reverse = frame_of(1, WRITE, WAY + 1, WAY_REVERSE)};
+    drive->way_told[0] = WAY_FORWARD;
+    uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
+    GOES(frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY + 1, WAY_FORWARD), status);
+    want(-1.0);
+    GOES(frame_to(WAY, WAY_REST), frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY, WAY_REVERSE),
+         frame_to(WAY + 1, WAY_REVERSE), status);
+}
+
 /* Rest would take its brake off: it comes with the power-off. */
 static void one_that_is_stopping_is_told_no_way(void)
 {
@@ -147,6 +182,9 @@ static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
     drive->cycle_count = 7, drive->extra_next = 1;
     GOES(still, status);
     drive->enabled = 2;
+    GOES(still, status, frame_to(EXTRA, 1));
+    w.machine.table.drive[0].extra_count = 1;
+    drive->enabled = 2, drive->cycle_count = 7, drive->extra_next = 0;
     GOES(still, status, frame_to(EXTRA, 1));
     w.machine.table.drive[0].extra_count = 0;
     drive->enabled = 2, drive->cycle_count = 8;
@@ -398,6 +436,8 @@ int main(void)
 {
     rest_is_told_before_another_way_and_the_way_after_its_first_magnitude();
     a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
+    a_motion_in_any_exchange_is_a_motion();
+    each_of_several_ways_is_told();
     one_that_is_stopping_is_told_no_way();
     a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();

@@ -227,6 +227,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 drive->enabled = 1;
                 drive->back = true;
                 drive->stage = STAGE_READ;
+                drive->due_ns = w.now_ns + 9 * MS;
                 w.machine.current = 0;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
@@ -238,10 +239,9 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                     expected = DRIVE_ARMED;   /* one that is armed is set up */
                 CHECK(drive->mode == expected);
                 CHECK(mode != DRIVE_OFF || (!drive->back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
-                if (has == 1 && (mode == DRIVE_STAND_DOWN || off)) {
-                    CHECK(drive->enabled == 2 || mode == DRIVE_OFF);
-                    CHECK(mode != DRIVE_STAND_DOWN || drive->due_ns == w.now_ns);
-                }
+                bool stands_down = has == 1 && unseen == 0 && mode == DRIVE_STAND_DOWN;
+                CHECK(drive->due_ns == (stands_down ? w.now_ns : w.now_ns + 9 * MS));
+                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->enabled == 2);
             }
     line_drive_state *drive = begin_drive();
     drive->mode = DRIVE_READY;
@@ -276,8 +276,22 @@ static void frames_of_a_stop_are_told_until_each_is_done(void)
     CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->mode == DRIVE_BACK && !drive->back && w.machine.news);
 }
 
+static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)
+{
+    line_drive_state *drive = begin_drive();
+    line_frame frame;
+    w.machine.table.drive[0].disarm_count = 3;
+    w.machine.table.drive[0].disarm[2] = frame_of(1, WRITE, RELEASE, 1);
+    line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+    drive->stop_place = 1, drive->stop_done = 2;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 2 && frame.request[5] == 1);
+    drive->stop_done = 6;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 && frame.request[3] == CONTROL);
+}
+
 int main(void)
 {
+    after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
     a_stop_begins_with_its_first_frame_whatever_was_under_way();
     reasons_of_a_demotion_gather();
     one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();

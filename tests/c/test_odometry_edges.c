@@ -302,8 +302,60 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * way_m * sin(0.01)) - 1.0) < 1e-9);
 }
 
+/* What it measures is the rate, and of a base that stands it is zero. */
+static void the_speed_of_a_turn_is_the_gyro_s(void)
+{
+    for (uint32_t still = 0; still < 2; still++) {
+        base b = begun(32);
+        b.config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05};
+        b.config.twist_variance_floor_rad2_s2 = 2e-3;
+        heard(&b, STEP_NS, 0, NAN);
+        gyro_state *gyro = &b.state.gyro;
+        gyro->rate_variance_rad2_s2 = 5e-4;
+        for (int step = 0; step < 2; step++) {
+            gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns + STEP_NS;
+            gyro->rate_rad_s = 0.7;
+            gyro->still = still;
+            heard(&b, STEP_NS, 100, NAN);
+        }
+        CHECK(b.state.by_gyro == 1 && b.state.angular_rad_s == (still ? 0.0 : 0.7));
+        CHECK(near(b.state.twist_covariance[2], 2e-3 + 5e-4));
+    }
+}
+
+static void no_variance_of_the_pose_is_below_its_floor(void)
+{
+    base b = begun(32);
+    b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
+    heard(&b, STEP_NS, 0, NAN);
+    heard(&b, STEP_NS, 0, NAN);
+    CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 && b.state.pose_covariance[5] == 2e-4);
+}
+
+/* Whichever side it is: what the other went alone is no arc. */
+static void a_side_that_is_heard_later_makes_no_turn(void)
+{
+    for (uint32_t silent = 0; silent < 2; silent++) {
+        base b = begun(32);
+        uint32_t stale[JOINTS_MAX] = {0};
+        for (int step = 0; step < 3; step++) {
+            stale[silent] = step < 2;
+            comes(&b, 0, STEP_NS, 1000, NAN);
+            comes(&b, 1, STEP_NS, 1000, NAN);
+            odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
+            CHECK(b.state.degraded == 1 && b.state.distance_m == 0.0 && b.state.turned_rad == 0.0);
+            CHECK(b.state.blind == (step < 2));
+        }
+        heard(&b, STEP_NS, 1000, NAN);
+        CHECK(b.state.degraded == 0 && near(b.state.distance_m, 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
+    }
+}
+
 int main(void)
 {
+    a_side_that_is_heard_later_makes_no_turn();
+    the_speed_of_a_turn_is_the_gyro_s();
+    no_variance_of_the_pose_is_below_its_floor();
     a_turn_by_the_gyro_has_the_gyro_s_variance();
     the_chord_of_an_arc_is_right_to_the_last_bits();
     a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring();
