@@ -265,11 +265,13 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
         drive->still_enabled = how == 6 ? 2 : 1;   /* of three tries */
+        drive->demoted = DEMOTED_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
         CHECK(drive->stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
         CHECK(drive->still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
-        CHECK(drive->demoted == (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0) && w.machine.news == (how == 6));
+        CHECK(drive->demoted == (DEMOTED_LEFT_ALONE | (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0)));
+        CHECK(w.machine.news == (how == 6));
     }
     drive->stop = STOP_NOTHING, drive->mode = DRIVE_READY;
     ends();
@@ -284,6 +286,7 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
     begin_ways(0.0);
     drive->way_told[0] = WAY_REST;
     drive->cycle_count = 4;
+    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];   /* behind the last one */
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
     CHECK(sends() == frame_to(SPEED, 0));
@@ -293,6 +296,26 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
     answers_with(150);
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
     CHECK(drive->answered_ns == w.machine.end_ns && drive->count.heard_ns == w.now_ns);
+    drive->stage = STAGE_IDLE;   /* it was stopped */
+    CHECK(sends() == NO_FRAME);
+}
+
+/* Of two that are told and nothing that is read the first answer says all; else it is the last one that is read. */
+static void what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
+{
+    for (uint32_t reads = 0; reads < 2; reads++) {
+        begin_ways(0.0);
+        line_drive *table = &w.machine.table.drive[0];
+        table->way_count = 0;
+        table->cyclic[2] = table->cyclic[1];
+        table->cyclic[1] = table->cyclic[0];
+        table->cyclic_count = 2 + reads;
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        w.machine.feedback_mask = 0;
+        CHECK(sends() == frame_to(SPEED, 0));
+        answers_with(0);
+        CHECK(w.machine.feedback_mask == !reads);
+    }
 }
 
 static void a_reply_that_took_longer_than_usual_tells_no_value(void)
@@ -444,6 +467,7 @@ int main(void)
     the_end_of_a_cycle_judges_what_the_drive_said();
     one_that_is_enabled_without_being_armed_is_switched_off();
     the_core_hears_of_a_cycle_with_the_last_of_what_it_reads();
+    what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read();
     a_reply_that_took_longer_than_usual_tells_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
     a_quiet_drive_that_answers_is_told_to_switch_off_first();

@@ -88,7 +88,7 @@ static void a_reset_waits_for_both_sides_anew(void)
         comes(&b, first, STEP_NS, 1000, NAN);
         odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
         odometry_reset(&b.state, &b.config);
-        CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0);
+        CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0 && b.state.degraded == 0);
         int64_t stamp_ns = b.state.stamp_ns;
         comes(&b, 1 - first, STEP_NS, 1000, NAN);
         odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
@@ -351,8 +351,28 @@ static void a_side_that_is_heard_later_makes_no_turn(void)
     }
 }
 
+/* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no speed is measured. */
+static void samples_that_are_no_newer_than_the_last_arc_tell_no_speed(void)
+{
+    for (int64_t short_ns = 0; short_ns < 2; short_ns++) {
+        base b = begun(32);
+        b.config.joint_count = 4;
+        b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1];
+        odometry_init(&b.state, &b.config);
+        uint32_t stale[JOINTS_MAX] = {0};
+        for (int step = 0; step < 3; step++) {
+            stale[2] = step == 2;
+            for (int j = 0; j < 4; j++)
+                comes(&b, j, step == 0 ? STEP_NS + (j == 2 ? STEP_NS + short_ns : 0) : STEP_NS, 100, NAN);
+            odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
+        }
+        CHECK(near(b.state.distance_m, 200 * COUNT_RAD * 0.1) && near(b.state.linear_m_s, 100 * COUNT_RAD * 0.1 / 0.01));
+    }
+}
+
 int main(void)
 {
+    samples_that_are_no_newer_than_the_last_arc_tell_no_speed();
     a_side_that_is_heard_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();
     no_variance_of_the_pose_is_below_its_floor();
