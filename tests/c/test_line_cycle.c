@@ -320,18 +320,18 @@ static void what_is_told_says_nothing_to_the_core_while_something_is_still_to_be
 
 static void a_reply_that_took_longer_than_usual_tells_no_value(void)
 {
-    for (uint32_t late = 0; late < 2; late++) {
+    for (uint32_t late = 0; late < 3; late++) {
         begin_ways(0.0);
         drive->way_told[0] = WAY_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         answers_with(0);
         CHECK(sends() == frame_to(STATUS, 1));
-        drive->usual_ns = DEVICE_NS - (int64_t)late;
+        drive->usual_ns = late == 2 ? 0 : DEVICE_NS - (int64_t)late;   /* 0: not known yet */
         w.machine.joint[0].feedback.velocity_rad_s = 7.0;
         uint64_t exchanges = drive->count.exchanges;
         answers_with(150);
-        CHECK(w.machine.joint[0].feedback.velocity_rad_s == (late != 0 ? 7.0 : 1.5) && drive->place == 2);
+        CHECK(w.machine.joint[0].feedback.velocity_rad_s == (late == 1 ? 7.0 : 1.5) && drive->place == 2);
         CHECK(drive->count.exchanges == exchanges + 1);
     }
 }
@@ -339,7 +339,7 @@ static void a_reply_that_took_longer_than_usual_tells_no_value(void)
 /* Nobody was there to stop it while it stopped by itself: it is told so. */
 static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 {
-    for (uint32_t how = 0; how < 4; how++) {
+    for (uint32_t how = 0; how < 5; how++) {
         begin_ways(0.0);
         drive->way_told[0] = WAY_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -348,10 +348,25 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         drive->owed_count = 0;
         drive->answered_ns = w.machine.end_ns - 500 * MS - (how != 1);
         drive->mode = how == 2 ? DRIVE_READY : DRIVE_ARMED;
-        w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : 500 * MS;
+        w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : how == 4 ? 1 : 500 * MS;
         answers_with(0);
-        CHECK(drive->demoted == (how == 0 ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->stopping == (how == 0));
-        CHECK(drive->failures == 0 && drive->place == (how == 0 ? 0 : 1));   /* its cycle is over then */
+        bool alone = how == 0 || how == 4;
+        CHECK(drive->demoted == (alone ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->stopping == alone);
+        CHECK(drive->failures == 0 && drive->place == !alone);   /* its cycle is over then */
+    }
+}
+
+static void what_is_not_answered_tells_no_turn_around(void)
+{
+    for (uint32_t bytes = 0; bytes < 2; bytes++) {
+        begin_ways(0.0);
+        drive->way_told[0] = WAY_REST;
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        CHECK(sends() == frame_to(SPEED, 0));
+        w.machine.transaction.frame.reply_bytes = bytes;
+        drive->smoothed_ns = 0;
+        answers_with(0);
+        CHECK((drive->smoothed_ns == 0) == (bytes == 0) && drive->place == 1);
     }
 }
 
@@ -434,6 +449,20 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
     }
 }
 
+static void a_frame_that_is_none_of_the_stop_any_more_is_not_done(void)
+{
+    for (uint32_t behind = 0; behind < 2; behind++) {
+        begin_ways(0.0);
+        line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+        w.machine.table.drive[0].disarm_count = 2 - behind;
+        drive->stop_place = 1;
+        w.machine.transaction.frame = w.machine.table.drive[0].disarm[1];
+        w.machine.work = WORK_STOP;
+        answers_with(0);
+        CHECK(drive->stop_done == (behind != 0 ? 0 : 2));
+    }
+}
+
 static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
 {
     for (uint32_t older = 0; older < 2; older++) {
@@ -452,6 +481,10 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
             line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
         }
         CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) && drive->stop_failures == 0);
+        w.machine.transaction.frame.request[5] ^= 0x40;   /* what becomes of an older one changes nothing */
+        drive->failures = 0, drive->stop_failures = 2;
+        line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
+        CHECK(drive->stop_refused == (older == 0));
     }
 }
 
@@ -470,10 +503,12 @@ int main(void)
     what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read();
     a_reply_that_took_longer_than_usual_tells_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
+    what_is_not_answered_tells_no_turn_around();
     a_quiet_drive_that_answers_is_told_to_switch_off_first();
     each_failure_is_counted_by_its_kind();
     so_many_failures_as_it_has_tries_make_it_quiet();
     at_the_end_a_frame_that_fails_makes_room_for_the_next();
+    a_frame_that_is_none_of_the_stop_any_more_is_not_done();
     a_frame_of_a_stop_that_is_refused_so_often_counts_as_done();
     return checks_report("line cycle");
 }
