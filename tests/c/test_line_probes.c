@@ -40,6 +40,7 @@ static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
     for (uint32_t round = 0; round < 4; round++) {
         for (uint32_t i = 0; i < 3; i++) {
             line_frame frame;
+            w.now_ns += MS;
             line_next_probe(&w.machine, 0, w.now_ns, &frame);
             bool at_once = round == 0 && i < 2;
             CHECK(i == 0   ? frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP
@@ -53,10 +54,24 @@ static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
     }
 }
 
+static void the_exchange_that_asks_goes_before_the_extra_ranges(void)
+{
+    begin_with(1, 0);
+    w.machine.table.drive[0].probe = 1;
+    w.machine.table.drive[0].extra_count = 1;
+    w.machine.table.drive[0].extra[0].frame = frame_of(1, READ, STATUS, 1);
+    line_go_quiet(&w.machine, 0, w.now_ns);
+    line_frame frame;
+    line_next_probe(&w.machine, 0, w.now_ns, &frame);
+    CHECK(frame.request[1] == WRITE && frame.request[3] == SPEED);
+}
+
 static void the_first_quiet_drive_whose_time_has_come_is_asked(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
+    m->drive[3].mode = DRIVE_QUIET;   /* it is none of the line */
+    m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
         m->drive[i].mode = DRIVE_QUIET;
@@ -82,6 +97,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
         m->ours_ns = w.now_ns + 3 * MS;
         m->broadcasts = what == 1;
+        m->drive[2].stop = STOP_QUICK;   /* it is none of the line */
         m->drive[1].stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
         m->drive[1].mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
@@ -110,6 +126,7 @@ int main(void)
 {
     one_that_becomes_quiet_forgets_what_it_was_told();
     probes_of_one_that_may_turn_stop_it_in_each_round();
+    the_exchange_that_asks_goes_before_the_extra_ranges();
     the_first_quiet_drive_whose_time_has_come_is_asked();
     what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever();
     return checks_report("line probes");
