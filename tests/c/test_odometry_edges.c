@@ -332,22 +332,42 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 && b.state.pose_covariance[5] == 2e-4);
 }
 
-/* Whichever side it is: what the other went alone is no arc. */
+/* One wheel of a side begins anew while the other is silent: what the other side goes meanwhile is no arc. */
+static void a_side_that_only_begins_makes_no_turn(void)
+{
+    for (int side = 0; side < 2; side++) {
+        base b = begun(32);
+        b.config.joint_count = 4;
+        b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1];
+        odometry_init(&b.state, &b.config);
+        for (int step = 0; step < 5; step++) {
+            uint32_t stale[JOINTS_MAX] = {0};
+            stale[side] = step == 2;
+            stale[side + 2] = step == 3;
+            for (int j = 0; j < 4; j++)
+                comes(&b, j, STEP_NS, 1000, NAN);
+            odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
+            int arcs = step < 3 ? step : step - 1;
+            CHECK(near(b.state.distance_m, arcs * 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
+            CHECK(b.state.blind == 0 && b.state.degraded == (step == 2 || step == 3));
+        }
+    }
+}
+
+/* It was never heard before, whichever it is. */
 static void a_side_that_is_heard_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {
         base b = begun(32);
-        uint32_t stale[JOINTS_MAX] = {0};
-        for (int step = 0; step < 3; step++) {
+        for (int step = 0; step < 4; step++) {
+            uint32_t stale[JOINTS_MAX] = {0};
             stale[silent] = step < 2;
             comes(&b, 0, STEP_NS, 1000, NAN);
             comes(&b, 1, STEP_NS, 1000, NAN);
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
-            CHECK(b.state.degraded == 1 && b.state.distance_m == 0.0 && b.state.turned_rad == 0.0);
-            CHECK(b.state.blind == (step < 2));
+            CHECK(b.state.blind == (step < 2) && b.state.degraded == (step < 3) && near(b.state.turned_rad, 0.0));
+            CHECK(near(b.state.distance_m, step < 3 ? 0.0 : 1000 * COUNT_RAD * 0.1));
         }
-        heard(&b, STEP_NS, 1000, NAN);
-        CHECK(b.state.degraded == 0 && near(b.state.distance_m, 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
     }
 }
 
@@ -373,6 +393,7 @@ static void samples_that_are_no_newer_than_the_last_arc_tell_no_speed(void)
 int main(void)
 {
     samples_that_are_no_newer_than_the_last_arc_tell_no_speed();
+    a_side_that_only_begins_makes_no_turn();
     a_side_that_is_heard_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();
     no_variance_of_the_pose_is_below_its_floor();
