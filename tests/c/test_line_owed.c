@@ -102,8 +102,72 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
+/* It is there, and that is all that is known: what it said may be another's, and one of those that are owed has come. */
+static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
+{
+    for (uint32_t current = 0; current < 2; current++) {
+        begin_asking();
+        line_owe(&w.machine, 0);
+        drive->stage = STAGE_READ;
+        w.machine.current = current;
+        line_doubt(&w.machine, 0, w.now_ns + MS);
+        CHECK(drive->count.exchanges == 1 && drive->count.heard_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
+        CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);   /* two were, and one has come */
+        CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));
+    }
+}
+
+/* More than can be told apart: a silence sorts them out. */
+static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time(void)
+{
+    begin_asking();
+    for (uint8_t i = 0; i <= OWED_MAX; i++) {
+        w.machine.transaction.frame = frame_of(1, READ, STATUS, 1);
+        w.machine.transaction.frame.match[2] = (uint8_t)(2 + i);
+        CHECK(drive->held_until_ns == 0);
+        line_owe(&w.machine, 0);
+        CHECK(drive->owed_count == (i < OWED_MAX ? i + 1U : OWED_MAX));
+    }
+    CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns && drive->held_until_ns == reply_after(4 * 200 * MS));
+    CHECK(drive->owed[0].look.head[2] == 3 && drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX);   /* the oldest went */
+    w.machine.start_ns = drive->held_until_ns;   /* all of that is over */
+    line_owe(&w.machine, 0);
+    CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
+}
+
+/* What is certain tells how short a turn-around may be; 0 is: not known. */
+static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
+{
+    begin_asking();
+    line_settle(&w.machine, 0, reply_after(3 * MS));
+    CHECK(drive->least_ns == 3 * MS + 1);
+    line_settle(&w.machine, 0, reply_after(4 * MS));
+    CHECK(drive->least_ns == 3 * MS + 1);
+    line_settle(&w.machine, 0, reply_after(0));
+    CHECK(drive->least_ns == 1);
+    drive->least_ns = 0;
+    line_owe(&w.machine, 0);
+    line_owe(&w.machine, 0);
+    int64_t until_ns = drive->owed[0].until_ns;
+    w.machine.end_ns += 7 * MS;
+    line_settle(&w.machine, 0, reply_after(3 * MS));   /* perhaps the older one's: it is owed on */
+    CHECK(drive->least_ns == 0 && drive->owed_count == 1 && drive->owed[0].until_ns == until_ns + 7 * MS);
+    for (uint32_t how = 0; how < 2; how++) {
+        begin_asking();
+        w.machine.transaction.frame.exact = how == 0;
+        w.machine.transaction.frame.reply_bytes = how == 0 ? 7 : 0;
+        line_settle(&w.machine, 0, reply_after(3 * MS));
+        line_owe(&w.machine, 0);
+        CHECK(drive->least_ns == 0 && drive->owed_count == 0);
+    }
+}
+
 int main(void)
 {
+    a_doubtful_reply_ends_the_cycle_and_holds_the_drive();
+    one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time();
+    the_shortest_turn_around_is_that_of_a_certain_reply();
     a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms();
     a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once();
     a_turn_around_is_learned_with_its_spread();
