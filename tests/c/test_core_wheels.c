@@ -200,8 +200,24 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
         }
 }
 
+/* In a curve each side has its own speed, and the slowest joint sets the pace, whichever it is. */
+static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit(void)
+{
+    core_config config = good_config();
+    double wheel_rad_s[JOINTS_MAX];
+    kinematics_wheels(&config, 0.4, 0.2, wheel_rad_s);
+    for (int j = 0; j < 4; j++)
+        CHECK(fabs(wheel_rad_s[j] - (j % 2 == 0 ? 3.5 : 4.5)) < 1e-12);
+    for (int slow = 0; slow < 4; slow++) {
+        config = good_config();
+        config.joint[slow].velocity_max_rad_s = 0.5 * wheel_rad_s[slow];
+        CHECK(fabs(saturate_factor(wheel_rad_s, config.joint, 4) - 0.5) < 1e-12);
+    }
+}
+
 int main(void)
 {
+    a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit();
     a_base_that_turned_on_the_spot_stands_still_afterwards();
     a_ramp_that_has_arrived_leaves_no_acceleration();
     a_late_tick_of_a_stop_is_a_step_of_the_ramp();
