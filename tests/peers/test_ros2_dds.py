@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
 
+import hashlib
+import json
 import signal
 
 import pytest
@@ -217,6 +219,46 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
     assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
     assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"
     assert arm["user_data"].startswith("serviceid=")
+
+
+def describe(type_hash, **more):
+    asked = {"type_name": "", "type_hash": type_hash, "include_type_sources": True, **more}
+    return called("get_type_description", "GetTypeDescription", **asked)
+
+
+def hash_of(description):
+    """Of a TypeDescription, as REP-2011 has it."""
+    described = json.loads(json.dumps(description))
+    for one in (described["type_description"], *described["referenced_type_descriptions"]):
+        for field in one["fields"]:
+            del field["default_value"]
+    text = json.dumps(described, separators=(", ", ": ")).encode()
+    return f"RIHS01_{hashlib.sha256(text).hexdigest()}"
+
+
+def test_each_type_of_the_node_is_described_by_its_hash(stage):
+    for topic in ("odom", "motor_status", "cmd_vel"):
+        with peer("endpoints") as eye:
+            found = eye.find(
+                lambda found, name=f"rt{NAMESPACE}/{topic}": found["topic"] == name, topic
+            )
+        shown = found["user_data"].removeprefix("typehash=").rstrip(";")
+        told = describe(shown)
+        assert (told["successful"], told["failure_reason"]) == (True, "")
+        described = told["type_description"]
+        assert described["type_description"]["type_name"].split("/")[-1] in found["type"]
+        assert hash_of(described) == shown
+        texts = {one["type_name"]: one["raw_file_contents"] for one in told["type_sources"]}
+        assert "builtin_interfaces/Time stamp" in texts["std_msgs/msg/Header"]
+
+
+def test_what_the_node_does_not_have_is_not_described(stage):
+    imu = describe(type_hash("sensor_msgs/msg/Imu"))
+    assert not imu["successful"]
+    assert "no type of this node" in imu["failure_reason"]
+    assert not describe("RIHS01_ÿ\n" + "x" * 1000)["successful"]
+    spare = describe(type_hash("nav_msgs/msg/Odometry"), include_type_sources=False)
+    assert (spare["successful"], spare["type_sources"]) == (True, [])
 
 
 def parameter(name, value, kind=3):
