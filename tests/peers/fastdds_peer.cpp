@@ -3,8 +3,10 @@
 //   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
 //   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
 //   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
-//   fastdds_peer DOMAIN ask TOPIC - -        20 requests of std_srvs/Trigger a second, as rmw_fastrtps writes them
+//   fastdds_peer DOMAIN ask NAME NODE        a client of the service NAME (std_srvs/Trigger) as rmw_fastrtps makes it, of
+//                                            a node; 20 requests a second, and "READERS WRITERS" of it that it has met
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstdio>
@@ -62,11 +64,24 @@ struct JointState {
     static const char *type() { return "sensor_msgs::msg::dds_::JointState_"; }
 };
 
-// A request without fields has one byte. The header is not in it: who asks is told beside the message.
-struct Trigger {
-    Header header;
+// A request without fields has one byte. Who asks is told beside the message.
+struct TriggerRequest {
     uint8_t nothing = 0;
     static const char *type() { return "std_srvs::srv::dds_::Trigger_Request_"; }
+};
+
+struct TriggerReply {
+    uint8_t success = 0;
+    std::string message;
+    static const char *type() { return "std_srvs::srv::dds_::Trigger_Response_"; }
+};
+
+// Of Iron and later: one node that has two endpoints.
+struct Entities {
+    std::array<uint8_t, 16> gid{};
+    std::string node_namespace = "/", node_name;
+    std::vector<std::array<uint8_t, 16>> readers, writers;
+    static const char *type() { return "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"; }
 };
 
 // `Archive` is a Cdr that writes or reads.
@@ -100,7 +115,27 @@ static void pass(Cdr &cdr, JointState &command, bool writing)
     pass(cdr, command.effort, writing);
 }
 
-static void pass(Cdr &cdr, Trigger &request, bool writing) { pass(cdr, request.nothing, writing); }
+static void pass(Cdr &cdr, TriggerRequest &request, bool writing) { pass(cdr, request.nothing, writing); }
+static void pass(Cdr &cdr, TriggerReply &reply, bool writing)
+{
+    pass(cdr, reply.success, writing);
+    pass(cdr, reply.message, writing);
+}
+static void pass(Cdr &cdr, Entities &entities, bool writing)
+{
+    uint32_t nodes = 1;
+    pass(cdr, entities.gid, writing);
+    pass(cdr, nodes, writing);
+    pass(cdr, entities.node_namespace, writing);
+    pass(cdr, entities.node_name, writing);
+    for (auto *endpoints : {&entities.readers, &entities.writers}) {
+        uint32_t count = static_cast<uint32_t>(endpoints->size());
+        pass(cdr, count, writing);
+        endpoints->resize(count);
+        for (auto &gid : *endpoints)
+            pass(cdr, gid, writing);
+    }
+}
 
 template <typename Message> class Type : public TopicDataType {
   public:
@@ -186,6 +221,45 @@ template <typename Message> static int send(DomainParticipant *of, const char *n
     }
 }
 
+static std::array<uint8_t, 16> gid(const eprosima::fastrtps::rtps::GUID_t &guid)
+{
+    std::array<uint8_t, 16> made{};
+    std::copy_n(guid.guidPrefix.value, 12, made.begin());
+    std::copy_n(guid.entityId.value, 4, made.begin() + 12);
+    return made;
+}
+
+static int ask(DomainParticipant *of, const std::string &name, const char *node)
+{
+    DataWriterQos writes;
+    DataReaderQos reads;
+    writes.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    reads.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    Publisher *publisher = of->create_publisher(PUBLISHER_QOS_DEFAULT);
+    DataReader *replies = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT)
+                              ->create_datareader(topic<TriggerReply>(of, ("rr" + name + "Reply").c_str()), reads);
+    DataWriter *requests =
+        publisher->create_datawriter(topic<TriggerRequest>(of, ("rq" + name + "Request").c_str()), writes);
+    writes.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
+    DataWriter *graph = publisher->create_datawriter(topic<Entities>(of, "ros_discovery_info"), writes);
+    Entities own;
+    own.gid = gid(of->guid());
+    own.node_name = node;
+    own.readers = {gid(replies->guid())};
+    own.writers = {gid(requests->guid())};
+    graph->write(&own);
+    for (TriggerRequest request;;) {
+        PublicationMatchedStatus readers;
+        SubscriptionMatchedStatus writers;
+        requests->get_publication_matched_status(readers);
+        replies->get_subscription_matched_status(writers);
+        printf("%d %d\n", readers.current_count, writers.current_count);
+        fflush(stdout);
+        requests->write(&request);
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+}
+
 int main(int count, char **words)
 {
     if (count < 4)
@@ -195,11 +269,13 @@ int main(int count, char **words)
         return 1;
     if (std::string(words[2]) == "odom")
         return hear(own, words[3]);
+    if (count < 5)
+        return 2;
+    if (std::string(words[2]) == "ask")
+        return ask(own, words[3], words[4]);
     if (count < 6)
         return 2;
     if (std::string(words[2]) == "joints")
         return send(own, words[3], JointState{{}, {"left", "right"}, {}, {atof(words[4]), atof(words[5])}, {}});
-    if (std::string(words[2]) == "ask")
-        return send(own, words[3], Trigger{});
     return send(own, words[3], TwistStamped{{}, {atof(words[4]), 0, 0, 0, 0, atof(words[5])}});
 }

@@ -85,6 +85,7 @@ class Node:
             names.GRAPH_TOPIC, self._graph_type, _GRAPH_QUALITY, _typed(self._graph_type)
         )
         self._others = Graph()
+        self._participant.node_of = self._others.node
         self._participant.reader(
             names.GRAPH_TOPIC, self._graph_type, _OTHERS_QUALITY, _typed(self._graph_type),
             self._learn,
