@@ -136,6 +136,8 @@ def test_who_stopped_the_robot_and_why_is_told_by_name(stage):
 
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "best", "watcher"):
         wait_until(found, "the reason")
+        with peer("topic", f"rt{NAMESPACE}/motor_status", "MotorStatus") as ear:
+            ear.find(lambda told: any(why.startswith(reason) for why in told["why"]), "the reason")
     assert f"emergency stop: {reason}" in stage.said()
     assert called("reset")["success"]
     stage.wait_for("idle")
@@ -363,12 +365,20 @@ def refused(stage):
     return inputs(stage)["ros2"]["refused"]
 
 
-@pytest.mark.parametrize("speed_m_s", ["nan", "inf", "-inf"])
-def test_what_is_no_number_moves_nothing(armed, speed_m_s):
-    before, x_m = sent(armed), armed.sim.truth().x_m
-    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0):
-        wait_until(lambda: sent(armed) > before + 10, "commands")
+@pytest.mark.parametrize(
+    ("speed_m_s", "counted"),
+    [("nan", "not_finite"), ("-inf", "not_finite"), ("1e308", "out_of_range"),
+     ("-10.5", "out_of_range")],
+)  # fmt: skip
+def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s, counted):
+    def count():
+        return armed.robot.status()["commands"]["refused"][counted]
+
+    before, x_m = count(), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
+        wait_until(lambda: count() > before + 10, "refusals")
     assert armed.sim.truth().x_m == x_m
+    assert "input.ros2: /broken asks for " in armed.said()
 
 
 def test_old_commands_move_nothing(armed):
