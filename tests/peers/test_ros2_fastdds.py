@@ -79,6 +79,23 @@ def test_a_writer_of_another_type_is_named(fast, stage):
         wait_until(lambda: said in stage.said(), "a word on its type")
 
 
+def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
+    """The way that is left to who gets no answer of a service."""
+    reason = "input.ros2: by /watcher: 'a person is too close' (process "
+    with fast("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
+        stage.wait_for("estop")
+        wait_until(
+            lambda: any(why.startswith(reason) for why in stage.robot.status()["why"]), "the reason"
+        )
+    settle(stage)
+
+
+def test_who_comes_late_is_told_what_the_robot_looks_like(program, stage):
+    topic = f"rt{NAMESPACE}/robot_description"
+    with peer("text", topic, program=(str(program),), decode=str.rstrip) as ear:
+        assert ear.find(lambda _: True, "the description") == "<robot name="
+
+
 def counts(line):
     readers, writers = map(int, line.split())
     return {"readers": readers, "writers": writers}
