@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 from motord.bus.ros2.types import (
+    PLACEHOLDER,
     TYPES,
     description,
     made_of,
@@ -89,8 +90,14 @@ def _source(name: str) -> SimpleNamespace:
     """`implicit` is what rosidl makes of a service or an action, and what has no text."""
     encoding, text = "implicit", ""
     if "/msg/" in name:
-        encoding, text = "msg", message_definition(name)
+        encoding, text = "msg", _text(name)
     elif "/srv/" in name and all(part in TYPES for part in with_parts(name)):
         _, *parts = with_parts(name)
-        encoding, text = "srv", "---\n".join(map(message_definition, parts))
+        encoding, text = "srv", "---\n".join(map(_text, parts))
     return SimpleNamespace(type_name=name, encoding=encoding, raw_file_contents=text)
+
+
+def _text(name: str) -> str:
+    """As its author wrote it: what has no fields has no text."""
+    lonely = [field.name for field in TYPES[name]] == [PLACEHOLDER]
+    return "" if lonely else message_definition(name)
