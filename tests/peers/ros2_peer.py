@@ -70,8 +70,13 @@ RELIABLE = (
 )
 
 
+_saying = threading.Lock()
+
+
 def say(value):
-    print(json.dumps(value, default=list), flush=True)
+    """A line; goals are told of by two threads, and `print` ends its line by itself."""
+    with _saying:
+        print(json.dumps(value, default=list), flush=True)
 
 
 def topic(participant, name, kind, late=""):
