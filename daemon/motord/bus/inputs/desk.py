@@ -15,6 +15,7 @@ from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
 from motord.config import StampedInput, TokenInput
+from motord.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -37,6 +38,8 @@ FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
 OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
+ABSURD = 10.0
+"""Times the limit: OUT_OF_RANGE of csrc/arbiter.c."""
 SAY_AGAIN_S = 10.0
 _SHORT = 40
 
@@ -61,6 +64,7 @@ class Desk:
         self._joints = {name: place for place, name in enumerate(station.robot.joint)}
         self._calls: Counter[str] = Counter()
         self._said_s = -SAY_AGAIN_S
+        self._voice = Sparing(_log)
         self.source: Source = station.source(name)
         self._gap: Gap = station.gap(section.lease_s)
         self.gap: Gap = station.gap(max(section.lease_s, CALL_OLD_S))
@@ -81,13 +85,27 @@ class Desk:
             case other:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
-    def drive(self, message: object, waited_s: float = 0.0) -> None:
+    def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
         """Pass a Twist or a TwistStamped on. `waited_s`: on its way, as far as that is known; it is
-        the age of one that says none itself. Raises NotTaken."""
+        the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
         linear_m_s, angular_rad_s, age_s = self._twist(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
             raise self._no(self.source.why_lost)
+        limits = self._station.robot.limits
+        if not (
+            abs(linear_m_s) <= ABSURD * limits.linear_m_s
+            and abs(angular_rad_s) <= ABSURD * limits.angular_rad_s
+        ):
+            self._name_absurd(linear_m_s, angular_rad_s, sender or "somebody")
+
+    def _name_absurd(self, linear_m_s: float, angular_rad_s: float, sender: str) -> None:
+        """The loop counts it; who sent it is known here only."""
+        self._voice.say(
+            f"input.{self._name}: {sender} asks for {linear_m_s:g} m/s, {angular_rad_s:g} rad/s: no"
+            f" number, or more than {ABSURD:g} times the limit in the robot file, so it counts as"
+            " zero unless a higher limit is in force: is the unit right?"
+        )
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
         """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to

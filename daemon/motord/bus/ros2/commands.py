@@ -87,7 +87,7 @@ class Ros2Commands:
 
     def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
-            self._desk.drive(_as_mapping(message), waited_s)
+            self._desk.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
             self._contests["cmd_vel"].heard(sender, (twist.linear.x, twist.angular.z))

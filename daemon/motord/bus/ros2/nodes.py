@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.type_descriptions import serve_types
 from motord.config import Ros2Node, ZenohNode
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ class Node(Protocol):
 
     remap: dict[str, str]
     """Names that are others here: those of the sections that have come so far."""
+    types: set[str]
+    """Of its topics and services."""
 
     def full(self, name: str) -> str:
         """A name with its namespace, as `remap` has it."""
@@ -76,9 +79,12 @@ def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
     nodes = _nodes.setdefault(station, {})
     over = ZenohNode if isinstance(section, ZenohNode) else Ros2Node
     key = (over, section.node_name, section.namespace, section.domain_id)
-    if key not in nodes:
+    fresh = key not in nodes
+    if fresh:
         nodes[key] = _made(station, section)
     nodes[key].remap.update(section.remap)
+    if fresh:
+        serve_types(nodes[key])
     return nodes[key]
 
 
