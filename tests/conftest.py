@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
-san). Property tests have no deadline: a busy machine is no bug."""
+san). Property tests have no deadline: a busy machine is no bug. They draw HYPOTHESIS_EXAMPLES
+cases; `make fuzz` is the place for millions. Programs that tests start read their modules from
+bytecode: without it, each of some thousand starts compiles a hundred modules anew."""
 
 import os
 import sys
 
 from hypothesis import settings
 
-settings.register_profile("motord", deadline=None)
+HYPOTHESIS_EXAMPLES = 50
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
+sys.dont_write_bytecode = False
+
+settings.register_profile("motord", deadline=None, max_examples=HYPOTHESIS_EXAMPLES)
 settings.load_profile("motord")
 
 if directory := os.environ.get("MOTORD_RT_DIR"):
