@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motord.bus.guard import first
 from motord.ros2_rclpy.bridge import Wishes, Wrong, serve
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Returns the exit status."""
     given, ros_arguments = _parser().parse_known_args(arguments)
     try:
-        from motord.ros2_rclpy.node import RclpyNode, opened, parameters_of
+        from motord.ros2_rclpy.node import Ended, RclpyNode, opened, parameters_of
     except ImportError as error:
         print(f"no ROS 2 in this Python ({sys.executable}): {error}", file=sys.stderr)
         return _USAGE
@@ -44,14 +45,13 @@ def main(arguments: list[str] | None = None) -> int:
         except ValueError as error:
             _log.error("%s", error)
             return _USAGE
+        ended_by: BaseException | None = None
         try:
             asyncio.run(run(wishes, RclpyNode(node)))
-        except* Wrong as errors:
-            _log.error("%s", errors.exceptions[0])
-            return_value = _FAILED
-        else:
-            return_value = 0
-    return return_value
+        except* (Ended, Wrong) as errors:
+            ended_by = first(errors)
+            _log.error("%s", ended_by)
+    return 0 if ended_by is None else _FAILED
 
 
 def _parser() -> argparse.ArgumentParser:

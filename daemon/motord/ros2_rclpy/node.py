@@ -22,6 +22,7 @@ from typing import Any
 
 import rclpy
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -52,10 +53,12 @@ _log = logging.getLogger(__name__)
 def opened(name: str, arguments: list[str]) -> Iterator[Node]:
     """A node of that name, as ROS 2's arguments have it. Its log has what ours says. Its parameters
     are what it was started with; the services for them are the robot's."""
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    context = Context()
+    rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = Node(
             name,
+            context=context,
             start_parameter_services=False,
             allow_undeclared_parameters=True,
             automatically_declare_parameters_from_overrides=True,
@@ -68,7 +71,7 @@ def opened(name: str, arguments: list[str]) -> Iterator[Node]:
             logging.getLogger().removeHandler(handler)
             node.destroy_node()
     finally:
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=context)
 
 
 def parameters_of(node: Node) -> dict[str, Any]:
@@ -157,8 +160,8 @@ class RclpyNode:
         try:
             request = decode(f"{kind}_Request", serialize_message(asked))
             told = self._crossing.ask(lambda: answer(request), within_s)
-            return deserialize_message(encode(f"{kind}_Response", told), type(response))
-        except (NotTaken, ValueError) as error:
+            return deserialize_message(bytes(encode(f"{kind}_Response", told)), type(response))
+        except (NotTaken, RuntimeError, ValueError) as error:
             _log.warning("%s: not answered: %s", name, error)
             if hasattr(response, "message"):
                 response.message = str(error)
@@ -187,7 +190,7 @@ class RclpyNode:
 
     async def run(self) -> None:
         """Until cancelled. Raises Ended when ROS 2 ends it."""
-        executor = MultiThreadedExecutor(num_threads=self._threads)
+        executor = MultiThreadedExecutor(num_threads=self._threads, context=self._node.context)
         executor.add_node(self._node)
         for inbox in self._inboxes:
             inbox.open()
@@ -197,7 +200,9 @@ class RclpyNode:
                 await asyncio.to_thread(_spin, executor)
                 raise Ended("ROS 2 was told to shut down")
             finally:
-                rclpy.try_shutdown()  # wakes the executor: its thread ends
+                rclpy.try_shutdown(
+                    context=self._node.context
+                )  # wakes the executor: its thread ends
                 crossing.cancel()
 
 
@@ -213,7 +218,7 @@ class Publisher:
         if self._made is None:
             return
         try:
-            self._made.publish(encode(self._kind, message))
+            self._made.publish(bytes(encode(self._kind, message)))
         except (RuntimeError, ValueError) as error:  # rclpy's own are RuntimeErrors
             self._voice.say(f"{self._kind}: not published: {error}")
 
