@@ -24,6 +24,7 @@ from rclpy.context import Context  # noqa: E402
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 NAMESPACE = "/r2"
 LEASE_S = 1.0
@@ -171,6 +172,7 @@ def bridged(folder, *settings):
         operator() as stage.operator,
     ):
         stage.wait_for("idle")
+        stage.operator.call("motord/stop", Trigger)  # the bridge is there
         yield stage
 
 

@@ -56,6 +56,7 @@ class Wishes:
 async def serve(wishes: Wishes, node: Node) -> None:
     """Until cancelled. Raises Wrong."""
     path, told = await _described(wishes)
+    _log.info("%s: robot %s", path, told["robot"])
     robot = _robot(told)
     section = SimpleNamespace(stamped=wishes.stamped, lease_s=_input(told, wishes.input)["lease_s"])
     station = BridgeStation(robot, path, told, wishes.limits)
