@@ -65,13 +65,15 @@ def ros(folder):
 class Bridge:
     """A process, and what it has said."""
 
-    def __init__(self, log, *words, ros_args=(), environ=None, program=MODULE):
+    def __init__(
+        self, log, *words, ros_args=(), environ=None, program=MODULE, python=sys.executable
+    ):
         self.log = log
         path = [str(ROOT / "daemon"), str(ROOT / "hal"), *([] if REAL else [str(STANDIN)])]
         path += [os.environ["PYTHONPATH"]] if "PYTHONPATH" in os.environ else []
         self._sink = log.open("wb")
         self.process = subprocess.Popen(
-            [sys.executable, *program, *map(str, words),
+            [python, *program, *map(str, words),
              "--ros-args", "-r", f"__ns:={NAMESPACE}", *map(str, ros_args)],
             stdin=subprocess.DEVNULL, stdout=self._sink, stderr=self._sink, cwd="/",
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path), **(environ or {})},

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from motord.bus.adapters import Adapter
 from motord.bus.inputs.desk import NotTaken
 from motord.bus.link import Ask, Source, call
 from motord.bus.ros2.commands import Ros2Commands
@@ -97,8 +98,6 @@ def _robot(told: Mapping[str, Any]) -> Robot:
         joint=tuple(told["joints"]),
         base=base,
         safety=SimpleNamespace(feedback_timeout_s=told["feedback_timeout_s"]),
-        publish={},
-        input={},
     )
     return cast("Robot", made)
 
@@ -116,6 +115,10 @@ class BridgeStation(Station):
         """As Station.source."""
         self.sources[name] = BridgeSource(self.path, name, self.robot, self._told, self._limits)
         return self.sources[name]
+
+    def _adapters(self) -> dict[str, Adapter]:
+        """No sections are read here."""
+        return {}
 
     def page(self) -> StatePage:
         """That of the daemon's user, who may be another than ours."""

@@ -61,7 +61,7 @@ class MultiThreadedExecutor:
     def _run(self, entity, call):
         try:
             call()
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001  whatever it is, spin raises it
             self._error = error
         finally:
             entity.callback_group.ending_execution(entity)

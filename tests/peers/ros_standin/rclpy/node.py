@@ -61,7 +61,7 @@ class Node:
         self._space = (rules.get("__ns", namespace or "/")).rstrip("/")
         self._remaps = {self._expanded(old): self._expanded(new) for old, new in rules.items()
                         if old not in _NAMES}  # fmt: skip
-        self._parameters = {"use_sim_time": Parameter("use_sim_time", False)}
+        self._parameters = {"use_sim_time": Parameter("use_sim_time", value=False)}
         if automatically_declare_parameters_from_overrides:
             self._parameters |= {k: Parameter(k, v) for k, v in self.context.parameters.items()}
         self._group, self._logger = MutuallyExclusiveCallbackGroup(), _Logger(self._name)
@@ -214,7 +214,9 @@ class _Client(_Endpoint):
         self._lock = threading.Lock()
 
     def service_is_ready(self):
-        return any(about[2] == self.about[2] for _, about in graph().known("service", self.about[1]))
+        return any(
+            about[2] == self.about[2] for _, about in graph().known("service", self.about[1])
+        )
 
     def call_async(self, request):
         with self._lock:
