@@ -301,6 +301,32 @@ def test_a_bridge_that_ends_loses_its_lease_and_the_robot_rests(stage, tmp_path,
     wait_until(lambda: stage.sim.truth().at_rest, "rest")
 
 
+def test_what_waited_while_the_bridge_stood_still_moves_nothing(stage, tmp_path):
+    armed(stage)
+    with bridge(
+        tmp_path, "--socket", stage.socket, "--unstamped",
+        ros_args=("-r", "cmd_vel:=other_cmd_vel", "-r", "__node:=third"),
+    ) as other:  # fmt: skip
+        publisher = stage.operator.publisher("other_cmd_vel", T.Twist)
+        rest = T.Twist()
+
+        def accepted():
+            return stage.robot.status()["commands"]["accepted"]
+
+        before = accepted()
+        drive_until(stage, publisher, lambda: rest, lambda: accepted() > before, "a lease")
+        other.process.send_signal(signal.SIGSTOP)
+        stopped_s = time.monotonic()
+        wait_until(lambda: time.monotonic() > stopped_s + 2.0 * LEASE_S, "a pause")
+        message = T.Twist()
+        message.linear.x = 0.2
+        publisher.publish(message)
+        other.process.send_signal(signal.SIGCONT)
+        wait_until(lambda: "stood still" in other.said(), f"a word\n{other.said()}")
+        assert stage.state() != "moving"
+        assert stage.sim.truth().at_rest
+
+
 def test_a_command_without_a_stamp_is_not_taken_where_one_is_wanted(stage):
     """Another type on the same topic: it does not arrive."""
     armed(stage)
@@ -314,4 +340,3 @@ def test_a_command_without_a_stamp_is_not_taken_where_one_is_wanted(stage):
 
 def test_it_is_no_bus_of_the_second_process(stage):
     assert stage.robot.status()["bus"] is None
-    assert LEASE_S > 0.0
