@@ -290,7 +290,7 @@ class _Ear:
         except ValueError as error:
             self._voice.say(f"{self._name}: not understood: {error}")
             return
-        # Of which writer it is, rclpy says since ROS 2 Lyrical.
+        # Of which writer it is, only newer versions of rclpy say.
         gid = bytes((info.get("publisher_gid") or {}).get("data", b""))[:16]
         waited_s = self._delays.waited_s(gid, info["source_timestamp"])
         self._take(message, waited_s, self._sender(gid))
