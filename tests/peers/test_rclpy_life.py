@@ -112,7 +112,9 @@ def test_what_it_is_started_with(tmp_path):
             assert other.wait() == 2
             assert "no parameter speed; there are: robot" in other.said()
         without = {} if REAL else {"ROS_STANDIN_WITHOUT": "motord_msgs"}
-        ros_args = ("--params-file", file, "-r", "__node:=second")
+        shipped = ROOT / "daemon/ros2/config/bridge.yaml"
+        files = ("--params-file", shipped, "--params-file", file)
+        ros_args = (*files, "-r", "__node:=second")
         with bridge(tmp_path, *words, ros_args=ros_args, environ=without) as other:
             wait_until(
                 lambda: stage.robot.params_get("limits.linear_m_s")["limits.linear_m_s"] == 0.3,

@@ -94,7 +94,6 @@ def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
         bridge(
             tmp_path, "--socket", stage.socket, python=by_pip, program=(program(prefix),),
             environ={"PYTHONPATH": f"{copy}:{library}"},
-            ros_args=("--params-file", prefix / f"share/{PACKAGE}/config/bridge.yaml"),
         ) as made,
         operator() as person,
     ):  # fmt: skip
