@@ -64,9 +64,10 @@ def methods(
     doors: Doors,
     bus: BusSupervisor | None,
 ) -> dict[str, Method]:
-    """By name. The first four only look."""
+    """By name. The first five only look."""
     return {
         "status": _looking(lambda: report.status(operation, health, feeds, bus)),
+        "robot": _looking(lambda: report.description(operation)),
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)

@@ -14,11 +14,11 @@ from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.config import StampedInput, TokenInput
 from motord.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
+    from motord.config import StampedInput
 
 METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
 """What may be called."""
@@ -58,8 +58,8 @@ class Desk:
         self._name = name
         self._station = station
         self._token: Token | None = None
-        if isinstance(section, TokenInput):
-            self._token = Token(station.beside_robot_file(section.token_file))
+        if (token_file := getattr(section, "token_file", None)) is not None:  # of a TokenInput
+            self._token = Token(station.beside_robot_file(token_file))
         self._stamped = section.stamped
         self._joints = {name: place for place, name in enumerate(station.robot.joint)}
         self._calls: Counter[str] = Counter()

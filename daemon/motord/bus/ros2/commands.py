@@ -24,14 +24,14 @@ from motord.bus.inputs.urgent import Urgent
 from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.moves import Moves
-from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.nodes import Node, node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import Contest, asker
-from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
+    from motord.config import Ros2Input, ZenohInput
 
 NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
@@ -44,11 +44,17 @@ _log = logging.getLogger(__name__)
 
 
 class Ros2Commands:
-    def __init__(self, name: str, section: Ros2Input | ZenohInput, station: Station) -> None:
-        """Raises DdsError."""
+    def __init__(
+        self,
+        name: str,
+        section: Ros2Input | ZenohInput,
+        station: Station,
+        node: Node | None = None,
+    ) -> None:
+        """`node`: one that is there already, instead of the section's. Raises DdsError."""
         self._name = name
         self._desk = Desk(name, section, station)
-        self._node = node_of(station, section)
+        self._node = node or node_of(station, section)
         self._stamped = section.stamped
         self._contests = {
             topic: Contest(f"input.{name}: {self._node.full(topic)}", section.lease_s)

@@ -11,10 +11,10 @@ from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.type_descriptions import serve_types
-from motord.config import Ros2Node, ZenohNode
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
+    from motord.config import Ros2Node, ZenohNode
 
 
 class Teller(Protocol):
@@ -77,6 +77,8 @@ def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
     """Made when first asked for. Raises DdsError, ValueError for a router that cannot be, and
     ImportError where the middleware's package is missing."""
     nodes = _nodes.setdefault(station, {})
+    from motord.config import Ros2Node, ZenohNode  # not needed where the node is made elsewhere
+
     over = ZenohNode if isinstance(section, ZenohNode) else Ros2Node
     key = (over, section.node_name, section.namespace, section.domain_id)
     fresh = key not in nodes
@@ -91,6 +93,8 @@ def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
 def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
     """A robot loads only the middleware that it has."""
     names = (section.node_name, section.namespace, section.domain_id)
+    from motord.config import Ros2Node
+
     if isinstance(section, Ros2Node):
         from motord.bus.ros2 import node
 
