@@ -82,7 +82,7 @@ def test_a_child_answers_as_this_process_would(override):
 
 def test_a_child_that_fails_is_said_and_gives_no_robot():
     lines = """
-validation.READER = "motord.no_such_module"
+sys.executable = "/bin/false"
 validation.elsewhere()
 try:
     validation.ask("robot.toml", (), None)
@@ -94,12 +94,9 @@ except RuntimeError as error:
 
 def test_who_never_asks_leaves_no_child_behind():
     lines = """
-import os
 validation.elsewhere()
-pid = validation._child.pid
-os.close(validation._child.ask)
-_, status = os.waitpid(pid, 0)
-print(status)
+validation._reader.stdin.close()
+print(validation._reader.wait())
 """
     assert program(lines).strip() == b"0"
 
