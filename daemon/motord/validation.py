@@ -31,7 +31,7 @@ def elsewhere() -> None:
 
 def ask(*question: Any) -> Any:
     """What the child answers, once. Raises RuntimeError: it has failed, and said why on stderr."""
-    global _reader  # noqa: PLW0603
+    global _reader
     if _reader is None:
         raise RuntimeError("there is no process that reads a robot file")
     reader, _reader = _reader, None
