@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.type_descriptions import serve_types
+from motord.bus.ros2.type_descriptions import TypedNode, serve_types
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
@@ -30,8 +30,6 @@ class Node(Protocol):
 
     remap: dict[str, str]
     """Names that are others here: those of the sections that have come so far."""
-    types: set[str]
-    """Of its topics and services."""
 
     def full(self, name: str) -> str:
         """A name with its namespace, as `remap` has it."""
@@ -69,8 +67,12 @@ class Node(Protocol):
         ...
 
 
+class _OwnNode(Node, TypedNode, Protocol):
+    """One without an installed ROS 2, which would say itself what its types are made of."""
+
+
 _Key = tuple[type, str, str, int]
-_nodes: WeakKeyDictionary[Station, dict[_Key, Node]] = WeakKeyDictionary()
+_nodes: WeakKeyDictionary[Station, dict[_Key, _OwnNode]] = WeakKeyDictionary()
 
 
 def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
@@ -90,7 +92,7 @@ def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
     return nodes[key]
 
 
-def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
+def _made(station: Station, section: Ros2Node | ZenohNode) -> _OwnNode:
     """A robot loads only the middleware that it has."""
     names = (section.node_name, section.namespace, section.domain_id)
     from motord.config import Ros2Node
