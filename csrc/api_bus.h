@@ -33,6 +33,7 @@ typedef struct {
     uint64_t taken;             /* commands that the daemon's socket took from the thread */
     uint64_t refused[TWIST_REFUSALS];
     uint64_t unleased;          /* lost: there was no lease */
+    uint64_t hung;              /* lost: Python's event loop stood still */
     uint64_t full;              /* lost: the socket was full */
     uint64_t broken;            /* lost: the socket did not take it */
     int64_t taken_ns;           /* when the newest was, CLOCK_MONOTONIC */
@@ -62,6 +63,8 @@ void receiver_read(int number, receiver_report *out);
 /* The next command that was taken: 1 or 0. Those of whom nobody asks for long are left out. */
 int receiver_next(int number, twist_heard *out);
 
+/* A sign of life of Python's event loop: without one for 2 s the thread sends nothing. */
+void receiver_alive(int number);
 /* A lease: its connected socket, its token, and the number of its newest command. */
 void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence);
 /* It is over; the number of its newest command. The socket is not used any more. */

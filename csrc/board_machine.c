@@ -168,7 +168,7 @@ static void tell(board_machine *m, int64_t now_ns)
     m->next = (uint16_t)(sequence + 1);
     m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
     m->told_motion = motion;
-    memcpy(m->told, payload, sizeof m->told);
+    memcpy(m->told, payload, m->table.payload_bytes);
     m->sent++;
     board_told(m, now_ns);
 }
@@ -232,9 +232,9 @@ static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 void board_machine_kick(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
-    (void)board_payload(m, payload);
+    bool stops = !board_payload(m, payload) && m->told_motion;
     if (m->mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
-        cycle_clock_hurry(&m->cycle, m->table.period_ns, m->table.gap_ns, now_ns);
+        cycle_clock_hurry(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
     }
 }
 

@@ -11,6 +11,8 @@
 
 #include "api_bus.h"
 
+static const int64_t OUTLET_ALIVE_NS = INT64_C(2000000000);
+
 /* The sender of one lease, for several threads. */
 typedef struct {
     pthread_mutex_t lock;
@@ -18,6 +20,7 @@ typedef struct {
     uint8_t token[LEASE_TOKEN_BYTES];
     uint64_t sequence;
     uint64_t direct;
+    int64_t alive_ns;           /* the newest sign of life of Python */
 } outlet;
 
 void outlet_init(outlet *o);
@@ -26,7 +29,10 @@ uint64_t outlet_let_go(outlet *o);
 uint64_t outlet_direct(outlet *o);
 /* As receiver_send. */
 int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen);
-/* A twist of the receiver's own: counted in `direct` when it was sent. */
-int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns);
+/* Python's event loop runs. */
+void outlet_alive(outlet *o, int64_t now_ns);
+/* A twist of the receiver's own: counted in `direct` when it was sent. -EHOSTDOWN: Python has stood still for OUTLET_ALIVE_NS,
+ * so that nobody who asks it for a stop is heard; the lease lapses then, and the wheels come to rest. */
+int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns);
 
 #endif

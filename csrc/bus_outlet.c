@@ -15,6 +15,7 @@ void outlet_init(outlet *o)
     o->fd = -1;
     o->sequence = 0;
     o->direct = 0;
+    o->alive_ns = 0;
 }
 
 void outlet_hold(outlet *o, int fd, const uint8_t *token, uint64_t sequence)
@@ -64,7 +65,14 @@ int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen)
     return error;
 }
 
-int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns)
+void outlet_alive(outlet *o, int64_t now_ns)
+{
+    (void)pthread_mutex_lock(&o->lock);
+    o->alive_ns = now_ns;
+    (void)pthread_mutex_unlock(&o->lock);
+}
+
+int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns)
 {
     command_datagram datagram = {
         .magic = COMMAND_MAGIC,
@@ -75,7 +83,8 @@ int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns)
         .angular_rad_s = twist->angular_rad_s,
     };
     (void)pthread_mutex_lock(&o->lock);
-    int error = o->fd < 0 ? -ENOTCONN : send_numbered(o, &datagram, sizeof datagram);
+    bool hangs = now_ns - o->alive_ns > OUTLET_ALIVE_NS;
+    int error = o->fd < 0 ? -ENOTCONN : hangs ? -EHOSTDOWN : send_numbered(o, &datagram, sizeof datagram);
     o->direct += error == 0;
     (void)pthread_mutex_unlock(&o->lock);
     return error;

@@ -69,7 +69,7 @@ typedef struct {
     _Atomic int32_t error;
     _Atomic uint64_t taken;
     _Atomic uint64_t refused[TWIST_REFUSALS];
-    _Atomic uint64_t unleased, full, broken;
+    _Atomic uint64_t unleased, hung, full, broken;
     _Atomic int64_t taken_ns;
 } receiver;
 
@@ -118,6 +118,8 @@ static void count_lost(receiver *r, int error)
 {
     if (error == -ENOTCONN) {
         r->unleased++;
+    } else if (error == -EHOSTDOWN) {
+        r->hung++;
     } else if (error == -EAGAIN) {
         r->full++;
     } else {
@@ -137,7 +139,7 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
         r->refused[refusal - 1]++;
         return;
     }
-    int error = outlet_send_direct(&r->out, &twist, now_ns - (int64_t)(age_s * 1e9));
+    int error = outlet_send_direct(&r->out, &twist, now_ns - (int64_t)(age_s * 1e9), now_ns);
     if (error != 0) {
         count_lost(r, error);
         return;
@@ -217,7 +219,7 @@ int receiver_claim(void)
             receiver *r = &receivers[number];
             outlet_init(&r->out);
             memset(&r->heard, 0, sizeof r->heard);
-            r->taken = r->unleased = r->full = r->broken = 0;
+            r->taken = r->unleased = r->hung = r->full = r->broken = 0;
             for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
                 r->refused[kind] = 0;
             }
@@ -303,7 +305,7 @@ void receiver_read(int number, receiver_report *out)
     *out = (receiver_report){.running = 0};
     if (r != NULL) {
         *out = (receiver_report){.running = r->running, .error = r->error, .taken = r->taken, .taken_ns = r->taken_ns,
-                                 .unleased = r->unleased, .full = r->full, .broken = r->broken};
+                                 .unleased = r->unleased, .hung = r->hung, .full = r->full, .broken = r->broken};
         for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
             out->refused[kind] = r->refused[kind];
         }
@@ -317,6 +319,14 @@ int receiver_next(int number, twist_heard *out)
 }
 
 /* -------------------------------------------------------------------------------------------------------- its lease */
+void receiver_alive(int number)
+{
+    receiver *r = numbered(number);
+    if (r != NULL) {
+        outlet_alive(&r->out, clock_now_ns());
+    }
+}
+
 void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence)
 {
     receiver *r = numbered(number);

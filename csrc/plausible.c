@@ -56,7 +56,8 @@ static void measure(plausible_state *state, const joint_odometry *joint, double 
 static uint32_t suspicions(const plausible_state *state, const plausible_config *config, double setpoint_rad_s)
 {
     double wanted_rad_s = fabs(setpoint_rad_s), speed_rad_s = fabs(state->measured_rad_s);
-    double along_rad_s = setpoint_rad_s < 0.0 ? -state->measured_rad_s : state->measured_rad_s;
+    bool against = setpoint_rad_s * state->measured_rad_s < 0.0;
+    double along_rad_s = against ? -speed_rad_s : speed_rad_s; /* no wheel is too slow for a set-point of zero */
     double reported_rad_s = fabs(state->reported_rad_s);
     double allowed_rad_s = APART * (speed_rad_s > reported_rad_s ? speed_rad_s : reported_rad_s);
     uint32_t found = 0;

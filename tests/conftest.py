@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
-san). Property tests have no deadline: a busy machine is no bug."""
+san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases, half
+as many in `make test` as in `make san`. Programs that tests start read their modules from
+bytecode: without it, each of some thousand starts compiles a hundred modules anew."""
 
 import os
 import sys
 
 from hypothesis import settings
 
-settings.register_profile("motord", deadline=None)
+EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 50
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
+sys.dont_write_bytecode = False
+
+settings.register_profile("motord", deadline=None, max_examples=EXAMPLES)
 settings.load_profile("motord")
 
 if directory := os.environ.get("MOTORD_RT_DIR"):

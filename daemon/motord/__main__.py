@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+import sys
+
+from motord import validation
 from motord.cli import cli
 
 
 def main() -> None:
     """Run the command line; exits the process."""
+    if sys.argv[1:2] == ["run"]:
+        validation.elsewhere()
     cli(prog_name="motord")
 
 

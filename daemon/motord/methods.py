@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Annotated, Any
-
-from pydantic import ConfigDict, Field, StringConstraints
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from motord import drive_parameters, parameters, procedures, report
 from motord.bus.publish.samples import Samples
@@ -18,43 +17,37 @@ from motord.health import Health
 from motord.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.machine import State
 from motord.operation import WHY_CHARS_MAX, Operation
-from motord.rpc import INVALID_PARAMS, Caller, Method, Params, Refused, RpcError
-
-Owner = Annotated[str, StringConstraints(pattern=r"^[\w.:/-]+$", max_length=64)]
-"""Its length is no part of the pattern: 64 times all letters of Unicode would take 1.6 MB a use."""
-OWNER = "socket"
+from motord.params import Params, names, number, text
+from motord.rpc import INVALID_PARAMS, Caller, Method, Refused, RpcError
 
 
-class DriveParams(Params):
-    linear_m_s: float
-    angular_rad_s: float
-    owner: Owner = OWNER
-    priority: int | None = Field(None, ge=0, le=1000)
-    lease_s: float | None = Field(None, ge=LEASE_MIN_S, le=LEASE_MAX_S)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnerParams(Params):
+    """Of whom a lease is."""
+
+    owner: str = text(64, r"[\w.:/-]+", default="socket")
 
 
-class LeaseParams(Params):
-    owner: Owner = OWNER
-    priority: int | None = Field(None, ge=0, le=1000)
-    lease_s: float | None = Field(None, ge=LEASE_MIN_S, le=LEASE_MAX_S)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseParams(OwnerParams):
+    priority: int | None = number(0, 1000, whole=True, default=None)
+    lease_s: float | None = number(LEASE_MIN_S, LEASE_MAX_S, default=None)
 
 
-class ReleaseParams(Params):
-    owner: Owner = OWNER
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveParams(LeaseParams):
+    linear_m_s: float = number()
+    angular_rad_s: float = number()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EstopParams(Params):
-    why: str = Field("", max_length=WHY_CHARS_MAX)
+    why: str = text(WHY_CHARS_MAX, default="")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NamesParams(Params):
-    names: list[str] = Field(default_factory=list)
-
-
-class ValuesParams(Params):
-    """Any name: `parameters` knows which there are."""
-
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+    names: tuple[str, ...] = names()
 
 
 def methods(
@@ -64,9 +57,10 @@ def methods(
     doors: Doors,
     bus: BusSupervisor | None,
 ) -> dict[str, Method]:
-    """By name. The first four only look."""
+    """By name. The first five only look."""
     return {
         "status": _looking(lambda: report.status(operation, health, feeds, bus)),
+        "robot": _looking(lambda: report.description(operation)),
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)
@@ -74,12 +68,12 @@ def methods(
         "params.get": Method(
             lambda _, params: _get(operation, params.names), NamesParams, commands=False
         ),
-        "params.set": Method(lambda _, params: _set(operation, params), ValuesParams),
+        "params.set": Method(lambda _, wanted: _set(operation, wanted), None),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
         "lease": Method(
             lambda caller, params: _lease(operation, doors, caller, params), LeaseParams
         ),
-        "release": Method(lambda who, params: _release(operation, who, params), ReleaseParams),
+        "release": Method(lambda who, params: _release(operation, who, params), OwnerParams),
         "arm": _acting(lambda _: procedures.arm(operation)),
         "disarm": _acting(lambda _: procedures.disarm(operation)),
         "stop": _acting(lambda _: procedures.stop(operation)),
@@ -168,12 +162,12 @@ def _lease(
     }
 
 
-def _release(operation: Operation, caller: Caller, params: ReleaseParams) -> dict[str, Any]:
+def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[str, Any]:
     operation.release(caller.connection, params.owner)
     return {}
 
 
-async def _get(operation: Operation, names: list[str]) -> dict[str, float | None]:
+async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
     """Without a name: all limits; drives are asked only for what is named."""
     of_drives = [name for name in names if name.startswith(drive_parameters.PREFIX)]
     ours = [name for name in names if name not in of_drives]
@@ -181,9 +175,8 @@ async def _get(operation: Operation, names: list[str]) -> dict[str, float | None
     return found | await drive_parameters.values(operation.lines, of_drives)
 
 
-async def _set(operation: Operation, params: ValuesParams) -> dict[str, float | None]:
+async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
     """Limits all or none; or registers of drives, one after the other."""
-    wanted = params.model_extra or {}
     of_drives = {
         name: value for name, value in wanted.items() if name.startswith(drive_parameters.PREFIX)
     }

@@ -50,6 +50,8 @@ _ESTOP_INPUTS = {
 }
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
+_BARE = "estop"
+"""The core's word, where its state was looked at before the request that has led to it."""
 
 
 REASONS_MAX = 8
@@ -286,7 +288,7 @@ class Operation:
         before = self.why if self.state is State.ESTOP else ()
         known = reason in before or any(sender in one for one in before if not why)
         if not known:
-            kept = [one for one in before if one != anonymous]
+            kept = [one for one in before if one not in (anonymous, _BARE)]
             self.why = (*kept[: REASONS_MAX - 1], reason)
             _log.warning("emergency stop: %s", reason)
         self.take(Event.ESTOP)

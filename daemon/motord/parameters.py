@@ -10,36 +10,35 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pydantic import ValidationError
-
 from motord.assembly import base_limits
 from motord.config import Limits
 from motord.config.model import REST_MAX_S
 from motord.config.problems import nearest
+from motord.config.section import numbers_of
 from motord.rpc import INVALID_PARAMS, RpcError, json_number
 from motord.rt import limits_problem
 
 _PREFIX = "limits."
+_NUMBERS = numbers_of(Limits)
 
 
 def listed(limits: Limits) -> dict[str, dict[str, Any]]:
     """Every parameter: value, unit, range and what it is."""
-    properties = Limits.model_json_schema()["properties"]
     return {
         _PREFIX + key: {
             "value": json_number(getattr(limits, key)),
-            "unit": schema["unit"],
-            "minimum": schema["minimum"],
-            "maximum": schema.get("maximum"),
-            "description": schema["description"],
+            "unit": number.unit,
+            "minimum": number.low,
+            "maximum": number.high,
+            "description": number.description,
         }
-        for key, schema in properties.items()
+        for key, number in _NUMBERS.items()
     }
 
 
 def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]:
     """By name; no name: all. Raises RpcError for an unknown one."""
-    keys = [_key(name) for name in names] or list(Limits.model_fields)
+    keys = [_key(name) for name in names] or list(_NUMBERS)
     return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
 
 
@@ -48,11 +47,8 @@ def changed(
 ) -> Limits:
     """All of them as one group, whether they were set before or not, for a robot that moves so.
     Raises RpcError: then none."""
-    asked = {_key(name): math.inf if value is None else value for name, value in wanted.items()}
-    try:
-        made = Limits.model_validate({**limits.model_dump(), **asked})
-    except ValidationError as error:
-        raise RpcError(_out_of_range(error), INVALID_PARAMS) from error
+    asked = {_key(name): _in_range(_key(name), value) for name, value in wanted.items()}
+    made = Limits(**(vars(limits) | asked))
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
     if (rest_s := made.rest_s(linear_m_s, angular_rad_s)) > REST_MAX_S:
@@ -64,20 +60,18 @@ def changed(
     return made
 
 
-def _out_of_range(error: ValidationError) -> str:
+def _in_range(key: str, value: Any) -> float:
     """In the words of `params list`: which value, and the range with its unit."""
-    first = error.errors()[0]
-    key = str(first["loc"][0])
-    schema = Limits.model_json_schema()["properties"][key]
-    low, high, unit = schema["minimum"], schema.get("maximum"), schema["unit"]
-    span = f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
-    return f"{_PREFIX}{key}: {first['input']} is out of range ({span} {unit})"
+    number, asked = _NUMBERS[key], math.inf if value is None else value
+    if not number.takes(asked):
+        raise RpcError(f"{_PREFIX}{key}: {asked} is out of range ({number.span})", INVALID_PARAMS)
+    return float(asked)
 
 
 def _key(name: str) -> str:
     key = name.removeprefix(_PREFIX)
-    if not name.startswith(_PREFIX) or key not in Limits.model_fields:
-        near = nearest(name, [_PREFIX + known for known in Limits.model_fields])
+    if not name.startswith(_PREFIX) or key not in _NUMBERS:
+        near = nearest(name, [_PREFIX + known for known in _NUMBERS])
         hint = f"did you mean {near}?" if near else "params.list names them all"
         raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
     return key

@@ -70,6 +70,19 @@ def status(
     }
 
 
+def description(operation: Operation) -> dict[str, Any]:
+    """What the robot file says of the robot, for programs that command it and do not have it."""
+    robot = operation.robot
+    return {
+        "robot": robot.robot.name,
+        "joints": list(robot.joint),
+        "track_m": robot.base.track_m,
+        "wheel_radius_m": robot.base.wheel_radius_m,
+        "feedback_timeout_s": robot.safety.feedback_timeout_s,
+        "inputs": robot.commanders(),
+    }
+
+
 def latency(loop: Loop) -> dict[str, Any]:
     """The loop's histograms since its start: percentiles in microseconds, how many samples they
     hold, and each bucket that holds some as low_ns, high_ns, samples. They only grow: what two

@@ -25,10 +25,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
 from motord.client import socket_folders
 from motord.local_rpc import NOT_ALLOWED, REFUSED
+from motord.params import Params, checked
 
 PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
 INTERNAL_ERROR = -32603
@@ -64,12 +63,6 @@ class SocketInUse(RuntimeError):
     """Somebody listens there already."""
 
 
-class Params(BaseModel):
-    """Parameters of a method, by name; this one takes none."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
 @dataclass(frozen=True, slots=True)
 class Caller:
     """Who is at the other end. `connection` is never given twice."""
@@ -85,7 +78,8 @@ class Method:
     """`call` gives the result, or a coroutine that does; it may raise RpcError."""
 
     call: Callable[[Caller, Any], Any]
-    params: type[BaseModel] = Params
+    params: type[Params] | None = Params
+    """None: any names, as a dictionary."""
     commands: bool = True
     """Only for who may command."""
     urgent: bool = False
@@ -318,9 +312,9 @@ class _Connection:
                 f"{name} is for root, the daemon's user and the group of its socket", NOT_ALLOWED
             )
         try:
-            params = method.params.model_validate(raw)
-        except ValidationError as error:
-            raise RpcError(f"{name}: {words(error)}", INVALID_PARAMS) from error
+            params = raw if method.params is None else checked(method.params, raw)
+        except ValueError as error:
+            raise RpcError(f"{name}: {error}", INVALID_PARAMS) from error
         return method.call(self._caller, params)
 
     def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
@@ -385,11 +379,3 @@ def _no_constant(name: str) -> float:
 def json_number(value: float) -> float | None:
     """JSON has neither NaN nor infinity, which a drive may well say: None."""
     return value if math.isfinite(value) else None
-
-
-def words(error: ValidationError) -> str:
-    """What pydantic found, in one line: `lease_s: Input should be ...; ...`."""
-    return "; ".join(
-        ": ".join([".".join(map(str, hit["loc"])), hit["msg"]] if hit["loc"] else [hit["msg"]])
-        for hit in error.errors(include_url=False, include_context=False)
-    )

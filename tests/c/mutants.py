@@ -2,13 +2,14 @@
 """Are the C tests good? Each mutant is a file with one small mistake in it; tests that still pass
 do not see it.
 
-python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N]
+python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N] [--again]
 
-Without FILE: all pure files. The tests are linked once against a library of csrc/. A mutant is a
-small shared object that is loaded before that library and takes the place of its functions. The
-first round runs without sanitizers; what survives it runs once more with them. A mutant whose
-optimized machine code equals that of the file is no mutant, and one that does not compile is none
-either.
+Without FILE: all pure files. With --again: of a file only what survived its last run.
+
+The tests are linked once against a library of csrc/. A mutant is a small shared object that is
+loaded before that library and takes the place of its functions. The first round runs without
+sanitizers; what survives it runs once more with them. A mutant whose optimized machine code equals
+that of the file is no mutant, and one that does not compile is none either.
 
 Ends with 1 where a mutant survives that mutants.toml does not list as the same program in other
 words, or where mutants.toml lists one that the tests kill.
@@ -31,6 +32,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock
@@ -41,7 +43,9 @@ CSRC = ROOT / "csrc"
 BUILT = ROOT / "build/mutants"
 PLAIN = ["-O1"]
 FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-w"]
-SANITIZED = ["-O1", "-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all"]
+CHECKS = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all"]
+SANITIZED = ["-O1", *CHECKS]
+CHECKED = ["-O0", *CHECKS, "-fPIC", "-shared"]  # of a mutant: three times as soon compiled
 IMPURE = re.compile(r"(clock|loop.*|line_(thread|rtu|can|board)|output_.*|ingress)\.c")
 """Files with a clock, a thread or a descriptor: tests/contract and tests/rt run them."""
 FUZZ = ["fuzz_line 2000", "fuzz_can 2000", "fuzz_board 3000", "fuzz_command 20000"]
@@ -188,8 +192,9 @@ class Program:
         return max(CPU_LEAST_S, CPU_FACTOR * self.cpu_s)
 
     @property
-    def order(self) -> tuple[int, float]:
-        return -self.kills, self.cpu_s
+    def order(self) -> float:
+        """First the one that kills most in its time."""
+        return self.cpu_s / (1 + self.kills)
 
 
 class Bench:
@@ -317,13 +322,20 @@ class Trial:
         assert self.bench.build(copy, self.parts, instrumented, called)
         assert self.bench.build(copy, self.parts, shared, same)
         checked = self.bench.folder / "checked.so"
-        assert self.bench.build(copy, self.parts, [*SANITIZED, "-fPIC", "-shared"], checked)
+        assert self.bench.build(copy, self.parts, CHECKED, checked)
         self.code = self._code(copy)
         self.bench.copies.put(copy)
-        for program in self.bench.programs:
+
+        def calls(program: Program) -> bool:
             command = program.command(PLAIN)
             if self.bench.run(command, str(called), BLOCKED_AFTER_S) != CALLED_STATUS:
-                continue
+                return False
+            program.command(SANITIZED)
+            return True
+
+        callers = list(self.bench.pool.map(calls, self.bench.programs))
+        for program in compress(self.bench.programs, callers):
+            command = program.command(PLAIN)
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             if self.bench.run(command, str(same), BLOCKED_AFTER_S) != 0:
                 sys.exit(f"{program.call} fails without a mutant of {self.name}")
@@ -355,8 +367,7 @@ class Trial:
                 return False
         if self._code(copy) == self.code:
             return None
-        flags = [*SANITIZED, "-fPIC", "-shared"]
-        if not self.bench.build(copy, self.parts, flags, shared):
+        if not self.bench.build(copy, self.parts, CHECKED, shared):
             return None
         preload = f"{self.bench.asan}:{shared}"
         return all(
@@ -375,12 +386,16 @@ class Trial:
             path.write_text(whole, encoding="utf-8")
             self.bench.copies.put(copy)
 
-    def judge(self, known: dict[str, str], sample: int, seed: int) -> Tally:
+    def judge(self, known: dict[str, str], sample: int, seed: int, again: bool) -> Tally:
         began_s = time.monotonic()
         self.prepare()
         whole = (BUILT / "csrc" / self.name).read_text(encoding="utf-8")
         found = mutants(whole)
         whats = {mutant.what for mutant in found}
+        left = BUILT / f"{self.name}.left"
+        if again and left.exists():
+            names = set(left.read_text(encoding="utf-8").splitlines())
+            found = [mutant for mutant in found if mutant.what in names]
         if 0 < sample < len(found):
             found = random.Random(seed).sample(found, sample)
         tally = Tally(self.name)
@@ -397,6 +412,9 @@ class Trial:
                 tally.same.append(mutant)
             else:
                 tally.left.append(mutant)
+                print(f"SURVIVED {self.name}:{mutant.line}: {mutant.what}", flush=True)
+        if sample == 0:
+            left.write_text("".join(f"{mutant.what}\n" for mutant in tally.left), encoding="utf-8")
         tally.seconds = time.monotonic() - began_s
         return tally
 
@@ -418,6 +436,7 @@ def main() -> int:
     parser.add_argument("--sample", type=int, default=0, help="so many of each file, not all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--again", action="store_true", help="only what survived the last run")
     asked = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     listed = tomllib.loads((HERE / "mutants.toml").read_text(encoding="utf-8"))
@@ -425,10 +444,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder), asked.jobs)
         for name in asked.file or pure_files():
-            tally = Trial(bench, name).judge(listed.get(name, {}), asked.sample, asked.seed)
+            known = listed.get(name, {})
+            tally = Trial(bench, name).judge(known, asked.sample, asked.seed, asked.again)
             tallies.append(tally)
-            for mutant in tally.left:
-                print(f"SURVIVED {name}:{mutant.line}: {mutant.what}", flush=True)
             for what in tally.stale:
                 print(f"STALE {name}: {what}: mutants.toml argues, but the tests kill it"
                       " or it is not there")  # fmt: skip

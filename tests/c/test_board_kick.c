@@ -58,6 +58,34 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     CHECK(w.sent_count - before >= 140 && w.sent_count - before <= 2 * 100 + EARLY_AT_ONCE + 1);
 }
 
+static void a_stop_goes_out_at_once_however_much_was_said_before(void)
+{
+    begin();
+    arm_and_turn();
+    for (int32_t i = 0; i < 300; i++) {
+        kick(1.0 + 0.001 * i);
+        step();
+        speak();
+        w.now_ns += MS;
+    }
+    while (w.machine.cycle.due_ns <= w.now_ns + MS) {   /* its cycle is not near */
+        w.now_ns = w.machine.cycle.due_ns;
+        step();
+        w.now_ns += MS;
+    }
+    uint32_t before = w.sent_count;
+    w.machine.cycle.early_ns = w.now_ns + 10 * w.machine.table.period_ns;
+    kick(2.0);
+    step();
+    CHECK(w.sent_count == before);
+    kick(0.0);
+    step();
+    CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 0);
+    kick(1.0);
+    step();
+    CHECK(w.sent_count == before + 1);
+}
+
 static void a_kick_tells_a_board_that_is_not_armed_nothing(void)
 {
     begin();
@@ -71,6 +99,7 @@ int main(void)
 {
     a_new_set_point_goes_out_at_once_but_not_before_the_gap();
     set_points_that_change_all_the_time_double_the_frames_at_most();
+    a_stop_goes_out_at_once_however_much_was_said_before();
     a_kick_tells_a_board_that_is_not_armed_nothing();
     return checks_report("board_kick");
 }

@@ -119,10 +119,10 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 && socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
     outlet_init(&o);
-    CHECK(outlet_send_direct(&o, &twist, 7) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
+    CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
     CHECK(outlet_direct(&o) == 0);
     outlet_hold(&o, first[0], a, 41);
-    CHECK(outlet_send_direct(&o, &twist, 7) == 0 && outlet_direct(&o) == 1);
+    CHECK(outlet_send_direct(&o, &twist, 7, 1) == 0 && outlet_direct(&o) == 1);
     command_datagram came = received(first[1]);
     CHECK(came.magic == COMMAND_MAGIC && came.version == COMMAND_VERSION && came.kind == COMMAND_TWIST);
     CHECK(came.sequence == 42 && came.stamp_ns == 7 && came.lifetime_ms == 0 && memcmp(came.token, a, sizeof a) == 0);
@@ -131,11 +131,11 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     came = received(first[1]);
     CHECK(came.sequence == 43 && came.kind == COMMAND_RELEASE && came.stamp_ns == 5);
     outlet_hold(&o, second[0], b, 0);   /* the daemon came back */
-    CHECK(outlet_send_direct(&o, &twist, 8) == 0);
+    CHECK(outlet_send_direct(&o, &twist, 8, 1) == 0);
     came = received(second[1]);
     CHECK(came.sequence == 1 && memcmp(came.token, b, sizeof b) == 0);
     CHECK(outlet_let_go(&o) == 1);
-    CHECK(outlet_send_direct(&o, &twist, 9) == -ENOTCONN && outlet_direct(&o) == 2);
+    CHECK(outlet_send_direct(&o, &twist, 9, 1) == -ENOTCONN && outlet_direct(&o) == 2);
     CHECK(outlet_send(&o, &own, 63, -1) == -EINVAL);
     for (int i = 0; i < 2; i++) {
         (void)close(first[i]);
@@ -154,10 +154,30 @@ static void who_has_not_seen_the_newest_command_does_not_override_it(void)
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == 0);
-    CHECK(outlet_send_direct(&o, &rest, 1) == 0);
+    CHECK(outlet_send_direct(&o, &rest, 1, 1) == 0);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == -ESTALE);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 1) == 0);
     CHECK(outlet_let_go(&o) == 3);
+    (void)close(pair[0]);
+    (void)close(pair[1]);
+}
+
+static void while_python_stands_still_nothing_is_handed_on(void)
+{
+    outlet o;
+    int pair[2];
+    const uint8_t token[LEASE_TOKEN_BYTES] = {1};
+    const stamped_twist twist = {.linear_m_s = 0.5};
+    const int64_t begin_ns = INT64_C(5000000000);
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
+    outlet_init(&o);
+    outlet_hold(&o, pair[0], token, 0);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN);   /* it never was alive */
+    outlet_alive(&o, begin_ns);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 && received(pair[1]).sequence == 1);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN && outlet_direct(&o) == 1);
+    outlet_alive(&o, begin_ns + OUTLET_ALIVE_NS + 1);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == 0 && received(pair[1]).sequence == 2);
     (void)close(pair[0]);
     (void)close(pair[1]);
 }
@@ -172,11 +192,11 @@ static void a_full_socket_is_said(void)
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
     for (; error == 0; sent++) {
-        error = outlet_send_direct(&o, &rest, 1);
+        error = outlet_send_direct(&o, &rest, 1, 1);
     }
     CHECK(error == -EAGAIN && outlet_direct(&o) == (uint64_t)sent - 1);
     (void)close(pair[1]);
-    CHECK(outlet_send_direct(&o, &rest, 1) < 0);
+    CHECK(outlet_send_direct(&o, &rest, 1, 1) < 0);
     (void)close(pair[0]);
 }
 
@@ -188,6 +208,7 @@ int main(void)
     an_age_is_that_of_the_stamp();
     a_lease_numbers_all_that_goes_out_under_it();
     who_has_not_seen_the_newest_command_does_not_override_it();
+    while_python_stands_still_nothing_is_handed_on();
     a_full_socket_is_said();
     return checks_report("bus_twist");
 }

@@ -80,6 +80,27 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     CHECK(count_sent(SPEED) >= 80 && count_sent(SPEED) <= 2 * 50 + EARLY_AT_ONCE + 1);
 }
 
+static void a_stop_goes_out_at_once_however_much_was_said_before(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    forget_sent();
+    w.machine.cycle.early_ns = w.now_ns + 10 * w.machine.table.period_ns;
+    kick(2.0);
+    step();
+    CHECK(w.sent_count == 0);
+    kick(0.0);
+    step();
+    CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
+    kick(1.0);
+    step();
+    CHECK(w.sent_count == 1);
+}
+
 static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
 {
     begin_with(1);
@@ -437,6 +458,7 @@ int main(void)
     one_that_is_told_all_the_time_is_never_left_alone();
     a_new_set_point_goes_out_at_once_to_all_that_are_armed();
     set_points_that_change_all_the_time_double_the_frames_at_most();
+    a_stop_goes_out_at_once_however_much_was_said_before();
     a_kick_tells_a_drive_that_is_not_armed_nothing();
     what_the_bus_does_not_take_is_no_word_to_the_drive();
     a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others();

@@ -258,7 +258,7 @@ static void a_wheel_that_is_doubted_ends_the_run(void)
         r.input.control.armed = 0;
         CHECK(ticks(&r, 4000)->enabled == 0 && zero(&r));
         r.input.control.reset_count++;
-        CHECK(tick(&r)->faults == 0 && r.shown.doubt.fault == 0);
+        CHECK(tick(&r)->faults == 0 && r.shown.doubt.fault == 0 && r.shown.doubt.since_ns == 0);
     }
 }
 

@@ -230,12 +230,13 @@ static void without_a_side_the_deviations_grow_by_the_way(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
-    b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1];
+    b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1], b.config.joint[4] = b.config.joint[0];
     b.state.pose_covariance[0] = 0.04, b.state.pose_covariance[3] = 0.09, b.state.pose_covariance[5] = 0.01;
     b.state.linear_m_s = -0.6, b.state.angular_rad_s = 0.4;
     b.config.twist_variance_floor_m2_s2 = 1e-3, b.config.twist_variance_floor_rad2_s2 = 2e-3;
     const joint_setpoint wheels[JOINTS_MAX] = {
-        {.velocity_rad_s = -2.0}, {.velocity_rad_s = 3.0}, {.velocity_rad_s = 1.0}, {.velocity_rad_s = 4.0}};
+        {.velocity_rad_s = -2.0}, {.velocity_rad_s = 3.0}, {.velocity_rad_s = 1.0}, {.velocity_rad_s = 4.0},
+        {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
     double way_m = 0.5 * (0.1 + 0.2), turn_rad = (0.1 + 0.2) / 0.5; /* 2 and 4 rad/s, 0.1 m, half a second */
     CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + way_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + way_m));

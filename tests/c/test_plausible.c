@@ -107,6 +107,24 @@ static void a_time_of_zero_switches_a_check_off(void)
     CHECK(isinf(until_fault(&w, 0.1, 25.0, 25.0, 25.0)));
 }
 
+/* Whichever way it turns: what is too fast for a set-point of zero is a runaway, or nothing. */
+static void no_wheel_is_too_slow_for_a_set_point_of_zero(void)
+{
+    for (int way = -1; way <= 1; way += 2) {
+        wheel w = begun(7.0 * way);
+        w.config.runaway_s = 0.0;
+        CHECK(isinf(until_fault(&w, 3.0, 7.0 * way, 7.0 * way, 0.0)));
+        CHECK(isinf(until_fault(&w, 3.0, 7.0 * way, 7.0 * way, -0.0)));
+    }
+}
+
+static void a_check_may_be_short(void)
+{
+    wheel w = begun(12.0);
+    w.config.runaway_s = 0.05;
+    CHECK(near(until_fault(&w, 3.0, 12.0, 12.0, 0.0), 0.06) && w.why.fault == FAULT_RUNAWAY);
+}
+
 static void a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_not(void)
 {
     wheel w = begun(0.0);
@@ -295,6 +313,8 @@ int main(void)
     each_check_has_its_fault_and_its_time();
     what_is_within_its_tolerance_is_no_fault();
     a_time_of_zero_switches_a_check_off();
+    no_wheel_is_too_slow_for_a_set_point_of_zero();
+    a_check_may_be_short();
     a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_not();
     a_check_that_holds_again_begins_anew();
     jumps_count_within_a_second();

@@ -3,8 +3,12 @@
 //   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
 //   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
 //   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
-//   fastdds_peer DOMAIN ask TOPIC - -        20 requests of std_srvs/Trigger a second, as rmw_fastrtps writes them
+//   fastdds_peer DOMAIN text TOPIC           how each latched std_msgs/String begins
+//   fastdds_peer DOMAIN say TOPIC TEXT NODE  20 std_msgs/String a second, of a node that the graph has
+//   fastdds_peer DOMAIN ask NAME NODE        a client of the service NAME (std_srvs/Trigger) as rmw_fastrtps makes it, of
+//                                            a node; 20 requests a second, and "READERS WRITERS" of it that it has met
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstdio>
@@ -62,11 +66,30 @@ struct JointState {
     static const char *type() { return "sensor_msgs::msg::dds_::JointState_"; }
 };
 
-// A request without fields has one byte. The header is not in it: who asks is told beside the message.
-struct Trigger {
-    Header header;
+struct String {
+    Header header; // not sent
+    std::string data;
+    static const char *type() { return "std_msgs::msg::dds_::String_"; }
+};
+
+// A request without fields has one byte. Who asks is told beside the message.
+struct TriggerRequest {
     uint8_t nothing = 0;
     static const char *type() { return "std_srvs::srv::dds_::Trigger_Request_"; }
+};
+
+struct TriggerReply {
+    uint8_t success = 0;
+    std::string message;
+    static const char *type() { return "std_srvs::srv::dds_::Trigger_Response_"; }
+};
+
+// Of Iron and later: one node that has two endpoints.
+struct Entities {
+    std::array<uint8_t, 16> gid{};
+    std::string node_namespace = "/", node_name;
+    std::vector<std::array<uint8_t, 16>> readers, writers;
+    static const char *type() { return "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"; }
 };
 
 // `Archive` is a Cdr that writes or reads.
@@ -100,14 +123,35 @@ static void pass(Cdr &cdr, JointState &command, bool writing)
     pass(cdr, command.effort, writing);
 }
 
-static void pass(Cdr &cdr, Trigger &request, bool writing) { pass(cdr, request.nothing, writing); }
+static void pass(Cdr &cdr, String &text, bool writing) { pass(cdr, text.data, writing); }
+static void pass(Cdr &cdr, TriggerRequest &request, bool writing) { pass(cdr, request.nothing, writing); }
+static void pass(Cdr &cdr, TriggerReply &reply, bool writing)
+{
+    pass(cdr, reply.success, writing);
+    pass(cdr, reply.message, writing);
+}
+static void pass(Cdr &cdr, Entities &entities, bool writing)
+{
+    uint32_t nodes = 1;
+    pass(cdr, entities.gid, writing);
+    pass(cdr, nodes, writing);
+    pass(cdr, entities.node_namespace, writing);
+    pass(cdr, entities.node_name, writing);
+    for (auto *endpoints : {&entities.readers, &entities.writers}) {
+        uint32_t count = static_cast<uint32_t>(endpoints->size());
+        pass(cdr, count, writing);
+        endpoints->resize(count);
+        for (auto &gid : *endpoints)
+            pass(cdr, gid, writing);
+    }
+}
 
 template <typename Message> class Type : public TopicDataType {
   public:
     Type()
     {
         setName(Message::type());
-        m_typeSize = 1024;
+        m_typeSize = 65536;
         m_isGetKeyDefined = false;
     }
     bool serialize(void *data, SerializedPayload_t *payload) override
@@ -155,33 +199,90 @@ template <typename Message> static Topic *topic(DomainParticipant *of, const cha
     return of->create_topic(name, Message::type(), TOPIC_QOS_DEFAULT);
 }
 
-static int hear(DomainParticipant *of, const char *name)
+static void show(const Odometry &odometry)
+{
+    printf("%.6f %.6f %s %s\n", odometry.pose[0], odometry.twist[0], odometry.header.frame_id.c_str(),
+           odometry.child_frame_id.c_str());
+}
+static void show(const String &text) { printf("%.12s\n", text.data.c_str()); }
+
+template <typename Message> static int hear(DomainParticipant *of, const char *name, DurabilityQosPolicyKind durability)
 {
     DataReaderQos qos;
     qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
-    DataReader *reader = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic<Odometry>(of, name), qos);
-    for (Odometry odometry;;) {
+    qos.durability().kind = durability;
+    DataReader *reader = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic<Message>(of, name), qos);
+    for (Message message;;) {
         SampleInfo info;
         if (!reader->wait_for_unread_message({1, 0}))
             continue;
-        while (reader->take_next_sample(&odometry, &info) == ReturnCode_t::RETCODE_OK && info.valid_data) {
-            printf("%.6f %.6f %s %s\n", odometry.pose[0], odometry.twist[0], odometry.header.frame_id.c_str(),
-                   odometry.child_frame_id.c_str());
+        while (reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK && info.valid_data) {
+            show(message);
             fflush(stdout);
         }
     }
 }
 
-template <typename Message> static int send(DomainParticipant *of, const char *name, Message command)
+static std::array<uint8_t, 16> gid(const eprosima::fastrtps::rtps::GUID_t &guid)
+{
+    std::array<uint8_t, 16> made{};
+    std::copy_n(guid.guidPrefix.value, 12, made.begin());
+    std::copy_n(guid.entityId.value, 4, made.begin() + 12);
+    return made;
+}
+
+// In the graph: a node with these endpoints.
+static void tell(DomainParticipant *of, Publisher *publisher, const char *node, const DataReader *reader, const DataWriter *writer)
 {
     DataWriterQos qos;
     qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
-    DataWriter *writer = of->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic<Message>(of, name), qos);
+    qos.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
+    Entities own;
+    own.gid = gid(of->guid());
+    own.node_name = node;
+    if (reader != nullptr)
+        own.readers = {gid(reader->guid())};
+    own.writers = {gid(writer->guid())};
+    publisher->create_datawriter(topic<Entities>(of, "ros_discovery_info"), qos)->write(&own);
+}
+
+template <typename Message> static int send(DomainParticipant *of, const char *name, Message command, const char *node = nullptr)
+{
+    DataWriterQos qos;
+    qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    Publisher *publisher = of->create_publisher(PUBLISHER_QOS_DEFAULT);
+    DataWriter *writer = publisher->create_datawriter(topic<Message>(of, name), qos);
+    if (node != nullptr)
+        tell(of, publisher, node, nullptr, writer);
     for (;;) {
         auto now_ns = std::chrono::system_clock::now().time_since_epoch() / std::chrono::nanoseconds(1);
         command.header.sec = static_cast<int32_t>(now_ns / 1000000000);
         command.header.nanosec = static_cast<uint32_t>(now_ns % 1000000000);
         writer->write(&command);
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+}
+
+static int ask(DomainParticipant *of, const std::string &name, const char *node)
+{
+    DataWriterQos writes;
+    DataReaderQos reads;
+    writes.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    reads.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    Publisher *publisher = of->create_publisher(PUBLISHER_QOS_DEFAULT);
+    DataReader *replies = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT)
+                              ->create_datareader(topic<TriggerReply>(of, ("rr" + name + "Reply").c_str()), reads);
+    DataWriter *requests =
+        publisher->create_datawriter(topic<TriggerRequest>(of, ("rq" + name + "Request").c_str()), writes);
+    tell(of, publisher, node, replies, requests);
+    for (TriggerRequest request;;) {
+        PublicationMatchedStatus readers;
+        SubscriptionMatchedStatus writers;
+        requests->get_publication_matched_status(readers);
+        replies->get_subscription_matched_status(writers);
+        printf("%d %d\n", readers.current_count, writers.current_count);
+        fflush(stdout);
+        requests->write(&request);
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }
 }
@@ -194,12 +295,18 @@ int main(int count, char **words)
     if (own == nullptr)
         return 1;
     if (std::string(words[2]) == "odom")
-        return hear(own, words[3]);
+        return hear<Odometry>(own, words[3], VOLATILE_DURABILITY_QOS);
+    if (std::string(words[2]) == "text")
+        return hear<String>(own, words[3], TRANSIENT_LOCAL_DURABILITY_QOS);
+    if (count < 5)
+        return 2;
+    if (std::string(words[2]) == "ask")
+        return ask(own, words[3], words[4]);
     if (count < 6)
         return 2;
+    if (std::string(words[2]) == "say")
+        return send(own, words[3], String{{}, words[4]}, words[5]);
     if (std::string(words[2]) == "joints")
         return send(own, words[3], JointState{{}, {"left", "right"}, {}, {atof(words[4]), atof(words[5])}, {}});
-    if (std::string(words[2]) == "ask")
-        return send(own, words[3], Trigger{});
     return send(own, words[3], TwistStamped{{}, {atof(words[4]), 0, 0, 0, 0, atof(words[5])}});
 }

@@ -72,8 +72,13 @@ RELIABLE = (
 )
 
 
+_saying = threading.Lock()
+
+
 def say(value):
-    print(json.dumps(value, default=list), flush=True)
+    """A line; goals are told of by two threads, and `print` ends its line by itself."""
+    with _saying:
+        print(json.dumps(value, default=list), flush=True)
 
 
 def topic(participant, name, kind, late=""):
@@ -183,6 +188,14 @@ def _built(kind, values):
     return kind(**made)
 
 
+def _service_id(endpoint):
+    if endpoint is None:  # it has just gone
+        return None
+    data = [policy.data for policy in endpoint.qos if isinstance(policy, Policy.Userdata)]
+    pairs = dict(pair.split(b"=") for pair in b"".join(data).split(b";") if pair)
+    return pairs.get(b"serviceid")
+
+
 class Caller:
     """A service's client."""
 
@@ -197,12 +210,20 @@ class Caller:
             participant, Topic(participant, f"rq{name}Request", request), Qos(*RELIABLE, client)
         )
         end_s = time.monotonic() + DEADLINE_S
-        while not (
-            self._writer.get_matched_subscriptions() and self._reader.get_matched_publications()
-        ):
+        while not self._available():
             assert time.monotonic() < end_s, f"nobody serves {name}"
             time.sleep(0.01)
         self._guid = self._writer.instance_handle & 0xFFFFFFFFFFFFFFFF
+
+    def _available(self):
+        """As rmw_cyclonedds has it: a reader and a writer that say the same `serviceid`."""
+        readers = map(
+            self._writer.get_matched_subscription_data, self._writer.get_matched_subscriptions()
+        )
+        writers = map(
+            self._reader.get_matched_publication_data, self._reader.get_matched_publications()
+        )
+        return {*map(_service_id, readers)} & {*map(_service_id, writers)} - {None}
 
     def ask(self, **values):
         self._writer.write(_built(self._request, {"guid": self._guid, "seq": 1, **values}))

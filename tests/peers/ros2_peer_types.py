@@ -18,6 +18,7 @@ from cyclonedds.idl.types import (
     uint32,
     uint64,
 )
+from ros2_peer_descriptions import DescribeReply, DescribeRequest
 
 GEOMETRY = "geometry_msgs::msg::dds_::"
 
@@ -374,6 +375,32 @@ def _action(name, goal, result, feedback):
     )
 
 
+@dataclass
+class MotorStatus(IdlStruct, typename="motord_msgs::msg::dds_::MotorStatus_"):
+    header: Header
+    state: str
+    armed: bool
+    at_rest: bool
+    faults: sequence[str]
+    why: sequence[str]
+    reasons: sequence[str]
+    commander: str
+    commander_priority: int32
+    commander_why: str
+    command_age_s: float64
+    setpoint_linear_m_s: float64
+    setpoint_angular_rad_s: float64
+    name: sequence[str]
+    setpoint_rad_s: sequence[float64]
+    duty: sequence[float64]
+    current_a: sequence[float64]
+    voltage_v: sequence[float64]
+    temperature_c: sequence[float64]
+    feedback_age_s: sequence[float64]
+    drive_faults: sequence[uint32]
+    stale: sequence[bool]
+
+
 ACTIONS = {
     "DriveDistance": _action(
         "DriveDistance",
@@ -406,6 +433,7 @@ TOPICS = {
         TFMessage,
         Entities,
         HumbleEntities,
+        MotorStatus,
         Log,
         GoalStatusArray,
         TransitionEvent,
@@ -419,4 +447,5 @@ SERVICES = {
     "GetParameters": (GetRequest, GetReply),
     "GetState": (StateRequest, StateReply),
     "ChangeState": (ChangeRequest, ChangeReply),
+    "GetTypeDescription": (DescribeRequest, DescribeReply),
 }

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
 
+import hashlib
+import json
 import signal
 
 import pytest
@@ -134,6 +136,8 @@ def test_who_stopped_the_robot_and_why_is_told_by_name(stage):
 
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "best", "watcher"):
         wait_until(found, "the reason")
+        with peer("topic", f"rt{NAMESPACE}/motor_status", "MotorStatus") as ear:
+            ear.find(lambda told: any(why.startswith(reason) for why in told["why"]), "the reason")
     assert f"emergency stop: {reason}" in stage.said()
     assert called("reset")["success"]
     stage.wait_for("idle")
@@ -217,6 +221,46 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
     assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
     assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"
     assert arm["user_data"].startswith("serviceid=")
+
+
+def describe(type_hash, **more):
+    asked = {"type_name": "", "type_hash": type_hash, "include_type_sources": True, **more}
+    return called("get_type_description", "GetTypeDescription", **asked)
+
+
+def hash_of(description):
+    """Of a TypeDescription, as REP-2011 has it."""
+    described = json.loads(json.dumps(description))
+    for one in (described["type_description"], *described["referenced_type_descriptions"]):
+        for field in one["fields"]:
+            del field["default_value"]
+    text = json.dumps(described, separators=(", ", ": ")).encode()
+    return f"RIHS01_{hashlib.sha256(text).hexdigest()}"
+
+
+def test_each_type_of_the_node_is_described_by_its_hash(stage):
+    for topic in ("odom", "motor_status", "cmd_vel"):
+        with peer("endpoints") as eye:
+            found = eye.find(
+                lambda found, name=f"rt{NAMESPACE}/{topic}": found["topic"] == name, topic
+            )
+        shown = found["user_data"].removeprefix("typehash=").rstrip(";")
+        told = describe(shown)
+        assert (told["successful"], told["failure_reason"]) == (True, "")
+        described = told["type_description"]
+        assert described["type_description"]["type_name"].split("/")[-1] in found["type"]
+        assert hash_of(described) == shown
+        texts = {one["type_name"]: one["raw_file_contents"] for one in told["type_sources"]}
+        assert "builtin_interfaces/Time stamp" in texts["std_msgs/msg/Header"]
+
+
+def test_what_the_node_does_not_have_is_not_described(stage):
+    imu = describe(type_hash("sensor_msgs/msg/Imu"))
+    assert not imu["successful"]
+    assert "no type of this node" in imu["failure_reason"]
+    assert not describe("RIHS01_ÿ\n" + "x" * 1000)["successful"]
+    spare = describe(type_hash("nav_msgs/msg/Odometry"), include_type_sources=False)
+    assert (spare["successful"], spare["type_sources"]) == (True, [])
 
 
 def parameter(name, value, kind=3):
@@ -321,12 +365,20 @@ def refused(stage):
     return inputs(stage)["ros2"]["refused"]
 
 
-@pytest.mark.parametrize("speed_m_s", ["nan", "inf", "-inf"])
-def test_what_is_no_number_moves_nothing(armed, speed_m_s):
-    before, x_m = sent(armed), armed.sim.truth().x_m
-    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0):
-        wait_until(lambda: sent(armed) > before + 10, "commands")
+@pytest.mark.parametrize(
+    ("speed_m_s", "counted"),
+    [("nan", "not_finite"), ("-inf", "not_finite"), ("1e308", "out_of_range"),
+     ("-10.5", "out_of_range")],
+)  # fmt: skip
+def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s, counted):
+    def count():
+        return armed.robot.status()["commands"]["refused"][counted]
+
+    before, x_m = count(), armed.sim.truth().x_m
+    with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
+        wait_until(lambda: count() > before + 10, "refusals")
     assert armed.sim.truth().x_m == x_m
+    assert "input.ros2: /broken asks for " in armed.said()
 
 
 def test_old_commands_move_nothing(armed):

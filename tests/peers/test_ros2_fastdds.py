@@ -79,11 +79,39 @@ def test_a_writer_of_another_type_is_named(fast, stage):
         wait_until(lambda: said in stage.said(), "a word on its type")
 
 
-def test_a_client_whose_requests_cannot_be_answered_is_told_why_in_the_log(fast, stage):
+def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
+    """The way that is left to who gets no answer of a service."""
+    reason = "input.ros2: by /watcher: 'a person is too close' (process "
+    with fast("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
+        stage.wait_for("estop")
+        wait_until(
+            lambda: any(why.startswith(reason) for why in stage.robot.status()["why"]), "the reason"
+        )
     settle(stage)
-    with fast("ask", f"rq{NAMESPACE}/motord/armRequest", "-", "-"):
-        said = "/motord/armRequest: a client whose middleware is not Cyclone DDS"
+
+
+def test_who_comes_late_is_told_what_the_robot_looks_like(program, stage):
+    topic = f"rt{NAMESPACE}/robot_description"
+    with peer("text", topic, program=(str(program),), decode=str.rstrip) as ear:
+        assert ear.find(lambda _: True, "the description") == "<robot name="
+
+
+def counts(line):
+    readers, writers = map(int, line.split())
+    return {"readers": readers, "writers": writers}
+
+
+def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(program, stage):
+    """It is where there are as many writers of replies as readers of requests: rmw_fastrtps,
+    rmw_service_server_is_available.cpp."""
+    settle(stage)
+    client = ("ask", f"{NAMESPACE}/motord/arm", "panel")
+    with peer(*client, program=(str(program),), decode=counts) as asking:
+        asking.find(lambda met: met == {"readers": 1, "writers": 2}, "both sides of the service")
+        said = f"answers: /panel (Fast DDS) asks {NAMESPACE}/motord/arm: run"
         wait_until(lambda: said in stage.said(), "a word on its middleware")
+        assert called("disarm")["success"]  # another middleware does not mind
+    assert stage.said().count("/panel (Fast DDS)") == 1
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.said()
     assert "deserialization" not in stage.said()  # a line of the library's for each request
     assert stage.state() == "idle"

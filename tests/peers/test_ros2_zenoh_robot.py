@@ -199,6 +199,26 @@ def test_limits_are_parameters_that_other_nodes_list_and_read(robot):
     assert all(value.double_value > 0.0 for value in values if value.type == 3)
 
 
+def test_a_type_of_the_node_is_described_by_its_hash(robot):
+    _, driver = robot
+    name = "nav_msgs/msg/Odometry"
+    asking = {"type_name": name, "type_hash": STORE.hash_rihs01(name), "include_sources": False}
+    told = asked(
+        driver, "get_type_description", "type_description_interfaces/GetTypeDescription",
+        ("string type_name\nstring type_hash\nbool include_sources\n", asking),
+        "bool successful\nstring failure_reason\n"
+        "type_description_interfaces/TypeDescription type_description\n"
+        "type_description_interfaces/TypeSource[] sources\n"
+        "type_description_interfaces/KeyValue[] extra\n",
+    )  # fmt: skip
+    assert told.successful
+    described = told.type_description.type_description
+    assert described.type_name == name
+    assert [field.name for field in described.fields] == [
+        field for field, _ in STORE.fielddefs[name][1]
+    ]
+
+
 def test_the_life_cycle_is_inactive_while_disarmed_and_active_while_armed(robot):
     stage, driver = robot
     ending = "lifecycle_msgs/State current_state\n"

@@ -41,7 +41,7 @@ def stage(tmp_path_factory, ports):
         f"input.web.token_file={token_file(folder)}", "input.web.rate_hz=50",
         "input.web.lease_s=1.0",
         "safety.command_timeout_s=1.0",
-        "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=1000",
+        "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=200",
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the daemon says of a latched fault, over the real loop."""
 
+from dataclasses import replace
+
 import pytest
 from small_base import core_config, hear_wheels, settings, until
 
 from motord import procedures, rt
 from motord.config import load_robot
 from motord.machine import Event, State
-from motord.operation import Operation
+from motord.operation import Operation, process_name
 from motord.rpc import Refused
 from motord.sdnotify import Notifier
 from motord_hal.paths import config_dir
@@ -63,6 +65,18 @@ def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
     assert operation.state is State.STOPPING
     del operation.loop.read_state
     until(lambda: operation.look() or operation.state is State.ARMED)
+
+
+def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(operation):
+    """The loop reads the request, and its next state may be looked at before the request is."""
+    seen = replace(operation.snapshot, faults=("estop",))
+    operation.loop.read_state = lambda: seen
+    operation.look()
+    assert (operation.state, operation.why) == (State.ESTOP, ("estop",))
+    operation.estop(1)
+    assert operation.why == (f"asked for by {process_name(1)}",)
+    operation.estop(1, "the panel")
+    assert operation.why == (f"the panel ({process_name(1)})",)
 
 
 class LineWithAPanel:

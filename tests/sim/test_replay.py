@@ -174,6 +174,30 @@ def test_a_replay_that_is_ended_early_leaves_no_state_page(recording, number):
             page.unlink(missing_ok=True)
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, number):
+    name = f"t{uuid.uuid4().hex[:12]}"
+    page = own_page(name)
+    code = (
+        "import os, signal, sys\n"
+        "from motord.__main__ import main\n"
+        "really = os.truncate\n"
+        "def truncate(*args):\n"
+        "    really(*args)\n"
+        f"    signal.raise_signal({int(number)})\n"
+        "os.truncate = truncate\n"
+        "main()\n"
+    )
+    (tmp_path / "any.mcap").touch()
+    words = ["replay", str(tmp_path / "any.mcap"), "--publish", str(ROBOT)]
+    command = [sys.executable, "-c", code, *words, "--set", f"robot.name={name}"]
+    try:
+        assert subprocess.run(command, timeout=DEADLINE_S, cwd=ROOT).returncode == 128 + number
+        assert not page.exists()
+    finally:
+        page.unlink(missing_ok=True)
+
+
 def test_a_robot_that_runs_is_not_played_over(recording, tmp_path):
     with running(tmp_path) as stage:
         name = stage.robot.status()["robot"]

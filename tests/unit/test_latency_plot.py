@@ -2,6 +2,7 @@
 """The picture of a run, from made-up runs."""
 
 import dataclasses
+import functools
 import itertools
 import math
 import sys
@@ -35,26 +36,33 @@ def made_up(*, cyclictest=True, timeline=True, overruns=0):
     )  # fmt: skip
 
 
-def drawn(tmp_path, **kwargs):
-    path = tmp_path / "plot.png"
-    plot(made_up(**kwargs), path)
-    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    return image.imread(path)
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """The picture of a made-up run; each is drawn once, as drawing takes long."""
+
+    @functools.cache
+    def picture(**kwargs):
+        path = tmp_path_factory.mktemp("plot") / "plot.png"
+        plot(made_up(**kwargs), path)
+        assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+        return image.imread(path)
+
+    return picture
 
 
 @pytest.mark.parametrize("kwargs", [{}, {"cyclictest": False}, {"timeline": False}])
-def test_the_picture_is_not_blank(tmp_path, kwargs):
-    pixels = drawn(tmp_path, **kwargs)
+def test_the_picture_is_not_blank(drawn, kwargs):
+    pixels = drawn(**kwargs)
     height, width = pixels.shape[:2]
     assert height > 400 < width
     for half in (pixels[: height // 2], pixels[height // 2 :]):
         assert (half[..., :3].min(axis=2) < 0.7).mean() > 0.005
 
 
-def test_what_was_measured_shows(tmp_path):
-    plain = drawn(tmp_path)
+def test_what_was_measured_shows(drawn):
+    plain = drawn()
     for kwargs in ({"cyclictest": False}, {"timeline": False}, {"overruns": 3}):
-        assert (plain != drawn(tmp_path, **kwargs)).any(), kwargs
+        assert (plain != drawn(**kwargs)).any(), kwargs
 
 
 def test_nothing_measured_can_be_drawn(tmp_path):

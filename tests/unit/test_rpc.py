@@ -11,23 +11,25 @@ import stat
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pydantic import Field
 
 from motord import rpc
 from motord.client import Client, ClientError
-from motord.rpc import Method, Params, Refused, SocketInUse, listening, serve, socket_path
+from motord.params import Params, number
+from motord.rpc import Method, Refused, SocketInUse, listening, serve, socket_path
 
 DEADLINE_S = 20.0
 
 
+@dataclass(frozen=True, kw_only=True)
 class Sum(Params):
-    a: float
-    b: float = Field(0.0, ge=-10, le=10)
+    a: float = number()
+    b: float = number(-10, 10, default=0.0)
 
 
 class Host:

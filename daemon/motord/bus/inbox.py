@@ -36,9 +36,10 @@ class Inbox(Generic[_T]):
         if self._woken or self._loop is None or self._loop.is_closed():
             return
         self._woken = True
-        self._loop.call_soon_threadsafe(self._empty)
+        self._loop.call_soon_threadsafe(self.empty)
 
-    def _empty(self) -> None:
+    def empty(self) -> None:
+        """Take all there is now, in the event loop."""
         self._woken = False  # before the last look: what comes after it wakes again
         while self._items:
             self._take(self._items.popleft())
@@ -52,20 +53,25 @@ class Crossing:
             ASKED_MAX, self._begin
         )
         self._tasks: asyncio.TaskGroup | None = None
+        self._over = False
 
     async def run(self) -> None:
         """Until cancelled: who waits then, and who comes later, is told that it ends."""
         self._asked.open()
         async with asyncio.TaskGroup() as self._tasks:
+            self._asked.empty()  # who came before
             try:
                 await asyncio.Event().wait()
             finally:
-                self._tasks = None
+                self._tasks, self._over = None, True
+                self._asked.empty()  # who asks from now on sees that it is over
 
     def ask(self, make: Callable[[], Awaitable[_T]], within_s: float) -> _T:
         """From any thread but the loop's own. Raises NotTaken, also where there is no answer."""
         answer: Future[_T] = Future()
         self._asked.put((make, answer))
+        if self._over:
+            raise NotTaken(_ENDING)
         try:
             return answer.result(within_s)
         except TimeoutError:

@@ -16,7 +16,8 @@ import logging
 import os
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -45,6 +46,8 @@ def reason(text: str) -> dict[str, str]:
     return {"why": text[:REASON_CHARS_MAX]}
 
 
+Ask = Callable[[str, dict[str, Any]], Awaitable[Any]]
+"""A method of the daemon with its parameters, on one connection. Raises Refused, ClientError."""
 NO_LEASE = "there is no lease: the daemon does not take commands now"
 SOCKET_FULL = (
     "the daemon's command socket is full: commands come faster than its loop takes them; the next "
@@ -189,11 +192,16 @@ class Source:
             try:
                 async with _connected(self._path) as (reader, writer):
                     async with within(LEASE_WITHIN_S):
-                        grant = await _ask(reader, writer, "lease", {"owner": self.owner})
+                        grant = await self._grant(partial(_ask, reader, writer))
                     await self._hold(grant, reader)
             except (ClientError, OSError, TimeoutError) as error:
                 self._say(str(error) or "no answer")
             await asyncio.sleep(LEASE_AGAIN_S)
+
+    async def _grant(self, ask: Ask) -> dict[str, Any]:
+        """A lease on the connection that `ask` has. Raises ClientError."""
+        grant: dict[str, Any] = await ask("lease", {"owner": self.owner})
+        return grant
 
     async def _hold(self, grant: dict[str, Any], reader: asyncio.StreamReader) -> None:
         """Until the daemon ends the lease."""

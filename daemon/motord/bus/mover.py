@@ -73,7 +73,7 @@ class Mover:
         except (ValueError, ClientError) as error:
             raise NotNow(str(error)) from error
         try:
-            with StatePage.open(self._station.robot.robot.name) as page:
+            with self._station.page() as page:
                 why = self._why_not(page.read())
         except NoPage as error:
             raise NotNow(str(error)) from error
@@ -105,7 +105,7 @@ class Mover:
         """Until its end; `tell` is called at each look. Motion None: it did not begin."""
         try:
             stops = await self._stops()
-            with StatePage.open(self._station.robot.robot.name) as page:
+            with self._station.page() as page:
                 start = page.read()
                 why = self._why_not(start)
                 if start is None or why is not None:

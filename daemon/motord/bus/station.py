@@ -10,7 +10,7 @@ import logging
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
@@ -20,22 +20,15 @@ from motord.bus.link import Source, StopSender, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError, Refused
-from motord.config import (
-    BusInput,
-    BusPublish,
-    OtherInput,
-    OtherPublish,
-    RclpyInput,
-    Robot,
-    StdoutPublish,
-    UdpPublish,
-)
 from motord.deadline import within
 from motord.extras import how_to_install
 from motord.halting import outcome
 from motord.snapshot import Snapshot
 from motord.state_page import NoPage, StatePage
 from motord.stop_request import KINDS
+
+if TYPE_CHECKING:
+    from motord.config import Robot
 
 ATTACH_AGAIN_S = 0.5
 STATUS_EVERY_S = 1.0
@@ -55,6 +48,8 @@ _log = logging.getLogger(__name__)
 
 def of_this_robot(section: Any, robot: Robot) -> Any:
     """The section without topics of sensors that the robot does not have."""
+    from motord.config import BusPublish
+
     if robot.imu is not None or not isinstance(section, BusPublish):
         return section
     topics = tuple(topic for topic in section.topics if topic != "imu")
@@ -134,6 +129,10 @@ class Station:
                     await asyncio.sleep(CONFIRM_LOOK_EVERY_S)
         return None
 
+    def page(self) -> StatePage:
+        """The robot's state page. Raises NoPage."""
+        return StatePage.open(self.robot.robot.name)
+
     def beside_robot_file(self, name: str) -> Path:
         """A file that the robot file names: beside it, unless its path is absolute."""
         return self.robot.path.parent / name
@@ -171,6 +170,8 @@ class Station:
 
     def _adapters(self) -> dict[str, Adapter]:
         """By their sections."""
+        from motord.config import BusInput, RclpyInput, StdoutPublish, UdpPublish
+
         publishers, inputs = (PUBLISHERS, PUBLISHER_POINTS), (INPUTS, INPUT_POINTS)
         sections: list[tuple[str, Any, tuple[Mapping[str, str], str]]] = [
             (f"publish.{name}", section, publishers)
@@ -192,8 +193,7 @@ class Station:
         self, where: str, section: Any, table: Mapping[str, str], group: str
     ) -> Adapter | None:
         """None, and a word in the log, for one that cannot be had: the others go on without it."""
-        other = isinstance(section, OtherPublish | OtherInput)
-        kind = section.adapter if other else section.kind
+        kind = section.adapter if section.kind == "other" else section.kind
         try:
             adapter: Adapter = find(where, kind, table, group)(
                 where.partition(".")[2], section, self
@@ -214,7 +214,7 @@ class Station:
         said = False
         while True:
             try:
-                with StatePage.open(self.robot.robot.name) as page:
+                with self.page() as page:
                     said = False
                     await self._watch(page)
             except NoPage as error:

@@ -8,12 +8,14 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import NotTaken
 from motord.client import ClientError
-from motord.config import Robot
 from motord.sparing import Sparing
+
+if TYPE_CHECKING:
+    from motord.config import Robot
 
 _LIMITS = "limits."
 _FIXED = ("track_m", "wheel_radius_m")

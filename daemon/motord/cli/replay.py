@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 BUS_ENDS_WITHIN_S = 5.0
 LAST_SHOWN_S = 1.0
 """The end stays on the state page for so long: rates go down to 1 Hz."""
+UNWINDING = (signal.SIGTERM, signal.SIGHUP)
+"""End the program as Ctrl-C does."""
 
 
 @click.command
@@ -109,21 +111,22 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
 
     robot = load_or_exit(robot_file, overrides)
     options = [part for option in overrides for part in ("--set", option)]
-    try:
-        page = ReplayPage(robot.robot.name)
-    except PageInUse as error:
-        raise Failure(str(error)) from error
-    # the socket does not exist: who wants to command a recording is told that nobody is there
-    nobody = page.path.with_suffix(".replay")
-    command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
-    with (
-        page,
-        subprocess.Popen(
-            [*command, "--socket", str(nobody), "--supervised"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        ) as bus,
-    ):
+    with contextlib.ExitStack() as cleanup:
+        try:
+            with _held_back():
+                page = cleanup.enter_context(ReplayPage(robot.robot.name))
+        except PageInUse as error:
+            raise Failure(str(error)) from error
+        # the socket does not exist: who wants to command a recording is told that nobody is there
+        nobody = page.path.with_suffix(".replay")
+        command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
+        bus = cleanup.enter_context(
+            subprocess.Popen(
+                [*command, "--socket", str(nobody), "--supervised"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+        )
         try:
             assert bus.stdout is not None  # it was asked for
             if not bus.stdout.readline():
@@ -135,18 +138,27 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
 
 
 @contextlib.contextmanager
+def _held_back() -> Iterator[None]:
+    """A signal that comes meanwhile ends the program only after this: between the making of a page
+    and the note that it is to be removed, an exception would leave it behind."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, *UNWINDING))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
 def _unwinding() -> Iterator[None]:
     """SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception: what was made for it,
     above all the state page, is removed."""
 
-    numbers = (signal.SIGTERM, signal.SIGHUP)
-
     def ended(number: int, _: object) -> None:
-        for each in numbers:
+        for each in UNWINDING:
             signal.signal(each, signal.SIG_IGN)  # the clean-up is short, and comes to its end
         sys.exit(128 + number)
 
-    before = {number: signal.signal(number, ended) for number in numbers}
+    before = {number: signal.signal(number, ended) for number in UNWINDING}
     try:
         yield
     finally:

@@ -37,7 +37,6 @@ from motord.config.bus_sections import (
 )
 from motord.config.imu_section import ChipImu, Imu, LineImu
 from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
-from motord.config.load import load_robot
 from motord.config.model import (
     Base,
     DifferentialBase,
@@ -52,6 +51,7 @@ from motord.config.model import (
     SocketInput,
 )
 from motord.config.problems import ConfigError, Problem
+from motord.config.robot_file import load_robot
 
 __all__ = [
     "load_robot",

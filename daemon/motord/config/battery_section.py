@@ -6,9 +6,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from motord.config.section import Section, number
+from motord.config.section import Field, Section, number
 
 READING_UNITS = MappingProxyType(
     {"voltage_from": "V", "current_from": "A", "temperature_from": "°C"}

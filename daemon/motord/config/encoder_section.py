@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from motord.config.section import Section, number
+from motord.config.section import Field, Section, number
 
 
 class Encoder(Section):

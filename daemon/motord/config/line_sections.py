@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
-
-from motord.config.section import Section, number
+from motord.config.section import Field, Section, number
 
 Cpus = tuple[Annotated[int, Field(ge=0, le=63)], ...]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a file (and `--set` options) to a Robot, or to every problem at once."""
+"""From a file (and `--set` options) to a Robot, or to every problem at once, in this process."""
 
 from __future__ import annotations
 
@@ -22,13 +22,17 @@ from motord_hal import bounded
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 
 
-def load_robot(
-    path: str | File, overrides: Sequence[str] = (), *, text: str | None = None
-) -> Robot:
-    """Read a robot file. `overrides` are KEY=VALUE: a dotted key, and a value as TOML writes it
-    (else it is taken for a text); `text` is taken for what is in the file. Raises ConfigError with
-    every problem; what only deserves a look is in `robot.warnings`."""
-    file = File(path)
+def answer(
+    path: str | File, overrides: Sequence[str], text: str | None
+) -> Robot | tuple[Problem, ...]:
+    """The robot, or every problem of its file: as `load_robot`."""
+    try:
+        return _robot(File(path), overrides, text)
+    except ConfigError as error:
+        return error.problems
+
+
+def _robot(file: File, overrides: Sequence[str], text: str | None) -> Robot:
     text = _read(file) if text is None else text
     data = _parse(file, text)
     places = _Places(str(file), lines_of(text))

@@ -13,8 +13,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr
-
 from motord.config.battery_section import DrivesBattery, InaBattery
 from motord.config.bus_sections import (
     BusInput,
@@ -43,7 +41,7 @@ from motord.config.guard_sections import EstopInput, WatchdogOutput
 from motord.config.imu_section import ChipImu, LineImu
 from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
-from motord.config.section import Name, Section, number
+from motord.config.section import Field, Name, PrivateAttr, Section, number
 from motord.config.speed_loop_section import SpeedLoop
 from motord_hal.ports import REST_VELOCITY_RAD_S
 
@@ -353,6 +351,9 @@ AnyPublish = (
 )
 
 
+_TOLD_OF_COMMANDERS = ("kind", "priority", "lease_s")
+
+
 class Robot(Section):
     """A robot file. `load_robot` reads one."""
 
@@ -411,7 +412,8 @@ class Robot(Section):
         found: dict[str, Input] = {"local socket": self.local_input}
         found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
         return [
-            {"name": name, **section.model_dump(include={"kind", "priority", "lease_s"})}
+            {"name": name}
+            | {key: getattr(section, key) for key in _TOLD_OF_COMMANDERS if hasattr(section, key)}
             for name, section in found.items()
             if not isinstance(section, SocketInput) or section.enabled
         ]

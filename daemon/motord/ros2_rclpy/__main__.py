@@ -1,51 +1,117 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python3 -m motord.ros2_rclpy`: a ROS 2 node by rclpy, in a process of its own, with the services
-of the robot and its cmd_vel. It needs a sourced ROS 2, and of motord only this package."""
+"""`ros2 run motord_ros2 bridge`, or `python3 -m motord.ros2_rclpy`: a node of an installed ROS 2
+with everything that commands the robot, in a process of its own."""
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import logging
+import math
+import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from motord.client import ClientError, find_socket
-from motord.ros2_rclpy.bridge import Bridge
+from motord.bus.guard import first
+from motord.ros2_rclpy.bridge import Wishes, Wrong, serve
 
+if TYPE_CHECKING:
+    from motord.ros2_rclpy.node import RclpyNode
+
+NAME = "motord"
 _FAILED, _USAGE = 1, 2
+_TEXTS, _LIMITS = ("robot", "socket", "input"), "limits."
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+"""Parameters that every node has."""
+
+_log = logging.getLogger(__name__)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python3 -m motord.ros2_rclpy",
-        description="Services and cmd_vel of a running robot, as a node of an installed ROS 2.",
-        epilog="Example: python3 -m motord.ros2_rclpy --input ros --ros-args -r __ns:=/r2",
-    )
-    parser.add_argument("--robot", help="its name; the only one that runs here otherwise")
-    parser.add_argument("--socket", type=Path, help="the daemon's local socket")
-    parser.add_argument(
-        "--input", default="ros", help='section of the robot file with kind = "ros2-rclpy" (ros)'
-    )
-    parser.add_argument(
-        "--unstamped", action="store_true", help="cmd_vel is a Twist, and what arrives is new"
-    )
-    asked, ros_arguments = parser.parse_known_args(arguments)
+    given, ros_arguments = _parser().parse_known_args(arguments)
     try:
-        from motord.ros2_rclpy.node import spin
+        from motord.ros2_rclpy.node import Ended, RclpyNode, opened, parameters_of
     except ImportError as error:
         print(f"no ROS 2 in this Python ({sys.executable}): {error}", file=sys.stderr)
         return _USAGE
-    try:
-        path = asked.socket or find_socket(asked.robot)
-    except ClientError as error:
-        print(error, file=sys.stderr)
-        return _FAILED
-    bridge = Bridge(path, asked.input, stamped=not asked.unstamped)
-    try:
-        spin(bridge, ros_arguments, stamped=not asked.unstamped)
-    finally:
-        bridge.close()
-    return 0
+    logging.getLogger().setLevel(logging.INFO)
+    with opened(NAME, ros_arguments) as node:
+        said = {key: value for key, value in vars(given).items() if value is not None}
+        try:
+            wishes = wishes_of(parameters_of(node) | said)
+        except ValueError as error:
+            _log.error("%s", error)
+            return _USAGE
+        ended_by: BaseException | None = None
+        try:
+            asyncio.run(run(wishes, RclpyNode(node)))
+        except* (Ended, Wrong) as errors:
+            ended_by = first(errors)
+            _log.error("%s", ended_by)
+    return 0 if ended_by is None else _FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ros2 run motord_ros2 bridge",
+        description="Everything that commands a running robot, as a node of an installed ROS 2.",
+        epilog="Each of these is a parameter of the node, too: "
+        "--ros-args -r __ns:=/r2 --params-file bridge.yaml",
+    )
+    parser.add_argument("--robot", help="its name; the only one that runs here otherwise")
+    parser.add_argument("--socket", help="the daemon's local socket")
+    parser.add_argument(
+        "--input", help='section of the robot file with kind = "ros2-rclpy" (default: ros)'
+    )
+    parser.add_argument(
+        "--unstamped",
+        dest="stamped",
+        action="store_false",
+        default=None,
+        help="cmd_vel is a Twist, and what arrives is new",
+    )
+    return parser
+
+
+def wishes_of(parameters: Mapping[str, Any]) -> Wishes:
+    """Parameters of the node, or the same as options. Raises ValueError."""
+    found: dict[str, Any] = {}
+    limits: dict[str, float] = {}
+    for name, value in parameters.items():
+        if name in _TEXTS:
+            if not isinstance(value, str):
+                raise ValueError(f"parameter {name}: a text, not {value!r}")
+            if value:  # a launch file cannot leave one out
+                found[name] = value
+        elif name == "stamped":
+            if not isinstance(value, bool):
+                raise ValueError(f"parameter stamped: true or false, not {value!r}")
+            found[name] = value
+        elif name.startswith(_LIMITS):
+            if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+                raise ValueError(f"parameter {name}: a number, not {value!r}")
+            limits[name] = float(value)
+        elif not name.startswith(_OF_ROS):
+            known = ", ".join((*_TEXTS, "stamped", "limits.*"))
+            raise ValueError(f"no parameter {name}; there are: {known}")
+    if "socket" in found:
+        found["socket"] = Path(found["socket"])
+    return Wishes(**found, limits=limits)
+
+
+async def run(wishes: Wishes, node: RclpyNode) -> None:
+    """Until a signal, or the end of ROS 2. Raises Wrong, in a group."""
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    async with asyncio.TaskGroup() as tasks:
+        work = tasks.create_task(serve(wishes, node))
+        await end.wait()
+        work.cancel()
 
 
 if __name__ == "__main__":

@@ -1,145 +1,159 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a ROS 2 node asks of the daemon, without ROS: calls on the local socket, and commands under
-the lease of an [input.*] of kind "ros2-rclpy". The standard library alone, no asyncio."""
+"""What motord-bus serves on DDS, served on another node: the same code asks the same daemon under
+the lease of an [input.*] of kind "ros2-rclpy". The standard library alone.
+
+The robot file is not here: what the commands need of it, the daemon says. It may restart. The lease
+is taken again then, and nothing moves before it is armed: the daemon's own rule. One that has
+another robot file than the one before is not served: its wheels may have other places.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import math
-import socket
-import time
-from collections.abc import Callable
+import asyncio
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
-from motord.client import Client, ClientError
-from motord.commands import TWIST, datagram
+from motord.bus.adapters import Adapter
+from motord.bus.inputs.desk import NotTaken
+from motord.bus.link import Ask, Source, call
+from motord.bus.ros2.commands import Ros2Commands
+from motord.bus.ros2.nodes import Node
+from motord.bus.station import Station
+from motord.bus.tunable import Tunable
+from motord.client import ClientError, find_socket
+from motord.state_page import NoPage, StatePage
 
-TRIGGERS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry")
-"""Services, all of std_srvs/Trigger."""
-LEASE_WITHIN_S = 2.0
-LEASE_AGAIN_S = 0.5
-DRAINED_AFTER_S = 1.0
-"""What waited while this process stood still has been taken out of the queues by then."""
-FUTURE_S = 0.5
-"""A stamp from further ahead is of another clock: its age cannot be known."""
-OLD_S = 3600.0
-"""Whatever is older is as old as this: the loop does not obey it."""
-Stamp = tuple[int, int]
-"""builtin_interfaces/Time: seconds, nanoseconds."""
+if TYPE_CHECKING:
+    from motord.config import Robot, Ros2Input
 
+KIND = "ros2-rclpy"
+ASK_AGAIN_S = 0.5
 
-class NotTaken(Exception):
-    """A command was not passed on; the text says why."""
+_log = logging.getLogger(__name__)
 
 
-class Bridge:
-    """`call` may be used by several threads at once, `drive` by one."""
+class Wrong(Exception):
+    """It cannot go on like this; the text says what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wishes:
+    """What who starts the bridge has said."""
+
+    robot: str | None = None
+    """None: the only one that runs here."""
+    socket: Path | None = None
+    input: str = "ros"
+    stamped: bool = True
+    """Every command has to say when it was given; cmd_vel is a TwistStamped."""
+    limits: Mapping[str, float] = field(default_factory=dict)
+    """Robot parameters (limits.*) that are set whenever the lease is taken."""
+
+
+async def serve(wishes: Wishes, node: Node) -> None:
+    """Until cancelled. Raises Wrong."""
+    path, told = await _described(wishes)
+    _log.info("%s: robot %s", path, told["robot"])
+    robot = _robot(told)
+    section = SimpleNamespace(stamped=wishes.stamped, lease_s=_input(told, wishes.input)["lease_s"])
+    station = BridgeStation(robot, path, told, wishes.limits)
+    # It asks the section for no more than that.
+    commands = Ros2Commands(wishes.input, cast("Ros2Input", section), station, node)
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(station.run())
+        tasks.create_task(commands.run())
+
+
+async def _described(wishes: Wishes) -> tuple[Path, dict[str, Any]]:
+    """The daemon's socket, and what it says of its robot, as soon as there is a daemon."""
+    said = ""
+    while True:
+        try:
+            path = wishes.socket or find_socket(wishes.robot)
+            return path, await call(path, "robot")
+        except ClientError as error:
+            if str(error) != said:
+                said = str(error)
+                _log.warning("waiting for a daemon: %s", error)
+        await asyncio.sleep(ASK_AGAIN_S)
+
+
+def _input(told: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """The input of that name. Raises Wrong."""
+    for found in told["inputs"]:
+        if found["name"] == name and found["kind"] == KIND:
+            return cast("Mapping[str, Any]", found)
+    raise Wrong(f'the robot file of {told["robot"]} has no [input.{name}] with kind = "{KIND}"')
+
+
+def _robot(told: Mapping[str, Any]) -> Robot:
+    """As much of a robot file as the commands read."""
+    base = SimpleNamespace(track_m=told["track_m"], wheel_radius_m=told["wheel_radius_m"])
+    made = SimpleNamespace(
+        robot=SimpleNamespace(name=told["robot"]),
+        joint=tuple(told["joints"]),
+        base=base,
+        safety=SimpleNamespace(feedback_timeout_s=told["feedback_timeout_s"]),
+    )
+    return cast("Robot", made)
+
+
+class BridgeStation(Station):
+    """Of a robot whose file is not here."""
+
+    def __init__(
+        self, robot: Robot, path: Path, told: Mapping[str, Any], limits: Mapping[str, float]
+    ) -> None:
+        super().__init__(robot, path)
+        self._told, self._limits = told, limits
+
+    def source(self, name: str) -> Source:
+        """As Station.source."""
+        self.sources[name] = BridgeSource(self.path, name, self.robot, self._told, self._limits)
+        return self.sources[name]
+
+    def _adapters(self) -> dict[str, Adapter]:
+        """No sections are read here."""
+        return {}
+
+    def page(self) -> StatePage:
+        """That of the daemon's user, who may be another than ours."""
+        try:
+            owner = self.path.stat().st_uid
+        except OSError as error:
+            raise NoPage(f"{self.path}: {error.strerror}") from error
+        return StatePage.open(self.robot.robot.name, owner=owner)
+
+
+class BridgeSource(Source):
+    """Takes a lease of no daemon but one that has the robot file it knows."""
 
     def __init__(
         self,
         path: Path,
         owner: str,
-        *,
-        stamped: bool = True,
-        wall_s: Callable[[], float] = time.time,
+        robot: Robot,
+        told: Mapping[str, Any],
+        limits: Mapping[str, float],
     ) -> None:
-        """`path`: the daemon's socket. `owner`: the name of the input. `stamped`: every command
-        has to say when it was given."""
-        self._path = path
-        self._owner = owner
-        self._stamped = stamped
-        self._wall_s = wall_s
-        self._lease: _Lease | None = None
-        self._again_s = 0.0
-        self._asked_s = self._silence_ended_s = -math.inf
+        super().__init__(path, owner)
+        self._robot, self._told, self._limits = robot, told, limits
 
-    def close(self) -> None:
-        """The lease ends: the robot comes to rest if it was in command."""
-        if self._lease is not None:
-            self._lease.close()
-            self._lease = None
+    async def _grant(self, ask: Ask) -> dict[str, Any]:
+        """As Source._grant. Raises Wrong."""
+        if await ask("robot", {}) != self._told:
+            raise Wrong("the robot file is another than at the start of this bridge: start it anew")
 
-    def call(self, method: str) -> tuple[bool, str]:
-        """One of TRIGGERS: whether it was done, and the state or why not."""
-        try:
-            with Client(self._path) as daemon:
-                params = (
-                    {"why": f"input.{self._owner}: by a service call"} if method == "estop" else {}
-                )
-                return True, str(daemon.call(method, **params)["state"])
-        except ClientError as error:
-            return False, str(error)
+        async def on_this_connection(method: str, **params: Any) -> Any:
+            return await ask(method, params)
 
-    def drive(self, linear_m_s: float, angular_rad_s: float, stamp: Stamp | None = None) -> None:
-        """One command. `stamp`: when it was given, wall time. Those without, after a
-        silence in which their lifetime is over, are left out for so long again, DRAINED_AFTER_S at
-        least: they may have waited in queues while this process stood still. Raises NotTaken."""
-        stamp_ns = time.monotonic_ns() - round(self._age_s(stamp) * 1e9)
-        now_s = time.clock_gettime(time.CLOCK_BOOTTIME)  # it goes on while the machine sleeps
-        silent_s, self._asked_s = now_s - self._asked_s, now_s
-        try:
-            lease = self._held()
-            if silent_s > lease.lifetime_s:
-                self._silence_ended_s = now_s
-            heard_s = now_s - self._silence_ended_s
-            if stamp is not None or heard_s >= max(lease.lifetime_s, DRAINED_AFTER_S):
-                lease.send(linear_m_s, angular_rad_s, stamp_ns)
-        except BlockingIOError:  # the lease goes on, and the next command counts
-            raise NotTaken("the daemon's command socket is full") from None
-        except (ClientError, OSError) as error:
-            self.close()
-            raise NotTaken(f"no lease: {error}") from error
-
-    def _age_s(self, stamp: Stamp | None) -> float:
-        if stamp is None:
-            if self._stamped:
-                raise NotTaken("it has no stamp")
-            return 0.0
-        if stamp == (0, 0):
-            raise NotTaken("its stamp is zero: when was it given?")
-        age_s = self._wall_s() - (stamp[0] + stamp[1] * 1e-9)
-        if age_s < -FUTURE_S:
-            raise NotTaken("its stamp is in the future: do the clocks agree?")
-        return min(max(age_s, 0.0), OLD_S)
-
-    def _held(self) -> _Lease:
-        """Raises ClientError and OSError."""
-        if self._lease is not None and self._lease.ended:
-            self.close()
-        if self._lease is None:
-            now_s = time.monotonic()
-            if now_s < self._again_s:
-                raise ClientError("the daemon ended it")
-            self._again_s = now_s + LEASE_AGAIN_S
-            self._lease = _Lease(self._path, self._owner)
-        return self._lease
-
-
-class _Lease:
-    """As long as its connection."""
-
-    def __init__(self, path: Path, owner: str) -> None:
-        """Raises ClientError and OSError."""
-        with contextlib.ExitStack() as cleanup:
-            self._daemon = cleanup.enter_context(Client(path, timeout_s=LEASE_WITHIN_S))
-            grant = self._daemon.call("lease", owner=owner)
-            kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
-            self._sender = cleanup.enter_context(socket.socket(socket.AF_UNIX, kind))
-            self._sender.connect(grant["socket"])
-            self._token, self._sequence = bytes.fromhex(grant["token"]), 0
-            self.lifetime_s = float(grant["lease_s"])
-            self._cleanup = cleanup.pop_all()
-
-    def close(self) -> None:
-        self._cleanup.close()
-
-    @property
-    def ended(self) -> bool:
-        return not self._daemon.connected
-
-    def send(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int) -> None:
-        """Raises OSError where it is not taken."""
-        self._sequence += 1
-        self._sender.send(
-            datagram(self._token, self._sequence, stamp_ns, linear_m_s, angular_rad_s, kind=TWIST)
-        )
+        if self._limits:
+            try:
+                await Tunable(self._robot, on_this_connection).change(self._limits)
+            except NotTaken as error:
+                _log.error("parameters of this node: %s", error)
+        return await super()._grant(ask)

@@ -1,76 +1,332 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node itself: the only file that knows rclpy."""
+"""A node of an installed ROS 2, with the face of motord.bus.ros2.nodes.Node: what is served on it
+does not know that it is there. The only file that knows rclpy.
+
+rclpy works in threads of its own; what is served works in one event loop. Messages cross over as
+the bytes that ROS 2 has for them, so that no field is copied by hand. An answer is waited for in a
+thread of rclpy: each service has its own, an emergency stop does not stand behind an arming.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from functools import partial
+from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import Twist, TwistStamped
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from std_srvs.srv import Trigger
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
 
-from motord.ros2_rclpy.bridge import TRIGGERS, Bridge, NotTaken
+from motord.bus.inbox import Crossing, Inbox
+from motord.bus.inputs.desk import NotTaken
+from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.delay import Delays
+from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.senders import unnamed
+from motord.sparing import Sparing
 
-NEWEST = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT
-)
-"""Hears reliable writers and others; an old command is worth nothing."""
-SAY_AGAIN_S = 10.0
+ANSWER_WITHIN_S = 30.0
+"""Of a call; the daemon's own deadlines are shorter."""
+RESULT_WITHIN_S = 3660.0
+"""Of an action's goal: each has a time-out of its own, an hour at most."""
+NAMES_EVERY_S = 1.0
+_OWN = "motord_msgs"
+_PARTS = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
+"""Of an action: its services, as ROS 2 names them in Python."""
+
+_log = logging.getLogger(__name__)
 
 
-def spin(bridge: Bridge, arguments: list[str], *, stamped: bool) -> None:
-    """Until the process is told to end."""
-    rclpy.init(args=arguments)
-    node = _node(bridge, stamped)
-    executor = MultiThreadedExecutor(num_threads=len(TRIGGERS) + 1)
-    executor.add_node(node)
+@contextlib.contextmanager
+def opened(name: str, arguments: list[str]) -> Iterator[Node]:
+    """A node of that name, as ROS 2's arguments have it. Its log has what ours says. Its parameters
+    are what it was started with; the services for them are the robot's."""
+    context = Context()
+    rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = Node(
+            name,
+            context=context,
+            start_parameter_services=False,
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        handler = _ToRos(node.get_logger())
+        logging.getLogger().addHandler(handler)
+        try:
+            yield node
+        finally:
+            logging.getLogger().removeHandler(handler)
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def parameters_of(node: Node) -> dict[str, Any]:
+    """What it was started with, by name."""
+    return {name: given.value for name, given in node.get_parameters_by_prefix("").items()}
+
+
+class Ended(Exception):
+    """ROS 2 has shut the node's context down."""
+
+
+class RclpyNode:
+    """Topics and services are made before `run`."""
+
+    def __init__(self, node: Node) -> None:
+        self.remap: dict[str, str] = {}
+        """Unused: ROS 2 has its own rules."""
+        self._node = node
+        self._crossing = Crossing()
+        self._inboxes: list[Inbox[Any]] = []
+        self._threads = 1
+        self._missing: set[str] = set()
+
+    def full(self, name: str) -> str:
+        """A name with its namespace, as ROS 2's remapping has it."""
+        return str(self._node.resolve_topic_name(name.rstrip("/")))
+
+    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
+        """As Node.publisher."""
+        made = None
+        if (found := self._type(kind)) is not None:
+            made = self._node.create_publisher(found, name, _profile(quality or Quality()))
+        return Publisher(made, kind)
+
+    def subscribe(
+        self,
+        name: str,
+        kind: str,
+        take: Callable[[SimpleNamespace, float, str], None],
+        quality: Quality | None = None,
+    ) -> None:
+        """As Node.subscribe."""
+        quality = quality or Quality()
+        ear = _Ear(self._node, name, kind, take)
+        inbox: Inbox[tuple[bytes, Any]] = Inbox(quality.depth, ear.hear)
+        self._inboxes.append(inbox)
+        self._threads += 1
+
+        def taken(raw: bytes, info: Any) -> None:
+            inbox.put((raw, info))
+
+        self._node.create_subscription(
+            self._type(kind), name, taken, _profile(quality),
+            callback_group=MutuallyExclusiveCallbackGroup(), raw=True,
+        )  # fmt: skip
+
+    def serve(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int = 10,
+        together: int = 1,
+    ) -> None:
+        """As Node.serve."""
+        found = self._type(kind)
+        if found is None:
+            return
+        within_s = ANSWER_WITHIN_S if together == 1 else RESULT_WITHIN_S
+        self._threads += together
+        self._node.create_service(
+            found, name, partial(self._answer, name, kind, answer, within_s),
+            qos_profile=_profile(Quality(depth=depth)), callback_group=Several(together),
+        )  # fmt: skip
+
+    def _answer(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        within_s: float,
+        asked: Any,
+        response: Any,
+    ) -> Any:
+        """In a thread of rclpy."""
+        try:
+            request = decode(f"{kind}_Request", serialize_message(asked))
+            told = self._crossing.ask(lambda: answer(request), within_s)
+            return deserialize_message(bytes(encode(f"{kind}_Response", told)), type(response))
+        except (NotTaken, RuntimeError, ValueError) as error:
+            _log.warning("%s: not answered: %s", name, error)
+            if hasattr(response, "message"):
+                response.message = str(error)
+            return response
+
+    def _type(self, kind: str) -> Any:
+        """The class of a type in Python. None, and a word in the log, for one of ours that was not
+        built. Raises ImportError."""
+        package, group, short = kind.split("/")
+        try:
+            module = import_module(f"{package}.{group}")
+        except ImportError:
+            if package != _OWN:
+                raise
+            if _OWN not in self._missing:
+                self._missing.add(_OWN)
+                _log.warning(
+                    "there is no %s in this ROS 2, so there are no actions: motord ros2-msgs WS/src"
+                    " writes it, colcon builds it (docs/ros2.md)", _OWN,
+                )  # fmt: skip
+            return None
+        if group != "action":
+            return getattr(module, short)
+        action, _, part = short.partition("_")
+        return getattr(getattr(module, action).Impl, _PARTS.get(part, part))
+
+    async def run(self) -> None:
+        """Until cancelled. Raises Ended when ROS 2 ends it."""
+        executor = MultiThreadedExecutor(num_threads=self._threads, context=self._node.context)
+        executor.add_node(self._node)
+        for inbox in self._inboxes:
+            inbox.open()
+        async with asyncio.TaskGroup() as tasks:
+            crossing = tasks.create_task(self._crossing.run())
+            try:
+                await asyncio.to_thread(_spin, executor)
+                raise Ended("ROS 2 was told to shut down")
+            finally:
+                rclpy.try_shutdown(
+                    context=self._node.context
+                )  # wakes the executor: its thread ends
+                crossing.cancel()
+
+
+class Publisher:
+    """A topic. Without one (a type that is missing here) nothing is published."""
+
+    def __init__(self, made: Any, kind: str) -> None:
+        self._made, self._kind = made, kind
+        self._voice = Sparing(_log)
+
+    def publish(self, message: Any) -> None:
+        """Never waits; what is not taken is lost."""
+        if self._made is None:
+            return
+        try:
+            self._made.publish(bytes(encode(self._kind, message)))
+        except (RuntimeError, ValueError) as error:  # rclpy's own are RuntimeErrors
+            self._voice.say(f"{self._kind}: not published: {error}")
+
+
+class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when types are checked
+    """So many callbacks at once, no more."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self._most, self._active = most, 0
+        self._lock = threading.Lock()
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002  CallbackGroup's own
+        """One more may begin."""
+        with self._lock:
+            return self._active < self._most
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """One more begins, if it may."""
+        with self._lock:
+            if self._active == self._most:
+                return False
+            self._active += 1
+            return True
+
+    def ending_execution(self, entity: Any) -> None:  # noqa: ARG002
+        """One has ended."""
+        with self._lock:
+            self._active -= 1
+
+
+class _ToRos(logging.Handler):
+    """rclpy knows a place in the source by its severity: each has a line of its own here."""
+
+    def __init__(self, logger: Any) -> None:
+        super().__init__(logging.INFO)
+        self._logger = logger
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """As logging.Handler.emit."""
+        text = record.getMessage()
+        if record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        else:
+            self._logger.info(text)
+
+
+class _Ear:
+    """What comes on a topic, in the event loop."""
+
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        kind: str,
+        take: Callable[[SimpleNamespace, float, str], None],
+    ) -> None:
+        self._node, self._name, self._kind, self._take = node, name, kind, take
+        self._delays, self._voice = Delays(), Sparing(_log)
+        self._names: dict[bytes, str] = {}
+        self._named_s = -NAMES_EVERY_S
+
+    def hear(self, item: tuple[bytes, Any]) -> None:
+        raw, info = item
+        try:
+            message = decode(self._kind, raw)
+        except ValueError as error:
+            self._voice.say(f"{self._name}: not understood: {error}")
+            return
+        # Of which writer it is, only newer versions of rclpy say.
+        gid = bytes((info.get("publisher_gid") or {}).get("data", b""))[:16]
+        waited_s = self._delays.waited_s(gid, info["source_timestamp"])
+        self._take(message, waited_s, self._sender(gid))
+
+    def _sender(self, gid: bytes) -> str:
+        """The name of its node; of all who publish the topic where its writer is not known."""
+        now_s = time.monotonic()
+        if now_s - self._named_s >= NAMES_EVERY_S:
+            self._named_s = now_s
+            self._names = {
+                bytes(found.endpoint_gid)[:16]: (
+                    f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+                )
+                for found in self._node.get_publishers_info_by_topic(self._name)
+            }
+        if gid:
+            return self._names.get(gid) or unnamed(gid)
+        found = sorted(set(self._names.values()))
+        return found[0] if len(found) == 1 else f"one of {', '.join(found) or 'those who left'}"
+
+
+def _profile(quality: Quality) -> QoSProfile:
+    reliability, durability = ReliabilityPolicy, DurabilityPolicy
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=quality.depth,
+        reliability=reliability.RELIABLE if quality.reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if quality.latched else durability.VOLATILE,
+    )
+
+
+def _spin(executor: MultiThreadedExecutor) -> None:
+    """In a thread of its own, until the context ends."""
     try:
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _node(bridge: Bridge, stamped: bool) -> Node:
-    """Each service waits for itself alone: an emergency stop does not stand behind an arming."""
-    node = Node("motord")
-    for method in TRIGGERS:
-        node.create_service(
-            Trigger,
-            f"~/{method}",
-            _answer(bridge, method),
-            callback_group=MutuallyExclusiveCallbackGroup(),
-        )
-
-    def drive(message: Any) -> None:
-        twist, stamp = message, None
-        if stamped:
-            twist = message.twist
-            stamp = (message.header.stamp.sec, message.header.stamp.nanosec)
-        try:
-            bridge.drive(twist.linear.x, twist.angular.z, stamp)
-        except NotTaken as error:
-            node.get_logger().warning(f"cmd_vel: {error}", throttle_duration_sec=SAY_AGAIN_S)
-
-    node.create_subscription(
-        TwistStamped if stamped else Twist,
-        "cmd_vel",
-        drive,
-        NEWEST,
-        callback_group=MutuallyExclusiveCallbackGroup(),
-    )
-    return node
-
-
-def _answer(bridge: Bridge, method: str) -> Any:
-    def answer(_: Any, response: Any) -> Any:
-        response.success, response.message = bridge.call(method)
-        return response
-
-    return answer
+        executor.shutdown(timeout_sec=0)

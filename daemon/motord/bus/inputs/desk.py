@@ -14,10 +14,11 @@ from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.config import StampedInput, TokenInput
+from motord.sparing import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
+    from motord.config import StampedInput
 
 METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
 """What may be called."""
@@ -39,6 +40,8 @@ OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
 ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
 AHEAD = "its stamp is in the future: do the clocks agree?"
+ABSURD = 10.0
+"""Times the limit: OUT_OF_RANGE of csrc/arbiter.c."""
 SAY_AGAIN_S = 10.0
 _SHORT = 40
 
@@ -57,12 +60,13 @@ class Desk:
         self._name = name
         self._station = station
         self._token: Token | None = None
-        if isinstance(section, TokenInput):
-            self._token = Token(station.beside_robot_file(section.token_file))
+        if (token_file := getattr(section, "token_file", None)) is not None:  # of a TokenInput
+            self._token = Token(station.beside_robot_file(token_file))
         self._stamped = section.stamped
         self._joints = {name: place for place, name in enumerate(station.robot.joint)}
         self._calls: Counter[str] = Counter()
         self._said_s = -SAY_AGAIN_S
+        self._voice = Sparing(_log)
         self.source: Source = station.source(name)
         self._gap: Gap = station.gap(section.lease_s)
         self.gap: Gap = station.gap(max(section.lease_s, CALL_OLD_S))
@@ -83,13 +87,29 @@ class Desk:
             case other:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
-    def drive(self, message: object, waited_s: float = 0.0) -> None:
+    def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
         """Pass a Twist or a TwistStamped on. `waited_s`: on its way, as far as that is known; it is
-        the age of one that says none itself. Raises NotTaken."""
+        the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
         linear_m_s, angular_rad_s, age_s = self._twist(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
             raise self._no(self.source.why_lost)
+        self.name_absurd(linear_m_s, angular_rad_s, sender)
+
+    def name_absurd(self, linear_m_s: float, angular_rad_s: float, sender: str) -> None:
+        """Say who sent a command that the loop takes for zero: it counts it, and knows no names."""
+        limits = self._station.robot.limits
+        if (
+            abs(linear_m_s) <= ABSURD * limits.linear_m_s
+            and abs(angular_rad_s) <= ABSURD * limits.angular_rad_s
+        ):
+            return
+        self._voice.say(
+            f"input.{self._name}: {sender or 'somebody'} asks for {linear_m_s:g} m/s,"
+            f" {angular_rad_s:g} rad/s: no number, or more than {ABSURD:g} times the limit in"
+            " the robot file, so it counts as"
+            " zero unless a higher limit is in force: is the unit right?"
+        )
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
         """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to

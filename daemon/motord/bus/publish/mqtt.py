@@ -53,7 +53,7 @@ def _description(section: MqttPublish, station: Station) -> dict[str, Any]:
         "version": SNAPSHOT_VERSION,
         "joints": list(body.joints),
         "frames": {"odom": body.odom_frame, "base": body.base_frame},
-        "base": base.model_dump(mode="json"),
+        "base": dict(vars(base)),
         "topics": {
             name: {"type": TOPICS[name].type_name, "rate_hz": rate_hz}
             for name, rate_hz in section.rates_hz().items()

@@ -24,15 +24,15 @@ from motord.bus.inputs.urgent import Urgent
 from motord.bus.mover import Mover
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.moves import Moves
-from motord.bus.ros2.nodes import node_of
+from motord.bus.ros2.nodes import Node, node_of
 from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import Contest, asker
-from motord.config import Ros2Input, ZenohInput
 
 if TYPE_CHECKING:
     from motord.bus.ros2.receiver import Twists
     from motord.bus.station import Station
+    from motord.config import Ros2Input, ZenohInput
 
 NEWEST = Quality(depth=1, reliable=False)
 """Hears reliable writers and others; an old command is worth nothing."""
@@ -45,11 +45,17 @@ _log = logging.getLogger(__name__)
 
 
 class Ros2Commands:
-    def __init__(self, name: str, section: Ros2Input | ZenohInput, station: Station) -> None:
-        """Raises DdsError."""
+    def __init__(
+        self,
+        name: str,
+        section: Ros2Input | ZenohInput,
+        station: Station,
+        node: Node | None = None,
+    ) -> None:
+        """`node`: one that is there already, instead of the section's. Raises DdsError."""
         self._name = name
         self._desk = Desk(name, section, station)
-        self._node = node_of(station, section)
+        self._node = node or node_of(station, section)
         self._stamped = section.stamped
         self._contests = {
             topic: Contest(f"input.{name}: {self._node.full(topic)}", section.lease_s)
@@ -57,7 +63,7 @@ class Ros2Commands:
         }
         self._desk.source.rivals = self._rivals
         self._urgent = {method: Urgent(name, method, station.call) for method in URGENT}
-        self._twists = self._receiver(section)
+        self._twists = self._receiver(section) if node is None else None
         if self._twists is None:
             kind = "TwistStamped" if section.stamped else "Twist"
             self._node.subscribe("cmd_vel", f"geometry_msgs/msg/{kind}", self._drive, NEWEST)
@@ -92,7 +98,9 @@ class Ros2Commands:
 
     def _receiver(self, section: Ros2Input | ZenohInput) -> Twists | None:
         """Takes cmd_vel without Python. None: it comes as all else does."""
-        if isinstance(section, ZenohInput) or not section.stamped:
+        from motord.config import Ros2Input  # not needed where the node is made elsewhere
+
+        if not isinstance(section, Ros2Input) or not section.stamped:
             return None
         from motord.bus.ros2 import node, receiver
 
@@ -102,14 +110,16 @@ class Ros2Commands:
         reader = over.reader("cmd_vel", receiver.TYPE, receiver.NEWEST_FEW)
 
         def taken(writer: int, command: tuple[float, float], now_s: float) -> None:
+            sender = over.writer_of(reader, writer)
             self._mover.driven(now_s)
-            self._contests["cmd_vel"].heard(over.writer_of(reader, writer), command, now_s)
+            self._desk.name_absurd(*command, sender)
+            self._contests["cmd_vel"].heard(sender, command, now_s)
 
         return receiver.Twists(made, reader, self._desk, taken)
 
     def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):  # said by the desk
-            self._desk.drive(_as_mapping(message), waited_s)
+            self._desk.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
             self._contests["cmd_vel"].heard(sender, (twist.linear.x, twist.angular.z))

@@ -12,17 +12,11 @@ import asyncio
 import logging
 import os
 import threading
-from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
 from typing import Any, Literal
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
-from cyclonedds.builtin import (
-    BuiltinDataReader,
-    BuiltinTopicDcpsPublication,
-    BuiltinTopicDcpsSubscription,
-)
 from cyclonedds.core import (
     DDSException,
     GuardCondition,
@@ -41,9 +35,8 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from motord.bus.ros2.cyclone_types import cyclone_type
-from motord.bus.ros2.other_types import Side, other_type_said
+from motord.bus.ros2.discovered import Discovered
 from motord.bus.ros2.quality import Quality
-from motord.sparing import Sparing
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
@@ -53,7 +46,6 @@ BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
 _LOOK_EVERY_S = 2.0
-_LOOK_AT_MOST = 64
 _FATAL_AND_ERROR = 0x3
 """DDS_LC_FATAL and DDS_LC_ERROR of dds/ddsrt/log.h."""
 _WRITERS_MAX = 256
@@ -90,7 +82,7 @@ def _domain(domain_id: int, xml: str) -> Domain:
 
 def _quiet() -> None:
     """Cyclone warns of each request that it cannot read, on standard error: a flood, and
-    `_Discovered` has named the client. What it warns of its configuration is said before."""
+    `Discovered` has named the client. What it warns of its configuration is said before."""
     load_cyclonedds().dds_set_log_mask(_FATAL_AND_ERROR)
 
 
@@ -200,10 +192,6 @@ class Reader:
 
 
 _MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
-_OTHER_MIDDLEWARE = (
-    "a client whose middleware is not Cyclone DDS (as rmw_fastrtps, the default of Jazzy) gets no"
-    " answer: run it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or run the bridge (ros2-rclpy)"
-)
 _POLICIES = {
     2: "durability (volatile or transient local)",
     11: "reliability (best effort or reliable)",
@@ -215,44 +203,6 @@ _POLICIES = {
 
 def _policy(number: int) -> str:
     return _POLICIES.get(number, f"quality of service number {number}")
-
-
-def client_of(qos: Any) -> bytes | None:
-    """`clientid` in an endpoint's user data: rmw_cyclonedds gives it to every client of a
-    service."""
-    for policy in qos:
-        if getattr(policy, "__scope__", "") == "Userdata":
-            for pair in policy.data.split(b";"):
-                key, _, value = pair.partition(b"=")
-                if key == b"clientid":
-                    return bytes(value)
-    return None
-
-
-class _Discovered:
-    """Endpoints of the domain that have come since the last look."""
-
-    def __init__(self, participant: DomainParticipant) -> None:
-        self._voices: defaultdict[str, Sparing] = defaultdict(lambda: Sparing(_log))
-        """By topic of ours, so that there are not more of them than of these."""
-        self._readers: dict[Side, Any] = {
-            "writer": BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
-            "reader": BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
-        }
-
-    def look(self, side: Side, ours: dict[str, str], requests: set[str]) -> None:
-        """`ours`: by topic, the type that we have on the other side."""
-        try:
-            found = self._readers[side].take(N=_LOOK_AT_MOST)
-        except DDSException as error:
-            self._voices[side].say(f"DDS does not tell of {side}s: {error.msg}")
-            return
-        for one in found:
-            topic = one.topic_name
-            if topic in ours and (said := other_type_said(topic, side, ours[topic], one.type_name)):
-                self._voices[topic].say(said)
-            elif topic in requests and client_of(one.qos) is None:
-                self._voices[topic].say(f"{topic}: {_OTHER_MIDDLEWARE}")
 
 
 class Participant:
@@ -274,7 +224,11 @@ class Participant:
         self._read: dict[str, str] = {}
         self._written: dict[str, str] = {}
         """Types by topic."""
-        self._requests: set[str] = set()
+        self._services: dict[str, str] = {}
+        """Names by their topics of requests."""
+        self._mute: list[DataWriter[Any]] = []
+        self.node_of: Callable[[bytes], str | None] = lambda _: None
+        """Whose an endpoint is."""
         self._guard = GuardCondition(self.entity)
         self._arrived = asyncio.Event()
         self._taken = threading.Event()
@@ -282,19 +236,28 @@ class Participant:
         self._broken: DDSException | None = None
 
     def writer(
-        self, topic: str, kind: str, quality: Quality, user_data: str, *, service: bool = False
+        self, topic: str, kind: str, quality: Quality, user_data: str, service: str | None = None
     ) -> Writer:
-        """Of a type of `types.TYPES`. Raises DdsError."""
+        """Of a type of `types.TYPES`; `service`: whose replies it writes. Raises DdsError."""
+        entity = self._writer(topic, kind, quality, user_data, service)
+        if service is None:
+            self._written[topic] = kind
+        self.writers.append(Writer(entity, topic))
+        return self.writers[-1]
+
+    def mute_writer(self, topic: str, kind: str, quality: Quality, user_data: str) -> None:
+        """One more writer of a service's replies, which never writes. Raises DdsError."""
+        self._mute.append(self._writer(topic, kind, quality, user_data, topic))
+
+    def _writer(
+        self, topic: str, kind: str, quality: Quality, user_data: str, service: str | None
+    ) -> DataWriter[Any]:
         try:
-            entity = DataWriter(
+            return DataWriter(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error
-        if not service:
-            self._written[topic] = kind
-        self.writers.append(Writer(entity, topic))
-        return self.writers[-1]
 
     def reader(
         self,
@@ -303,27 +266,28 @@ class Participant:
         quality: Quality,
         user_data: str,
         take: Callable[[bytes, Any], None] | None,
-        *,
-        service: bool = False,
+        service: str | None = None,
     ) -> Reader:
         """`take` is called in the event loop for each sample, with DDS's word on it, and must not
-        raise; None: its samples are taken elsewhere. Raises DdsError."""
+        raise; None: its samples are taken elsewhere. `service`: whose requests it reads. Raises
+        DdsError."""
         try:
             entity = DataReader(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
             )
         except DDSException as error:
             raise DdsError(f"{topic}: {error.msg}") from error
-        if service:
-            self._requests.add(topic)
-        else:
+        if service is None:
             self._read[topic] = kind
+        else:
+            self._services[topic] = service
         self.readers.append(Reader(entity, topic, quality, take))
         return self.readers[-1]
 
-    def _topic(self, name: str, kind: str, service: bool) -> Topic[Any]:
+    def _topic(self, name: str, kind: str, service: str | None) -> Topic[Any]:
         if name not in self._topics:
-            self._topics[name] = Topic(self.entity, name, cyclone_type(kind, service=service))
+            made = cyclone_type(kind, service=service is not None)
+            self._topics[name] = Topic(self.entity, name, made)
         return self._topics[name]
 
     async def run(self) -> None:
@@ -355,13 +319,12 @@ class Participant:
 
     async def _say_mismatches(self) -> None:
         endpoints: tuple[Reader | Writer, ...] = (*self.readers, *self.writers)
-        discovered = _Discovered(self.entity)
+        discovered = Discovered(self.entity, self._services, self.node_of)
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             for endpoint in endpoints:
                 endpoint.say_mismatch()
-            discovered.look("writer", self._read, self._requests)
-            discovered.look("reader", self._written, set())
+            discovered.look(self._read, self._written)
 
     def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
         """In a thread of its own: tell the loop of arrivals, one word at a time."""

@@ -272,6 +272,38 @@ State[] available_states
 === lifecycle_msgs/srv/GetAvailableTransitions_Request
 === lifecycle_msgs/srv/GetAvailableTransitions_Response
 TransitionDescription[] available_transitions
+=== type_description_interfaces/msg/FieldType
+uint8 type_id
+uint64 capacity
+uint64 string_capacity
+string<=255 nested_type_name
+=== type_description_interfaces/msg/Field
+string name
+FieldType type
+string default_value
+=== type_description_interfaces/msg/IndividualTypeDescription
+string<=255 type_name
+Field[] fields
+=== type_description_interfaces/msg/TypeDescription
+IndividualTypeDescription type_description
+IndividualTypeDescription[] referenced_type_descriptions
+=== type_description_interfaces/msg/TypeSource
+string type_name
+string encoding
+string raw_file_contents
+=== type_description_interfaces/msg/KeyValue
+string key
+string value
+=== type_description_interfaces/srv/GetTypeDescription_Request
+string type_name
+string type_hash
+bool include_type_sources
+=== type_description_interfaces/srv/GetTypeDescription_Response
+bool successful
+string failure_reason
+TypeDescription type_description
+TypeSource[] type_sources
+KeyValue[] extra_information
 """
 
 ACTIONS = """

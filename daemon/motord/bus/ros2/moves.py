@@ -114,7 +114,7 @@ class Moves:
 
         async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
             try:
-                with StatePage.open(self._station.robot.robot.name) as page:
+                with self._station.page() as page:
                     return await self._watch(asked, page, tell, cancel)
             except NoPage as error:
                 return Status.ABORTED, _with(_CALIBRATE_NOTHING, message=str(error))

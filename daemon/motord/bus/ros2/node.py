@@ -18,7 +18,7 @@ from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service
-from motord.bus.ros2.types import type_hash
+from motord.bus.ros2.types import type_hash, with_parts
 from motord.sparing import Sparing
 
 _GRAPH_TYPES = {
@@ -73,6 +73,7 @@ class Node:
         self.name = name
         self.namespace = namespace
         self.remap: dict[str, str] = {}
+        self.types: set[str] = set()
         self._participant = Participant(domain_id, discovery, interface)
         self._readers: list[Reader] = []
         self._writers: list[Writer] = []
@@ -84,6 +85,7 @@ class Node:
             names.GRAPH_TOPIC, self._graph_type, _GRAPH_QUALITY, _typed(self._graph_type)
         )
         self._others = Graph()
+        self._participant.node_of = self._others.node
         self._participant.reader(
             names.GRAPH_TOPIC, self._graph_type, _OTHERS_QUALITY, _typed(self._graph_type),
             self._learn,
@@ -102,6 +104,7 @@ class Node:
         """Of a type of `types.TYPES`. Raises DdsError."""
         topic = names.topic(self.full(name))
         writer = self._participant.writer(topic, kind, quality or Quality(), _typed(kind))
+        self.types.add(kind)
         self._writers.append(writer)
         return Publisher(writer, kind)
 
@@ -128,6 +131,7 @@ class Node:
 
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
         self._readers.append(reader)
+        self.types.add(kind)
 
     def reader(self, name: str, kind: str, quality: Quality) -> Reader:
         """A topic whose samples are taken elsewhere, as they come. Raises DdsError."""
@@ -152,6 +156,7 @@ class Node:
         service = Service(
             self._participant, self.full(name), kind, answer, self._others.name, depth, together
         )
+        self.types.update(with_parts(kind))
         self._services.append(service)
         self._readers.append(service.reader)
         self._writers.append(service.writer)

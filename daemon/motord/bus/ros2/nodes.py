@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
-from motord.config import Ros2Node, ZenohNode
+from motord.bus.ros2.type_descriptions import TypedNode, serve_types
 
 if TYPE_CHECKING:
     from motord.bus.station import Station
+    from motord.config import Ros2Node, ZenohNode
 
 
 class Teller(Protocol):
@@ -66,25 +67,36 @@ class Node(Protocol):
         ...
 
 
+class _OwnNode(Node, TypedNode, Protocol):
+    """One without an installed ROS 2, which would say itself what its types are made of."""
+
+
 _Key = tuple[type, str, str, int]
-_nodes: WeakKeyDictionary[Station, dict[_Key, Node]] = WeakKeyDictionary()
+_nodes: WeakKeyDictionary[Station, dict[_Key, _OwnNode]] = WeakKeyDictionary()
 
 
 def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
     """Made when first asked for. Raises DdsError, ValueError for a router that cannot be, and
     ImportError where the middleware's package is missing."""
     nodes = _nodes.setdefault(station, {})
+    from motord.config import Ros2Node, ZenohNode  # not needed where the node is made elsewhere
+
     over = ZenohNode if isinstance(section, ZenohNode) else Ros2Node
     key = (over, section.node_name, section.namespace, section.domain_id)
-    if key not in nodes:
+    fresh = key not in nodes
+    if fresh:
         nodes[key] = _made(station, section)
     nodes[key].remap.update(section.remap)
+    if fresh:
+        serve_types(nodes[key])
     return nodes[key]
 
 
-def _made(station: Station, section: Ros2Node | ZenohNode) -> Node:
+def _made(station: Station, section: Ros2Node | ZenohNode) -> _OwnNode:
     """A robot loads only the middleware that it has."""
     names = (section.node_name, section.namespace, section.domain_id)
+    from motord.config import Ros2Node
+
     if isinstance(section, Ros2Node):
         from motord.bus.ros2 import node
 

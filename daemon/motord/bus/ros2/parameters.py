@@ -7,13 +7,15 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import NotTaken
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
 from motord.bus.tunable import Call, Tunable, value_of
-from motord.config import Robot
+
+if TYPE_CHECKING:
+    from motord.config import Robot
 
 NOT_SET, DOUBLE = 0, 3
 """rcl_interfaces/msg/ParameterType."""

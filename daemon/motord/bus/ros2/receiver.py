@@ -18,12 +18,15 @@ from typing import Any, Protocol
 from motord.bus.inputs.desk import AHEAD, ZERO_STAMP, Desk
 from motord.bus.link import NO_LEASE, SOCKET_FULL
 from motord.bus.ros2.quality import Quality
+from motord.deadline import within
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 NEWEST_FEW = Quality(depth=8, reliable=False)
 """Each has a stamp, so that an old one is not obeyed; they are handed on in their order."""
 TRIED = ("11.",)
 """Versions of the binding whose C library is known to have what is called, as it is called."""
+ALIVE_EVERY_S = 0.2
+_HUNG = "this process stood still, and would not have heard a stop"
 _BROKEN = "the daemon's command socket does not take it"
 
 _log = logging.getLogger(__name__)
@@ -102,6 +105,10 @@ class Receiver:
             yield one
 
     # ------------------------------------------------------------------------------ its lease
+    def alive(self) -> None:
+        """The event loop runs: without a sign of that for 2 s nothing is handed on."""
+        self._lib.receiver_alive(self._number)
+
     @property
     def direct(self) -> int:
         """Commands that it has sent."""
@@ -150,7 +157,10 @@ class Twists:
             source.lend(self._receiver)
             try:
                 while True:
-                    await news.wait()
+                    self._receiver.alive()
+                    with suppress(TimeoutError):
+                        async with within(ALIVE_EVERY_S):
+                            await news.wait()
                     news.clear()
                     self.look()
             finally:
@@ -166,7 +176,8 @@ class Twists:
         source = self._desk.source
         source.sent += self._more("taken", report.taken)
         for why, count in (
-            (NO_LEASE, report.unleased), (SOCKET_FULL, report.full), (_BROKEN, report.broken),
+            (NO_LEASE, report.unleased), (_HUNG, report.hung), (SOCKET_FULL, report.full),
+            (_BROKEN, report.broken),
         ):  # fmt: skip
             more = self._more(why, count)
             source.lost += more

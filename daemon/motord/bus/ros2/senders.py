@@ -46,12 +46,13 @@ class Graph:
         if len(self._members) > _PARTICIPANTS_MAX:
             self._members.popitem(last=False)
 
+    def node(self, gid: bytes) -> str | None:
+        """Name of the node that has this endpoint."""
+        return next((own[gid] for own in self._members.values() if gid in own), None)
+
     def name(self, gid: bytes) -> str:
         """Of the node that has this endpoint; the endpoint itself where no node is known."""
-        for members in self._members.values():
-            if gid in members:
-                return members[gid]
-        return unnamed(gid)
+        return self.node(gid) or unnamed(gid)
 
 
 def _printable(name: str) -> str:

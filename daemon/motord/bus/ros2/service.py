@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS 2 service as rmw_cyclonedds has it: a topic of requests and one of replies, each beginning
 with who asks and the question's number. Clients on another DDS middleware carry these outside of
-the message, where the binding does not show them: they see the service and get no answer."""
+the message, where the binding neither shows them nor lets us write them: a call would wait for
+ever. So the service is not available to them: rmw_fastrtps takes one for available that has as many
+writers of replies as readers of requests (rmw_service_server_is_available.cpp), and there is one
+more. rmw_cyclonedds looks for a pair with one `serviceid`, and does not mind."""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ from cyclonedds.core import DDSException
 
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
-from motord.bus.ros2.dds import Participant, client_of
+from motord.bus.ros2.dds import Participant
+from motord.bus.ros2.discovered import client_of
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import asker
 from motord.bus.ros2.types import type_hash
@@ -64,13 +68,16 @@ class Service:
         def said(of: str) -> str:
             return f"serviceid={service_id};typehash={type_hash(of)};"
 
+        # The reader last: nobody finds it with one writer.
+        participant.mute_writer(
+            names.reply(name), self._reply, quality, f"typehash={type_hash(self._reply)};"
+        )
         self.writer = participant.writer(
-            names.reply(name), self._reply, quality, said(self._reply), service=True
+            names.reply(name), self._reply, quality, said(self._reply), name
         )
         self.reader = participant.reader(
-            names.request(name), self._request, quality, said(self._request), self._take,
-            service=True,
-        )  # fmt: skip
+            names.request(name), self._request, quality, said(self._request), self._take, name
+        )
 
     def _take(self, raw: bytes, info: Any) -> None:
         try:

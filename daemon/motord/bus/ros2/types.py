@@ -145,7 +145,7 @@ def definition(name: str) -> str:
     separator = "=" * 80
     return message_definition(name) + "".join(
         f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{message_definition(other)}"
-        for other in _made_of(name)
+        for other in made_of(name)
     )
 
 
@@ -166,7 +166,7 @@ def _line(field: Field) -> str:
     return f"{field.kind.replace('/msg/', '/')}{bound}{count} {field.name}"
 
 
-def _made_of(name: str) -> list[str]:
+def made_of(name: str) -> list[str]:
     """Every type that it needs, sorted."""
     found: set[str] = set()
     todo = [name]
@@ -178,14 +178,19 @@ def _made_of(name: str) -> list[str]:
     return sorted(found)
 
 
+def description(name: str) -> dict[str, Any]:
+    """As type_description_interfaces/TypeDescription has it, without default values. Raises
+    KeyError for a type that is not known."""
+    return {
+        "type_description": _described(name),
+        "referenced_type_descriptions": [_described(other) for other in made_of(name)],
+    }
+
+
 @cache
 def type_hash(name: str) -> str:
     """`RIHS01_` and 64 hexadecimal digits. Raises KeyError for a type that is not known."""
-    description = {
-        "type_description": _described(name),
-        "referenced_type_descriptions": [_described(other) for other in _made_of(name)],
-    }
-    text = json.dumps(description, separators=(", ", ": "))
+    text = json.dumps(description(name), separators=(", ", ": "))
     return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
 
@@ -208,3 +213,8 @@ def _type_of(field: Field) -> dict[str, Any]:
         "string_capacity": field.chars_max,
         "nested_type_name": "" if field.primitive else field.kind,
     }
+
+
+def with_parts(service: str) -> tuple[str, str, str]:
+    """A service, its request and its reply."""
+    return service, f"{service}_Request", f"{service}_Response"

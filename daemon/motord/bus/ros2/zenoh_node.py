@@ -16,6 +16,7 @@ import zenoh
 
 from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Distribution, Quality
+from motord.bus.ros2.types import with_parts
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
 from motord.deadline import within
@@ -85,6 +86,7 @@ class ZenohNode:
         self.name = name
         self.namespace = namespace
         self.remap: dict[str, str] = {}
+        self.types: set[str] = set()
         self._domain_id = domain_id
         self._router = router
         self._configuration = router.configuration()
@@ -104,6 +106,7 @@ class ZenohNode:
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
         """Of a type of `types.TYPES`."""
+        self.types.add(kind)
         publisher = Publisher(self.full(name), kind, quality or Quality())
         self._endpoints.append(publisher)
         return publisher
@@ -117,6 +120,7 @@ class ZenohNode:
     ) -> None:
         """`take` is called for each message, in the event loop, and told how long in s it waited on
         its way, and whose it is."""
+        self.types.add(kind)
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(
@@ -128,6 +132,7 @@ class ZenohNode:
         together: int = 1,
     ) -> None:
         """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
+        self.types.update(with_parts(kind))
         service = Service(self.full(name), kind, answer, depth, together)
         self._services.append(service)
         self._endpoints.append(service)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord-bus`: the second process. It has no devices and asks for no
+privileges; it may crash, hang or be slow."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import signal
+import sys
+from pathlib import Path
+
+import click
+
+from motord import log
+from motord.bus.station import Station
+from motord.client import ClientError, find_socket
+from motord.config import ConfigError, Robot, load_robot
+
+BEAT_EVERY_S = 1.0
+_FAILED, _USAGE = 1, 2
+
+_log = logging.getLogger(__name__)
+
+
+@click.command
+@click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="As motord run has it."
+)
+@click.option(
+    "--socket",
+    "path",
+    metavar="PATH",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The daemon's local socket; found by the robot's name otherwise.",
+)
+@click.option(
+    "--supervised",
+    is_flag=True,
+    help="The daemon started it: ends with standard input, and says on standard output that it"
+    " lives.",
+)
+def main(
+    robot_file: Path, overrides: tuple[str, ...], path: Path | None, *, supervised: bool
+) -> None:
+    """Bring a running robot to the buses of its file: [publish.*] and [input.*].
+
+    The daemon starts it by itself; a service manager may do so in its place.
+
+    \b
+    Example: motord-bus robot.toml
+    """
+    beats = _own_output() if supervised else None
+    log.set_up()
+    try:
+        robot = load_robot(robot_file, overrides)
+    except ConfigError as error:
+        click.echo(str(error), err=True)
+        sys.exit(_USAGE)
+    try:
+        path = path or find_socket(robot.robot.name)
+    except ClientError as error:
+        _log.error("%s", error)
+        sys.exit(_FAILED)
+    asyncio.run(_run(robot, path, beats))
+
+
+def _own_output() -> int:
+    """A descriptor of the daemon's pipe that nobody else writes to: what libraries print goes to
+    standard error."""
+    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # never 2, if the daemon has none
+    elsewhere = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
+    os.dup2(elsewhere, 1)
+    return fd
+
+
+async def _run(robot: Robot, path: Path, beats: int | None) -> None:
+    """`beats`: where to say that it lives, if the daemon wants to know."""
+    station, end = Station(robot, path), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if beats is not None:
+        loop.add_reader(sys.stdin.fileno(), _until_closed, sys.stdin.fileno(), end)
+    async with asyncio.TaskGroup() as tasks:
+        work = [tasks.create_task(station.run())]
+        if beats is not None:
+            work.append(tasks.create_task(_beat(station, beats)))
+        await end.wait()
+        for task in work:
+            task.cancel()
+
+
+def _until_closed(fd: int, end: asyncio.Event) -> None:
+    if not os.read(fd, 4096):
+        asyncio.get_running_loop().remove_reader(fd)
+        end.set()
+
+
+async def _beat(station: Station, fd: int) -> None:
+    """A line of figures a second: who reads none for long takes this process for hung."""
+    os.set_blocking(fd, False)  # a pipe of our own
+    while True:
+        line = json.dumps(station.figures(), separators=(",", ":")).encode() + b"\n"
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            os.write(fd, line)
+        await asyncio.sleep(BEAT_EVERY_S)

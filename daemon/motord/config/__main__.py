@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The child of a process that lives long: reads one robot file for it (validation.py). The question
+comes on standard input, the answer goes to standard output, both as Python's objects."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import sys
+
+from motord.config.load import answer
+
+
+def main() -> None:
+    """Answer, if there is a question."""
+    if raw := sys.stdin.buffer.read():
+        answered = pickle.dumps(answer(*pickle.loads(raw)))
+        # nobody wants to know any more: no error
+        with contextlib.suppress(BrokenPipeError), os.fdopen(os.dup(1), "wb") as answers:
+            answers.write(answered)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the local socket's methods: a dataclass for each method, whose fields say what they
+take. Python's own types and a few ranges: a library for this takes 6 MB of the daemon's memory.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass
+from typing import Any, TypeGuard
+
+Check = Callable[[Any], Any]
+"""From what the JSON says to the value. Raises ValueError: why not, in a few words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Params:
+    """Parameters by name; this one takes none."""
+
+
+def _is_text(value: Any) -> TypeGuard[str]:
+    """Half a surrogate pair (RFC 8259, section 8.2) could not be logged or sent on."""
+    try:
+        return isinstance(value, str) and value.encode() is not None
+    except UnicodeEncodeError:
+        return False
+
+
+def _taking(check: Check, default: Any) -> Any:
+    return dataclasses.field(default=default, metadata={"check": check})
+
+
+def number(
+    low: float = -math.inf, high: float = math.inf, *, whole: bool = False, default: Any = MISSING
+) -> Any:
+    """A finite number within low..high. Where the default is None, null is taken too."""
+    span = f" of {low:g} to {high:g}" if math.isfinite(low) and math.isfinite(high) else ""
+
+    def check(value: Any) -> float | None:
+        if value is None and default is None:
+            return None
+        good = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        if not good or not math.isfinite(value) or not low <= value <= high:
+            raise ValueError(f"must be a {'whole ' if whole else ''}number{span}")
+        return value if whole else float(value)
+
+    return _taking(check, default)
+
+
+def text(chars_max: int, pattern: str = "", *, default: Any = MISSING) -> Any:
+    """A string of at most so many characters, which matches the pattern as a whole."""
+    # the length is no part of the pattern: 64 times all letters of Unicode take 1.6 MB
+    matches = re.compile(pattern or "(?s:.*)").fullmatch
+
+    def check(value: Any) -> str:
+        if not _is_text(value) or len(value) > chars_max:
+            raise ValueError(f"must be a string of at most {chars_max} characters")
+        if not matches(value):
+            raise ValueError(f"must match {pattern}")
+        return value
+
+    return _taking(check, default)
+
+
+def names() -> Any:
+    """A list of strings; none by default."""
+
+    def check(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(map(_is_text, value)):
+            raise ValueError("must be a list of strings")
+        return tuple(value)
+
+    return _taking(check, ())
+
+
+def checked(kind: type[Params], raw: Mapping[str, Any]) -> Params:
+    """The parameters. Raises ValueError with all that is wrong, in one line."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    problems = [f"{name}: there is no such parameter" for name in raw if name not in fields]
+    values = {}
+    for name, field in fields.items():
+        if name in raw:
+            try:
+                values[name] = field.metadata["check"](raw[name])
+            except (ValueError, OverflowError) as error:
+                problems.append(f"{name}: {error}")
+        elif field.default is MISSING:
+            problems.append(f"{name}: is missing")
+    if problems:
+        raise ValueError("; ".join(problems))
+    return kind(**values)

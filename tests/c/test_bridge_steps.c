@@ -1,0 +1,261 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_bridge_steps: the levels of a bridge's pins, step by step and to the nanosecond; and each edge of its config. */
+#include <errno.h>
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+
+#include "check.h"
+#include "rt.h"
+
+static const int64_t MS = 1000000, START_NS = 5000000000;
+
+/* Each mode has a level of its own, and its own share of the duty. */
+static bridge_config two_motors(void)
+{
+    bridge_config config = {
+        .outputs_fd = 0, .inputs_fd = -1, .event_fd = -1, .period_ns = 1, .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS, .joint_count = 2, .output_count = 2,
+        .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}, {.index = 1, .sign = -1.0, .rest_mode = BRIDGE_COAST}},
+    };
+    for (uint32_t i = 0; i < 2; i++)
+        config.output[i] = (bridge_pin){.joint = i, .fd = -1, .bit = i, .base = {0.1, 0.2, 0.3, 0.4},
+                                        .slope = {0.05, 0.15, 0.25, 0.35}};
+    return config;
+}
+
+typedef struct {
+    bridge_config config;
+    bridge_state state;
+    bridge_control control;
+    setpoints newest;
+    int64_t now_ns, age_ns;
+    double level[PWM_OUTPUTS_MAX];
+} bench;
+
+static bench begun(void)
+{
+    bench b = {.config = two_motors(), .now_ns = START_NS,
+               .newest = {.enabled = 1, .joint_count = 2, .joint = {{.duty = 0.5}, {.duty = 0.5}, {.duty = 0.7}}}};
+    return b;
+}
+
+static const double *steps_on(bench *b, int64_t after_ns)
+{
+    b->now_ns += after_ns;
+    b->newest.stamp_ns = b->now_ns - b->age_ns;
+    for (int i = 0; i < PWM_OUTPUTS_MAX; i++)
+        b->level[i] = 77.0;
+    bridge_step(&b->state, &b->config, &b->control, &b->newest, b->now_ns, b->level);
+    for (uint32_t i = b->config.output_count; i < PWM_OUTPUTS_MAX; i++)
+        CHECK(b->level[i] == 77.0);
+    return b->level;
+}
+
+static const double *asks(bench *b, uint32_t wish)
+{
+    b->control.wish = wish;
+    b->control.number++;
+    return steps_on(b, MS);
+}
+
+static bool is(double value, double expected)
+{
+    return fabs(value - expected) < 1e-12;
+}
+
+static void each_mode_has_its_level(void)
+{
+    bench b = begun();
+    steps_on(&b, 0);
+    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1); /* no power */
+    asks(&b, PWM_ARMED);
+    CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && is(b.level[1], 0.4 + 0.35 * 0.5));
+    b.newest.joint[0].duty = 0.05, b.newest.joint[1].duty = -0.05;
+    steps_on(&b, MS);
+    CHECK(is(b.level[0], 0.3 + 0.25 * 0.05) && is(b.level[1], 0.3 + 0.25 * 0.05));
+    b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
+    steps_on(&b, MS);
+    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each rests in its way */
+    for (int way = -1; way <= 1; way += 2)
+        for (int i = 0; i < 4; i++) {
+            b.newest.joint[0].duty = way * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
+            CHECK(is(steps_on(&b, MS)[0], way > 0 ? 0.3 + 0.25 : 0.4 + 0.35));
+        }
+    asks(&b, PWM_STOP);
+    CHECK(b.level[0] == 0.2 && b.level[1] == 0.2);
+    CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && b.state.stop_until_ns == 0);
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.armed == 1);
+    asks(&b, PWM_OFF);
+    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1 && b.state.stop_until_ns == 0);
+}
+
+static void a_joint_that_the_set_points_do_not_have_rests(void)
+{
+    bench b = begun();
+    b.config.joint[1].index = 2;
+    asks(&b, PWM_ARMED);
+    CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
+}
+
+static void each_reason_of_a_demotion_stays_until_it_is_armed_again(void)
+{
+    bench b = begun();
+    asks(&b, PWM_ARMED);
+    steps_on(&b, 100 * MS); /* as long as set-points count */
+    CHECK(b.state.armed == 1 && b.state.demoted == 0);
+    steps_on(&b, 100 * MS + 1);
+    CHECK(b.state.demoted == PWM_DEMOTED_LEFT_ALONE && b.level[0] == 0.2);
+    b.age_ns = 100 * MS + 1;
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.armed == 0 && b.state.demoted == (PWM_DEMOTED_LEFT_ALONE | PWM_DEMOTED_OLD));
+    CHECK(b.state.stop_until_ns == 0 && b.level[0] == 0.1);
+    b.age_ns = 100 * MS;
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.armed == 1 && b.state.demoted == 0);
+    b.age_ns = 100 * MS + 1;
+    steps_on(&b, MS);
+    CHECK(b.state.demoted == PWM_DEMOTED_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
+    b.age_ns = 0;
+    b.control.number++;
+    asks(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
+    CHECK(b.state.armed == 0 && b.state.demoted == 0 && b.state.stop_until_ns == 0 && b.level[0] == 0.1);
+}
+
+static void one_that_is_armed_while_it_brakes_does_not_brake_any_more(void)
+{
+    bench b = begun();
+    asks(&b, PWM_ARMED);
+    asks(&b, PWM_STOP);
+    CHECK(b.state.stop_until_ns == b.now_ns + 300 * MS);
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.armed == 1 && b.state.stop_until_ns == 0);
+}
+
+/* The core may enable it later; once it has, even between two looks, the end of that takes the power. */
+static void one_that_was_enabled_and_is_no_more_has_no_power(void)
+{
+    bench b = begun();
+    b.state.enabled_count = 5;
+    b.newest.enabled = 0;
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.armed == 1 && b.level[0] == 0.2 && b.level[1] == 0.1);
+    steps_on(&b, MS);
+    CHECK(b.state.armed == 1);
+    b.state.enabled_count = 6;
+    steps_on(&b, MS);
+    CHECK(b.state.demoted == PWM_DEMOTED_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
+    asks(&b, PWM_ARMED);
+    b.newest.enabled = 1;
+    steps_on(&b, MS);
+    CHECK(b.state.armed == 1 && is(b.level[0], 0.3 + 0.25 * 0.5));
+    b.newest.enabled = 0;
+    steps_on(&b, MS);
+    CHECK(b.state.demoted == PWM_DEMOTED_NOT_ENABLED && b.state.armed == 0);
+}
+
+static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
+{
+    bridge_pin pin = {.period_ns = 1000};
+    CHECK(bridge_duty_ns(&pin, 0.05) == 50 && bridge_duty_ns(&pin, 0.00145) == 1 && bridge_duty_ns(&pin, 0.00155) == 2);
+    CHECK(bridge_duty_ns(&pin, 0.0) == 0 && bridge_duty_ns(&pin, 1.0) == 1000 && bridge_duty_ns(&pin, 1.05) == 1000);
+    pin.period_ns = (UINT64_C(1) << 53) + 3; /* the nearest double is more */
+    CHECK(bridge_duty_ns(&pin, 1.0) == pin.period_ns);
+    pin.period_ns = 1000;
+    pin.inverted = 1;
+    CHECK(bridge_duty_ns(&pin, 0.0) == 1000 && bridge_duty_ns(&pin, 1.0) == 0 && bridge_duty_ns(&pin, INFINITY) == 0);
+}
+
+#define ALLOWED(field, value) expects(0, &config, (config = two_motors(), config.field = value, 0))
+#define REFUSED(field, value) expects(-EINVAL, &config, (config = two_motors(), config.field = value, 0))
+
+static void expects(int verdict, const bridge_config *config, int changed)
+{
+    CHECK(changed == 0 && bridge_config_check(config) == verdict);
+}
+
+static void each_number_of_a_config_ends_where_it_says(void)
+{
+    bridge_config config = two_motors();
+    CHECK(bridge_config_check(&config) == 0);
+    REFUSED(joint_count, 0);
+    REFUSED(joint_count, JOINTS_MAX + 1);
+    REFUSED(output_count, 0);
+    REFUSED(output_count, PWM_OUTPUTS_MAX + 1);
+    REFUSED(period_ns, 0);
+    REFUSED(setpoint_timeout_ns, 0);
+    ALLOWED(setpoint_timeout_ns, 1);
+    ALLOWED(stopping_ns, 0);
+    REFUSED(stopping_ns, -1);
+    ALLOWED(priority, 99);
+    REFUSED(priority, 100);
+    REFUSED(priority, -1);
+    REFUSED(outputs_fd, -1);
+    for (uint32_t i = 0; i < 2; i++) {
+        ALLOWED(joint[i].index, JOINTS_MAX - 1);
+        REFUSED(joint[i].index, JOINTS_MAX);
+        REFUSED(joint[i].sign, 0.0);
+        REFUSED(joint[i].sign, 2.0);
+        REFUSED(joint[i].sign, -2.0);
+        REFUSED(joint[i].sign, (double)NAN);
+        ALLOWED(joint[i].rest_mode, BRIDGE_BRAKE);
+        ALLOWED(joint[i].rest_mode, BRIDGE_COAST);
+        REFUSED(joint[i].rest_mode, BRIDGE_FORWARD);
+        REFUSED(joint[i].encoder.kind, 99);
+        REFUSED(output[i].joint, 2);
+        ALLOWED(output[i].bit, 63);
+        REFUSED(output[i].bit, 64);
+        ALLOWED(output[i].pumps, 1);
+        REFUSED(output[i].fd, 0); /* its channel has no period */
+        for (uint32_t mode = 0; mode < BRIDGE_MODES; mode++) {
+            ALLOWED(output[i].base[mode], 0.0);
+            REFUSED(output[i].base[mode], -1e-9);
+            REFUSED(output[i].base[mode], 1.0 + DBL_EPSILON);
+            REFUSED(output[i].base[mode], (double)NAN);
+            REFUSED(output[i].slope[mode], 1.0);
+            REFUSED(output[i].slope[mode], -0.5);
+            REFUSED(output[i].slope[mode], (double)NAN);
+            config = two_motors();
+            config.output[i].base[mode] = 1.0, config.output[i].slope[mode] = -1.0;
+            CHECK(bridge_config_check(&config) == 0);
+            config.output[i].base[mode] = 0.0, config.output[i].slope[mode] = 1.0;
+            CHECK(bridge_config_check(&config) == 0);
+            config.output[i].base[mode] = 1.05, config.output[i].slope[mode] = -0.5;
+            CHECK(bridge_config_check(&config) == -EINVAL);
+            config.output[i].base[mode] = 1.5, config.output[i].slope[mode] = -1.0;
+            CHECK(bridge_config_check(&config) == -EINVAL);
+            config.output[i].base[mode] = -0.5, config.output[i].slope[mode] = 1.0;
+            CHECK(bridge_config_check(&config) == -EINVAL);
+        }
+        config = two_motors();
+        config.output[i].fd = 0, config.output[i].period_ns = 1, config.outputs_fd = i == 0 ? 0 : 7;
+        CHECK(bridge_config_check(&config) == 0);
+        config.output[i].period_ns = INT64_MAX / 2;
+        CHECK(bridge_config_check(&config) == 0);
+        config.output[i].period_ns++;
+        CHECK(bridge_config_check(&config) == -EINVAL);
+        config.output[i].period_ns = 1, config.output[i].pumps = 1;
+        CHECK(bridge_config_check(&config) == -EINVAL);
+    }
+    for (uint32_t i = 0; i < JOINTS_MAX; i++)
+        config.joint[i] = two_motors().joint[0];
+    for (uint32_t i = 0; i < PWM_OUTPUTS_MAX; i++)
+        config.output[i] = two_motors().output[0];
+    config.joint_count = JOINTS_MAX, config.output_count = PWM_OUTPUTS_MAX;
+    CHECK(bridge_config_check(&config) == 0);
+    config.output[PWM_OUTPUTS_MAX - 1].joint = JOINTS_MAX;
+    CHECK(bridge_config_check(&config) == -EINVAL);
+}
+
+int main(void)
+{
+    each_mode_has_its_level();
+    a_joint_that_the_set_points_do_not_have_rests();
+    each_reason_of_a_demotion_stays_until_it_is_armed_again();
+    one_that_is_armed_while_it_brakes_does_not_brake_any_more();
+    one_that_was_enabled_and_is_no_more_has_no_power();
+    a_level_is_rounded_to_whole_nanoseconds_of_the_period();
+    each_number_of_a_config_ends_where_it_says();
+    return checks_report("test_bridge_steps");
+}

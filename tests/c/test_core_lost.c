@@ -1,0 +1,187 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not learn from motion. */
+#include "core_rig.h"
+
+static const double LOST[] = {NAN, INFINITY, -INFINITY};
+
+/* Whichever number of whichever joint it is, moving, at rest and without power. */
+static void a_set_point_that_is_no_number_is_seen_at_once(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++)
+        for (int number = 0; number < 3; number++)
+            for (int when = 0; when < 3; when++) {
+                rig r;
+                start(&r, &config);
+                if (when > 0)
+                    go(&r, 0.4, 0.0);
+                joint_setpoint *of = &r.state.wheels.joint[j];
+                *(number == 0 ? &of->velocity_rad_s : number == 1 ? &of->duty : &of->torque_n_m) = LOST[(j + number) % 3];
+                if (when == 2 && number == 1)
+                    r.input.command.linear_m_s = 0.3; /* on a ramp the next duty takes the place of the lost one */
+                if (when == 2 && number == 0)
+                    continue;
+                CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
+                CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+            }
+}
+
+/* The twist that it was told to go is worked out anew, too. */
+static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
+{
+    core_config config = good_config();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.8, 1.5);
+    CHECK(r.shown.saturation < 1.0);
+    r.input.control.odometry_reset_count = 1;
+    CHECK(tick(&r)->odometry_epoch == 1);
+    r.state.goal.linear_m_s = NAN;
+    r.state.odometry.x_m = INFINITY;
+    CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.saturation == 1.0);
+    CHECK(r.shown.odometry_epoch == 2 && r.shown.x_m == 0.0 && r.shown.armed == 0);
+    r.mute = true; /* the same command, when it is heard again */
+    r.input.control.armed = 0;
+    ticks(&r, 400);
+    r.input.control.reset_count++;
+    CHECK(tick(&r)->faults == 0);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    r.mute = false;
+    CHECK(ticks(&r, 1500)->faults == 0 && r.shown.setpoint_linear_m_s > 0.3 && r.shown.saturation < 1.0);
+}
+
+static core_config watched(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++)
+        config.joint[j].plausible =
+            (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .short_rad_s = 100.0, .beyond_rad_s = 5.0,
+                               .apart_rad_s = 100.0, .stall_s = 0.5, .runaway_s = 0.5};
+    return config;
+}
+
+/* Wheel j stands, whatever it is told, for so long or until somebody minds; milliseconds. */
+static int stuck_ms(rig *r, int j, int most_ms)
+{
+    int ms = 0;
+    for (; ms < most_ms && r->shown.faults == 0; ms++) {
+        r->position_rad[j] -= r->out.joint[j].velocity_rad_s * 1e-3;
+        tick(r);
+    }
+    return ms;
+}
+
+static void the_time_of_a_doubt_begins_anew_with_the_power(void)
+{
+    core_config config = watched();
+    for (int j = 0; j < 4; j++) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.3, 0.0);
+        int whole_ms = stuck_ms(&r, j, 3000);
+        CHECK(r.shown.faults == FAULT_STALL && whole_ms > 500 && r.shown.doubt.joint == (uint32_t)j);
+        CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+        start(&r, &config);
+        go(&r, 0.3, 0.0);
+        CHECK(stuck_ms(&r, j, whole_ms - 5) == whole_ms - 5 && r.shown.faults == 0);
+        r.input.control.armed = 0;
+        r.input.command.linear_m_s = 0.0;
+        ticks(&r, 2);
+        for (int i = 0; i < 4; i++)
+            CHECK(r.state.plausible[i].stamp_ns == 0);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == 1);
+        r.input.command.linear_m_s = 0.3;
+        CHECK(stuck_ms(&r, j, 500) == 500 && r.shown.faults == 0);
+    }
+}
+
+/* Somebody pushes it: that is no fault of its drives. */
+static void a_base_without_power_may_be_pushed(void)
+{
+    core_config config = watched();
+    for (int j = 0; j < 4; j++) {
+        rig r;
+        start(&r, &config);
+        for (int ms = 0; ms < 1500; ms++) {
+            r.position_rad[j] += 0.010;
+            CHECK(tick(&r)->faults == 0 && r.state.plausible[j].stamp_ns == 0);
+        }
+    }
+}
+
+/* The power goes off in the tick in which a wheel runs away, and all that is told of it says so. */
+static void a_runaway_ends_all_set_points_in_its_tick(void)
+{
+    core_config config = watched();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.3, 0.0);
+    for (int ms = 0; ms < 2000 && r.shown.faults == 0; ms++) {
+        r.position_rad[1] += 0.010;
+        tick(&r);
+    }
+    CHECK(r.shown.faults == FAULT_RUNAWAY && r.out.enabled == 0 && r.shown.setpoint_linear_m_s == 0.0);
+    for (int j = 0; j < 4; j++)
+        CHECK(r.shown.joint[j].setpoint_rad_s == 0.0 && r.shown.joint[j].duty == 0.0);
+    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+    for (int j = 0; j < 4; j++)
+        CHECK(r.state.plausible[j].stamp_ns == 0);
+}
+
+/* Samples that come each millisecond are looked at each five. */
+static void samples_that_come_fast_are_looked_at_together(void)
+{
+    core_config config = watched();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.3, 0.0);
+    int64_t before_ns = r.state.plausible[3].stamp_ns;
+    for (int looks = 0; looks < 20;) {
+        tick(&r);
+        if (r.state.plausible[3].stamp_ns == before_ns)
+            continue;
+        CHECK(r.state.plausible[3].stamp_ns - before_ns == 5 * MS_NS);
+        before_ns = r.state.plausible[3].stamp_ns;
+        looks++;
+    }
+}
+
+/* Its zero is what a gyro says of a base that stands: all wheels are heard, and none turns. */
+static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
+{
+    core_config config = good_config();
+    config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .bias_max_rad_s = 0.5, .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7, .turn_variance_rad2_per_rad = 1e-4};
+    for (int how = 0; how < 3; how++) {
+        rig r;
+        start(&r, &config);
+        if (how == 1)
+            go(&r, 0.3, 0.0);
+        for (int ms = 0; ms < 2000; ms++) {
+            r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS, .angular_rad_s = {0.0, 0.0, 0.01}};
+            if (how == 2)
+                r.input.feedback[3].stamp_ns = 0;
+            r.deaf = how == 2;
+            for (int j = 0; j < 3 && r.deaf; j++)
+                r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+            tick(&r);
+            if (ms == 0)
+                CHECK(r.state.odometry.gyro.still_since_ns == (how == 0 ? r.input.now_ns : 0));
+        }
+        CHECK((r.state.odometry.gyro.bias_stamp_ns != 0) == (how == 0));
+    }
+}
+
+int main(void)
+{
+    a_set_point_that_is_no_number_is_seen_at_once();
+    after_lost_numbers_nothing_that_was_worked_out_before_is_used();
+    the_time_of_a_doubt_begins_anew_with_the_power();
+    a_base_without_power_may_be_pushed();
+    a_runaway_ends_all_set_points_in_its_tick();
+    samples_that_come_fast_are_looked_at_together();
+    a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on();
+    return checks_report("test_core_lost");
+}

@@ -1,0 +1,232 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something changes. */
+#include "core_rig.h"
+
+static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
+{
+    core_config config = good_config();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.0, 0.8);
+    CHECK(fabs(r.out.joint[1].velocity_rad_s - 2.0) < 1e-9 && r.shown.at_rest == 0);
+    r.input.command.angular_rad_s = 0.4;
+    ticks(&r, 1500);
+    CHECK(fabs(r.out.joint[1].velocity_rad_s - 1.0) < 1e-9 && fabs(r.out.joint[0].velocity_rad_s + 1.0) < 1e-9);
+    r.input.command.angular_rad_s = 0.0;
+    CHECK(ticks(&r, 1500)->armed == 1 && zero(&r) && r.shown.at_rest == 1);
+}
+
+/* Where an arrived ramp kept its acceleration, the next one would begin with it, whatever the jerk. */
+static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
+{
+    static const double ACCELERATIONS_M_S2[] = {1.0, 0.1, 1.5}; /* and rad/s2 */
+    const double dt_s = 1.0 / 1024.0; /* exact, so that the step arrives with exactly this acceleration */
+    core_config config = good_config();
+    config.limits.linear = config.limits.angular = (axis_limits){1.0, 2.0, 2.0, INFINITY};
+    for (int i = 0; i < COUNT_OF(ACCELERATIONS_M_S2); i++) {
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        prepare(&r);
+        CHECK(step(&r)->armed == 1);
+        r.input.command.linear_m_s = r.input.command.angular_rad_s = ACCELERATIONS_M_S2[i] * dt_s;
+        prepare(&r);
+        core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
+        CHECK(r.shown.setpoint_linear_m_s == ACCELERATIONS_M_S2[i] * dt_s);
+        for (int axis = 0; axis < AXES; axis++)
+            CHECK(r.state.axis[axis].acceleration_u_s2 == ACCELERATIONS_M_S2[i]);
+        prepare(&r);
+        core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
+        for (int axis = 0; axis < AXES; axis++)
+            CHECK(r.state.axis[axis].acceleration_u_s2 == 0.0);
+    }
+}
+
+/* A ramp under way goes on in a tick that comes late, by no more than a tenth of a second of it. */
+static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
+{
+    static const double LATE_S[] = {0.1, 0.2, 1.0};
+    core_config config = good_config();
+    for (int i = 0; i < COUNT_OF(LATE_S); i++) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.6, 0.0);
+        r.input.control.fault = 1;
+        prepare(&r);
+        core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
+        CHECK(r.shown.faults == FAULT_EXTERNAL && fabs(r.shown.setpoint_linear_m_s - 0.45) < 1e-12 && r.out.enabled == 1);
+    }
+}
+
+/* One wheel's duty may only grow slowly: the whole base waits for it. */
+static void the_slew_of_any_one_duty_holds_the_base_back(void)
+{
+    for (int slow = 0; slow < 4; slow++) {
+        core_config config = good_config();
+        config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
+        for (int j = 0; j < 4; j++)
+            config.joint[j].pwm.slew_per_s = j == slow ? 0.95 / 12.5 : INFINITY; /* 1 rad/s a second */
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        r.input.command.linear_m_s = 0.5;
+        CHECK(fabs(ticks(&r, 1000)->joint[slow].setpoint_rad_s - 1.0) < 0.01 && (r.shown.reasons & REASON_DUTY_SLEW));
+        ticks(&r, 5000);
+        CHECK(fabs(r.shown.setpoint_linear_m_s - 0.5) < 1e-12 && r.shown.reasons == 0);
+    }
+}
+
+/* The twist has arrived, and a duty has not: it goes on by its slew. */
+static void a_duty_on_its_way_arrives_though_the_twist_stands(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++)
+        config.joint[j].pwm.slew_per_s = 1.0;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.3, 0.0);
+    double duty = r.out.joint[2].duty;
+    CHECK(fabs(duty - (0.05 + 3.0 * 0.95 / 12.5)) < 1e-9 && r.shown.reasons == 0);
+    r.state.wheels.joint[2].duty = 0.1;
+    r.state.wheels.known = 0;
+    for (int ms = 1; ms <= 100; ms++) {
+        CHECK(fabs(tick(&r)->joint[2].duty - (0.1 + ms * 1e-3)) < 1e-9);
+        CHECK(r.shown.reasons & REASON_DUTY_SLEW);
+    }
+    CHECK(ticks(&r, 200)->joint[2].duty == duty && r.shown.reasons == 0);
+}
+
+static void set_points_say_when_and_for_how_many_they_were_made(void)
+{
+    core_config config = good_config();
+    rig r;
+    start(&r, &config);
+    for (int i = 1; i <= 3; i++) {
+        memset(&r.out, 0xff, sizeof r.out);
+        prepare(&r);
+        for (int j = 0; j < 4; j++)
+            r.input.feedback[j].velocity_rad_s = 0.0, r.input.feedback[j].count = 0;
+        step(&r);
+        CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 && r.out.tick == (uint64_t)i);
+        CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 && r.shown.tick == (uint64_t)i);
+        CHECK(r.out.enabled == 0 && zero(&r) && r.out.joint[7].torque_n_m == 0.0);
+    }
+}
+
+/* What was in its memory before, and limits that nobody may use, do not matter. */
+static void a_core_begins_with_its_own_limits_in_whatever_memory(void)
+{
+    core_config config = good_config();
+    rig r, dirty;
+    ready(&r, &config);
+    ready(&dirty, &config);
+    memset(&dirty.state, 0x5a, sizeof dirty.state);
+    CHECK(core_init(&dirty.state, &config) == 0);
+    dirty.input.control.limits.linear.velocity_u_s = NAN;
+    go(&dirty, 5.0, 0.0);
+    CHECK(fabs(dirty.shown.setpoint_linear_m_s - 0.9) < 1e-9 && dirty.shown.tick == 1502);
+    CHECK(dirty.shown.reasons == (REASON_LINEAR_VELOCITY | REASON_WHEEL_SATURATED) && dirty.shown.joint[5].stale == 0);
+}
+
+/* The last place of each table is a joint like any other, and nothing is behind it. */
+static void a_base_of_as_many_wheels_as_there_can_be(void)
+{
+    core_config config = good_config();
+    config.joint_count = JOINTS_MAX;
+    for (int j = 4; j < JOINTS_MAX; j++)
+        config.joint[j] = config.joint[j - 4];
+    config.joint[JOINTS_MAX - 1].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+    config.joint[JOINTS_MAX - 1].plausible =
+        (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .short_rad_s = 100.0, .beyond_rad_s = 100.0,
+                           .apart_rad_s = 100.0, .stall_s = 0.5};
+    rig r;
+    start(&r, &config);
+    go(&r, 0.4, 0.2);
+    for (int ms = 0; ms < 2000 && r.shown.faults == 0; ms++) {
+        r.position_rad[JOINTS_MAX - 1] -= r.out.joint[JOINTS_MAX - 1].velocity_rad_s * 1e-3;
+        tick(&r);
+    }
+    CHECK(r.shown.faults == FAULT_STALL && r.shown.doubt.joint == JOINTS_MAX - 1);
+    CHECK(r.out.joint[JOINTS_MAX - 1].torque_n_m == 0.0 && r.out.joint[JOINTS_MAX - 1].velocity_rad_s > 1.0);
+    r.input.control.estop = 1;
+    CHECK(tick(&r)->faults == (FAULT_STALL | FAULT_ESTOP) && zero(&r));
+    r.input.feedback[JOINTS_MAX - 1].stamp_ns = 0;
+    r.deaf = true;
+    CHECK(tick(&r)->joint[JOINTS_MAX - 1].stale == 1);
+}
+
+/* However weak, and in whichever place, a speed loop gives its torque; a base without one gives none. */
+static void each_wheel_with_a_speed_loop_gets_its_torque(void)
+{
+    for (int own = -1; own < 4; own++) {
+        core_config config = good_config();
+        if (own >= 0)
+            config.joint[own].speed_loop = (speed_loop_config){0.01, 0.04, 0.05};
+        rig r;
+        start(&r, &config);
+        go(&r, 0.3, 0.0);
+        for (int j = 0; j < 4; j++) {
+            prepare(&r);
+            r.input.feedback[j].velocity_rad_s = 0.0;
+            step(&r);
+            CHECK(j == own ? r.out.joint[j].torque_n_m > 0.0 && r.out.joint[j].torque_n_m <= 0.05
+                           : r.out.joint[j].torque_n_m == 0.0);
+        }
+    }
+}
+
+static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
+{
+    for (int back = 0; back < 2; back++)
+        for (int way = -1; way <= 1; way += 2) {
+            core_config config = good_config();
+            config.on_fault = STOP_HOLD;
+            for (int j = 0; j < 4; j++) {
+                config.joint[j].counter_bits = 0;
+                config.joint[j].velocity_min_rad_s = back ? -8.0 : -4.0;
+                config.joint[j].velocity_max_rad_s = back ? 4.0 : 8.0;
+                config.joint[j].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+            }
+            rig r;
+            start(&r, &config);
+            go(&r, 0.2, 0.0);
+            prepare(&r);
+            r.input.feedback[3].velocity_rad_s = way * 12.0;
+            CHECK(step(&r)->faults == 0);
+            prepare(&r);
+            r.input.feedback[3].velocity_rad_s = way * 12.01;
+            CHECK(step(&r)->faults == FAULT_OVERSPEED);
+        }
+}
+
+/* In a curve each side has its own speed, and the slowest joint sets the pace, whichever it is. */
+static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit(void)
+{
+    core_config config = good_config();
+    double wheel_rad_s[JOINTS_MAX];
+    kinematics_wheels(&config, 0.4, 0.2, wheel_rad_s);
+    for (int j = 0; j < 4; j++)
+        CHECK(fabs(wheel_rad_s[j] - (j % 2 == 0 ? 3.5 : 4.5)) < 1e-12);
+    for (int slow = 0; slow < 4; slow++) {
+        config = good_config();
+        config.joint[slow].velocity_max_rad_s = 0.5 * wheel_rad_s[slow];
+        CHECK(fabs(saturate_factor(wheel_rad_s, config.joint, 4) - 0.5) < 1e-12);
+    }
+}
+
+int main(void)
+{
+    a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit();
+    a_base_that_turned_on_the_spot_stands_still_afterwards();
+    a_ramp_that_has_arrived_leaves_no_acceleration();
+    a_late_tick_of_a_stop_is_a_step_of_the_ramp();
+    the_slew_of_any_one_duty_holds_the_base_back();
+    a_duty_on_its_way_arrives_though_the_twist_stands();
+    set_points_say_when_and_for_how_many_they_were_made();
+    a_core_begins_with_its_own_limits_in_whatever_memory();
+    a_base_of_as_many_wheels_as_there_can_be();
+    each_wheel_with_a_speed_loop_gets_its_torque();
+    a_wheel_runs_away_beyond_its_larger_limit_of_either_way();
+    return checks_report("test_core_wheels");
+}

@@ -1,0 +1,270 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and how it ends. */
+#include "line_cycle.h"
+
+/* A whole cycle: what is sent, and all of it is answered. */
+static void goes(const uint32_t *frames, uint32_t count)
+{
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    for (uint32_t i = 0; i < count; i++) {
+        CHECK(sends() == frames[i]);
+        answers_with(0);
+    }
+    CHECK(sends() == NO_FRAME && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
+    drive->cycle_count = 1;
+}
+#define GOES(...) goes((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
+
+static void rest_is_told_before_another_way_and_the_way_after_its_first_magnitude(void)
+{
+    begin_ways(1.0);
+    uint32_t rest = frame_to(WAY, WAY_REST), forward = frame_to(WAY, WAY_FORWARD), reverse = frame_to(WAY, WAY_REVERSE);
+    uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    GOES(rest, fast, forward, status);
+    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->told_motion);
+    want(0.5);
+    GOES(slow, status);
+    want(-0.5);
+    GOES(rest, slow, reverse, status);
+    CHECK(drive->way_told[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
+    want(0.0);
+    GOES(still, rest, status);
+    CHECK(drive->way_told[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->told_motion);
+    GOES(still, status);
+    want(0.5);
+    GOES(slow, forward, status);
+    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD);
+}
+
+static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
+{
+    begin_ways(1.0);
+    GOES(frame_to(WAY, WAY_REST), frame_to(SPEED, 100), frame_to(WAY, WAY_FORWARD), frame_to(STATUS, 1));
+    want(-1.0);
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(sends() == frame_to(WAY, WAY_REST) && drive->way_told[0] == WAY_UNKNOWN);
+    answers_with(0);
+    CHECK(drive->way_told[0] == WAY_REST && drive->place == 1);
+    CHECK(sends() == frame_to(SPEED, 100));
+    answers_with(0);
+    CHECK(sends() == frame_to(WAY, WAY_REVERSE));
+    want(0.0);   /* while it is on its way */
+    answers_with(0);
+    CHECK(drive->way_told[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
+}
+
+/* Two exchanges of set-points: one of them that is not zero is a motion. */
+static void a_motion_in_any_exchange_is_a_motion(void)
+{
+    for (uint32_t which = 0; which < 2; which++) {
+        begin_ways(0.0);
+        line_drive *table = &w.machine.table.drive[0];
+        table->way_count = 0;
+        table->cyclic[2] = table->cyclic[1];
+        table->cyclic[1] = table->cyclic[0];
+        table->cyclic[1].setpoint[0].joint = 1;
+        table->cyclic_count = 3;
+        w.machine.newest.joint[which].velocity_rad_s = 1.0;
+        GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0), frame_to(STATUS, 1));
+        CHECK(drive->told_motion);
+        w.machine.newest.joint[which].velocity_rad_s = 0.0;
+        GOES(frame_to(SPEED, 0), frame_to(SPEED, 0), frame_to(STATUS, 1));
+        CHECK(!drive->told_motion);
+    }
+}
+
+static void each_of_several_ways_is_told(void)
+{
+    begin_ways(1.0);
+    line_drive *table = &w.machine.table.drive[0];
+    table->way_count = 2;
+    table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST), .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
+                               .reverse = frame_of(1, WRITE, WAY + 1, WAY_REVERSE)};
+    drive->way_told[0] = WAY_FORWARD;
+    uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
+    GOES(frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY + 1, WAY_FORWARD), status);
+    want(-1.0);
+    GOES(frame_to(WAY, WAY_REST), frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY, WAY_REVERSE),
+         frame_to(WAY + 1, WAY_REVERSE), status);
+}
+
+/* Rest would take its brake off: it comes with the power-off. */
+static void one_that_is_stopping_is_told_no_way(void)
+{
+    begin_ways(1.0);
+    drive->mode = DRIVE_READY;
+    drive->stopping = true;
+    w.machine.joint[0].feedback.velocity_rad_s = 3.0;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(sends() == frame_to(SPEED, 0));
+    answers_with(0);
+    CHECK(sends() == frame_to(STATUS, 1));
+}
+
+static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
+{
+    begin_ways(0.0);
+    drive->way_told[0] = WAY_REST;
+    uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    drive->mode = DRIVE_READY;
+    drive->enabled = 0;
+    drive->cycle_count = 4;
+    GOES(still, status, frame_to(EXTRA, 1));
+    CHECK(drive->extra_next == 1 && drive->enabled == 0);
+    drive->cycle_count = 8;
+    GOES(still, status, frame_to(EXTRA + 1, 1));
+    CHECK(drive->extra_next == 0);
+    drive->cycle_count = 7, drive->extra_next = 1;
+    GOES(still, status);
+    drive->enabled = 2;
+    GOES(still, status, frame_to(EXTRA, 1));
+    w.machine.table.drive[0].extra_count = 1;
+    drive->enabled = 2, drive->cycle_count = 7, drive->extra_next = 0;
+    GOES(still, status, frame_to(EXTRA, 1));
+    w.machine.table.drive[0].extra_count = 0;
+    drive->enabled = 2, drive->cycle_count = 8;
+    GOES(still, status);
+}
+
+static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up(void)
+{
+    begin_ways(0.0);
+    drive->due_ns = w.now_ns;
+    drive->cycle_start_ns = drive->cycle_ns = 0;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns + 20 * MS && drive->cycle_start_ns == w.now_ns && drive->cycle_ns == 0);
+    CHECK(drive->stage == STAGE_REST && drive->place == 0 && w.machine.current == 0);
+    w.now_ns += 24 * MS;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->cycle_ns == 24 * MS && drive->due_ns == w.now_ns + 16 * MS);
+    w.now_ns += 16 * MS;
+    drive->place = 3, drive->cycle_motion = true;
+    w.machine.newest.tick = 99;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->cycle_ns == 23 * MS && drive->due_ns == w.now_ns + 20 * MS);
+    CHECK(drive->place == 0 && !drive->cycle_motion && drive->frozen.tick == 99);
+    w.now_ns += 40 * MS;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns);
+    w.now_ns = drive->due_ns + 20 * MS + 1;
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    CHECK(drive->due_ns == w.now_ns);
+}
+
+/* The end of a cycle in which nothing is to be sent any more. */
+static void ends(void)
+{
+    line_frame frame;
+    w.machine.news = false;
+    w.machine.current = 0;
+    w.machine.feedback_mask = 0;
+    drive->stage = STAGE_EXTRA, drive->place = 1;
+    uint64_t cycles = drive->count.cycles, count = drive->cycle_count;
+    CHECK(!line_next_in_cycle(&w.machine, 0, w.now_ns, &frame));
+    CHECK(drive->count.cycles == cycles + 1 && drive->cycle_count == count + 1 && w.machine.feedback_mask == 1);
+    CHECK(drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
+}
+
+static void the_end_of_a_cycle_judges_what_the_drive_said(void)
+{
+    begin_ways(0.0);
+    drive->lost_setup = true;
+    ends();
+    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_LOST_SETUP && drive->stop == STOP_POWER_OFF);
+    begin_ways(0.0);
+    ends();
+    CHECK(drive->mode == DRIVE_ARMED && drive->stop == STOP_NOTHING);
+    drive->enabled = 0;
+    ends();
+    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_DISABLED_ITSELF && drive->stop == STOP_POWER_OFF);
+    for (uint32_t how = 0; how < 3; how++) {
+        begin_ways(0.0);
+        drive->mode = DRIVE_READY, drive->enabled = 2;
+        drive->stopping = how != 2;
+        w.machine.joint[0].feedback.velocity_rad_s = how == 1 ? 0.2 : 0.05;
+        ends();
+        CHECK(drive->stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (how == 1));
+    }
+}
+
+/* Power that nobody has asked for is taken in each cycle, and said once. */
+static void one_that_is_enabled_without_being_armed_is_switched_off(void)
+{
+    for (uint32_t how = 0; how < 7; how++) {
+        begin_ways(0.0);
+        drive->mode = how == 1 ? DRIVE_OFF : DRIVE_READY;
+        drive->enabled = how == 2 ? 2 : 1;
+        drive->stopping = how == 3;
+        w.machine.joint[0].feedback.velocity_rad_s = 3.0;
+        drive->stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
+        drive->cycle_start_ns = w.now_ns;
+        drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
+        drive->still_enabled = how == 6 ? 2 : 1;   /* of three tries */
+        drive->demoted = DEMOTED_LEFT_ALONE;
+        ends();
+        bool nobody = how == 0 || how == 6;
+        CHECK(drive->stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
+        CHECK(drive->demoted == (DEMOTED_LEFT_ALONE | (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0)));
+        CHECK(w.machine.news == (how == 6));
+    }
+    drive->stop = STOP_NOTHING, drive->mode = DRIVE_READY;
+    ends();
+    CHECK(drive->still_enabled == 4 && !w.machine.news);
+    drive->enabled = 0;
+    ends();
+    CHECK(drive->still_enabled == 0);
+}
+
+static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
+{
+    begin_ways(0.0);
+    drive->way_told[0] = WAY_REST;
+    drive->cycle_count = 4;
+    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];   /* behind the last one */
+    line_cycle_begin(&w.machine, 0, w.now_ns);
+    w.machine.feedback_mask = 0;
+    CHECK(sends() == frame_to(SPEED, 0));
+    answers_with(0);
+    CHECK(w.machine.feedback_mask == 0);
+    CHECK(sends() == frame_to(STATUS, 1));
+    answers_with(150);
+    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
+    CHECK(drive->answered_ns == w.machine.end_ns && drive->count.heard_ns == w.now_ns);
+    drive->stage = STAGE_IDLE;   /* it was stopped */
+    CHECK(sends() == NO_FRAME);
+}
+
+/* Of two that are told and nothing that is read the first answer says all; else it is the last one that is read. */
+static void what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
+{
+    for (uint32_t reads = 0; reads < 2; reads++) {
+        begin_ways(0.0);
+        line_drive *table = &w.machine.table.drive[0];
+        table->way_count = 0;
+        table->cyclic[2] = table->cyclic[1];
+        table->cyclic[1] = table->cyclic[0];
+        table->cyclic_count = 2 + reads;
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        w.machine.feedback_mask = 0;
+        CHECK(sends() == frame_to(SPEED, 0));
+        answers_with(0);
+        CHECK(w.machine.feedback_mask == !reads);
+    }
+}
+
+int main(void)
+{
+    rest_is_told_before_another_way_and_the_way_after_its_first_magnitude();
+    a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
+    a_motion_in_any_exchange_is_a_motion();
+    each_of_several_ways_is_told();
+    one_that_is_stopping_is_told_no_way();
+    a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
+    cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
+    the_end_of_a_cycle_judges_what_the_drive_said();
+    one_that_is_enabled_without_being_armed_is_switched_off();
+    the_core_hears_of_a_cycle_with_the_last_of_what_it_reads();
+    what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read();
+    return checks_report("line cycle");
+}

@@ -1,0 +1,309 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_drive: one drive of a line by itself: what each change of its state sets, keeps and forgets. */
+#include "line_wire.h"
+
+static line_drive_state *begin_drive(void)
+{
+    begin_with(2, 0);
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
+                                   .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
+    w.machine.news = false;
+    return &w.machine.drive[0];
+}
+
+static line_drive_state *begin_armed(void)
+{
+    line_drive_state *drive = begin_drive();
+    drive->mode = DRIVE_ARMED;
+    drive->may_turn = true;
+    drive->answered_ns = w.now_ns;
+    return drive;
+}
+
+static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
+{
+    line_drive_state *drive = begin_drive();
+    for (uint32_t current = 0; current < 2; current++) {
+        drive->stop_place = 1, drive->stop_done = 3, drive->stop_failures = 2, drive->stop_refused = true;
+        drive->stage = STAGE_READ;
+        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+            drive->way_told[way] = WAY_FORWARD;
+        }
+        w.machine.current = current;
+        line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+        CHECK(drive->stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
+        CHECK(drive->stop_failures == 0 && !drive->stop_refused && drive->stage == STAGE_IDLE);
+        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+        }
+        CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+    }
+}
+
+static void reasons_of_a_demotion_gather(void)
+{
+    line_drive_state *drive = begin_armed();
+    drive->enabled = 1;
+    line_demote(&w.machine, 0, DEMOTED_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive->demoted == DEMOTED_LEFT_ALONE && drive->mode == DRIVE_READY && drive->enabled == 2 && w.machine.news);
+    line_demote(&w.machine, 0, DEMOTED_QUIET, DRIVE_QUIET);
+    CHECK(drive->demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive->mode == DRIVE_QUIET);
+}
+
+static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
+{
+    line_drive_state *drive = begin_drive();
+    w.machine.table.broadcast_stop_count = 2;
+    line_stop_unheard(&w.machine, 0, w.now_ns);
+    CHECK(drive->may_turn && drive->mode == DRIVE_OFF && drive->demoted == 0 && drive->stopping);
+    CHECK(drive->stop == STOP_QUICK && drive->off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
+    CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].stop == STOP_NOTHING);
+}
+
+static void a_reply_takes_the_time_of_its_bytes(void)
+{
+    begin_with(1, 0);
+    line_frame frame = {.reply_bytes = 7};
+    CHECK(line_reply_ns(&w.machine, &frame) == 7 * CHARACTER_NS);
+}
+
+/* An armed drive after a look at `now`: does it stop, and why? */
+static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
+{
+    line_guard(&w.machine, 0, w.now_ns);
+    CHECK(drive->demoted == why && drive->stop == stop && drive->mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
+    CHECK(drive->stopping == (stop == STOP_QUICK));
+    CHECK(stop != STOP_QUICK || (drive->off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
+}
+
+static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
+{
+    line_drive_state *drive = begin_armed();
+    w.now_ns += 100 * MS;
+    guarded(drive, 0, STOP_NOTHING);
+    CHECK(line_fresh(&w.machine, w.now_ns) && !line_fresh(&w.machine, w.now_ns + 1));
+    w.now_ns += 1;
+    guarded(drive, DEMOTED_SETPOINTS_OLD, STOP_QUICK);
+}
+
+/* What is under way with it may be its answer; what is under way with another is not. */
+static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stopped(void)
+{
+    for (uint32_t how = 0; how < 5; how++) {
+        line_drive_state *drive = begin_armed();
+        w.now_ns += 500 * MS;
+        w.machine.newest.stamp_ns = w.now_ns;
+        guarded(drive, 0, STOP_NOTHING);
+        w.now_ns += 1;
+        w.machine.table.drive[0].watchdog_ns = how == 4 ? 0 : how == 3 ? 1 : 500 * MS;
+        w.machine.work = how == 0 || how == 3 ? WORK_NONE : WORK_CYCLE;
+        w.machine.worker = how == 1 || how == 3 ? 0 : 1;
+        bool alone = how == 0 || how == 2 || how == 3;
+        guarded(drive, alone ? DEMOTED_LEFT_ALONE : 0, alone ? STOP_QUICK : STOP_NOTHING);
+    }
+}
+
+static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(void)
+{
+    line_drive_state *drive = begin_armed();
+    w.machine.newest.enabled = 0;
+    drive->enabled_count = w.machine.enabled_count = 7;
+    guarded(drive, 0, STOP_NOTHING);   /* they were not enabled yet */
+    w.machine.newest.enabled = 1;
+    guarded(drive, 0, STOP_NOTHING);
+    CHECK(drive->was_enabled);
+    w.machine.newest.enabled = 0;
+    guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+    drive = begin_armed();
+    w.machine.newest.enabled = 0;
+    drive->enabled_count = 7, w.machine.enabled_count = 8;   /* they were, between two looks */
+    guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+}
+
+static void a_stop_does_not_wait_for_its_turn(void)
+{
+    for (uint32_t how = 0; how < 4; how++) {
+        line_drive_state *drive = begin_armed();
+        drive->told_motion = how != 1;
+        w.machine.newest.joint[0].velocity_rad_s = how == 2 ? 1.0 : 0.0;
+        drive->due_ns = how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS;
+        line_guard(&w.machine, 0, w.now_ns);
+        CHECK(drive->due_ns == (how == 0 ? w.now_ns : how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS));
+    }
+}
+
+static void one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over(void)
+{
+    for (uint32_t how = 0; how < 4; how++) {
+        line_drive_state *drive = begin_drive();
+        drive->mode = DRIVE_READY;
+        drive->stopping = how != 1;
+        drive->stop = how == 2 ? STOP_QUICK : STOP_NOTHING;
+        drive->off_by_ns = how == 3 ? w.now_ns + 1 : w.now_ns;
+        line_guard(&w.machine, 0, w.now_ns);
+        CHECK(drive->stop == (how == 0 ? STOP_POWER_OFF : how == 2 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->stopping == (how == 2 || how == 3));
+    }
+}
+
+static void obey(uint32_t mode, uint32_t unseen)
+{
+    w.machine.control.drive[0].count += 1 + unseen;
+    w.machine.control.drive[0].mode = mode;
+    w.machine.news = false;
+    line_obey_wish(&w.machine, 0, w.now_ns);
+    CHECK(w.machine.news);
+    w.machine.news = false;
+    line_obey_wish(&w.machine, 0, w.now_ns);   /* the same again is no wish */
+    CHECK(!w.machine.news);
+}
+
+static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
+{
+    for (uint32_t pending = 0; pending < 3; pending++)
+        for (uint32_t from = 0; from < 2; from++) {
+            line_drive_state *drive = begin_drive();
+            drive->mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
+            drive->epoch = 4;
+            drive->demoted = 0xff, drive->failures = 5, drive->still_enabled = 6;
+            drive->may_turn = drive->told_motion = drive->back = true;
+            drive->stop = pending == 1 ? STOP_QUICK : STOP_NOTHING;
+            drive->stopping = pending == 2;
+            drive->cycle_count = 9, drive->extra_next = 3, drive->cycle_start_ns = 77;
+            drive->due_ns = drive->answered_ns = 1;
+            for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+                drive->way_told[way] = WAY_REVERSE;
+            }
+            w.machine.joint[0].feedback.velocity_rad_s = 5.0;
+            obey(DRIVE_READY, 0);
+            CHECK(drive->mode == DRIVE_READY && drive->epoch == 5 && !drive->back);
+            CHECK(drive->demoted == 0 && drive->failures == 0 && drive->still_enabled == 0);
+            CHECK(drive->may_turn == (pending != 0) && drive->told_motion == (pending != 0));
+            CHECK(drive->stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->stopping == (pending == 2));
+            CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
+            CHECK(drive->due_ns == w.now_ns && drive->answered_ns == w.now_ns);
+            for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+                CHECK(drive->way_told[way] == WAY_UNKNOWN);
+            }
+            CHECK(w.machine.joint[0].feedback.velocity_rad_s != 5.0);
+        }
+}
+
+static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(void)
+{
+    for (uint32_t against = 0; against < 7; against++) {
+        line_drive_state *drive = begin_drive();
+        drive->mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
+        drive->was_enabled = true;
+        drive->enabled_count = 3, w.machine.enabled_count = 8;
+        drive->demoted = 0xff, drive->still_enabled = 2, drive->enabled = 1;
+        memset(drive->told, 0x11, sizeof drive->told);
+        w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
+        drive->stopping = against == 2;
+        drive->stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
+        w.machine.control.shut_down = against == 4;
+        obey(DRIVE_ARMED, against == 5 ? 1 : 0);
+        bool armed = against == 0 || against == 5;   /* what was not seen may have been a stop: there is nothing to stop */
+        CHECK((drive->mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
+        if (armed) {
+            CHECK(!drive->was_enabled && drive->enabled_count == 8 && drive->demoted == 0);
+            CHECK(drive->still_enabled == 0 && drive->enabled == 2 && drive->told[1][1] == 0 && drive->told[0][0] == 0);
+        }
+    }
+}
+
+/* Three ways to have power: armed, stopping, told a motion. Unseen wishes may have been a stop. */
+static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
+{
+    for (uint32_t has = 0; has < 4; has++)
+        for (uint32_t unseen = 0; unseen < 2; unseen++)
+            for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_STAND_DOWN; mode++) {
+                if (mode != DRIVE_OFF && mode != DRIVE_READY && mode != DRIVE_ARMED && mode != DRIVE_STAND_DOWN)
+                    continue;
+                line_drive_state *drive = begin_drive();
+                drive->mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
+                drive->stopping = has == 2;
+                drive->told_motion = has == 3;
+                drive->enabled = 1;
+                drive->back = true;
+                drive->stage = STAGE_READ;
+                drive->due_ns = w.now_ns + 9 * MS;
+                w.machine.current = 0;
+                obey(mode, unseen);
+                bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
+                CHECK(drive->stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (has == 2 && !off));
+                uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
+                if (mode == DRIVE_ARMED && !off && has != 2)
+                    expected = DRIVE_ARMED;
+                if (mode == DRIVE_READY && has == 1 && !off)
+                    expected = DRIVE_ARMED;   /* one that is armed is set up */
+                CHECK(drive->mode == expected);
+                CHECK(mode != DRIVE_OFF || (!drive->back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
+                bool stands_down = has == 1 && unseen == 0 && mode == DRIVE_STAND_DOWN;
+                CHECK(drive->due_ns == (stands_down ? w.now_ns : w.now_ns + 9 * MS));
+                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->enabled == 2);
+            }
+    line_drive_state *drive = begin_drive();
+    drive->mode = DRIVE_READY;
+    w.machine.current = 1;
+    w.machine.control.drive[0].arming_until_ns = 1234;
+    obey(DRIVE_OFF, 0);
+    CHECK(w.machine.current == 1 && drive->arming_until_ns == 1234);
+    drive->mode = DRIVE_QUIET;
+    obey(DRIVE_READY, 0);
+    CHECK(drive->mode == DRIVE_QUIET);
+    obey(DRIVE_STAND_DOWN, 0);
+    CHECK(drive->mode == DRIVE_QUIET);
+}
+
+static void frames_of_a_stop_are_told_until_each_is_done(void)
+{
+    line_drive_state *drive = begin_drive();
+    line_frame frame;
+    line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == DISABLE);
+    drive->stop_done = 1;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == RELEASE && drive->stop_place == 1);
+    drive->stop_done = 2;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && drive->stop_place == 0);
+    drive->stop_done = 3;
+    drive->enabled = 1;
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->stop == STOP_NOTHING && drive->enabled == 2 && !w.machine.news);
+    line_stop_now(&w.machine, 0, STOP_QUICK);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP);
+    drive->stop_done = 1;
+    drive->back = true;
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->mode == DRIVE_BACK && !drive->back && w.machine.news);
+}
+
+static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)
+{
+    line_drive_state *drive = begin_drive();
+    line_frame frame;
+    w.machine.table.drive[0].disarm_count = 3;
+    w.machine.table.drive[0].disarm[2] = frame_of(1, WRITE, RELEASE, 1);
+    line_stop_now(&w.machine, 0, STOP_POWER_OFF);
+    drive->stop_place = 1, drive->stop_done = 2;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 2 && frame.request[5] == 1);
+    drive->stop_done = 6;
+    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 && frame.request[3] == CONTROL);
+}
+
+int main(void)
+{
+    after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
+    a_stop_begins_with_its_first_frame_whatever_was_under_way();
+    reasons_of_a_demotion_gather();
+    one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();
+    a_reply_takes_the_time_of_its_bytes();
+    an_armed_drive_is_stopped_when_set_points_grow_old();
+    an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stopped();
+    an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power();
+    a_stop_does_not_wait_for_its_turn();
+    one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over();
+    a_set_up_begins_anew_but_for_a_stop_that_is_pending();
+    it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
+    switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
+    frames_of_a_stop_are_told_until_each_is_done();
+    return checks_report("line drive");
+}

@@ -1,0 +1,176 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_owed: how late a reply may be, how soon is too soon, and what is learned of a drive's turn-around. */
+#include "line_wire.h"
+
+static line_drive_state *drive;
+
+static void begin_asking(void)
+{
+    begin_with(1, 0);
+    drive = &w.machine.drive[0];
+    w.machine.transaction.frame = frame_of(1, READ, STATUS, 1);
+    w.machine.work = WORK_CYCLE;
+    w.machine.worker = 0;
+    w.machine.start_ns = w.machine.end_ns = w.now_ns;
+    w.machine.table.drive[0].turnaround_ns = 100 * MS;
+}
+
+/* Its reply ends so long after the drive could have begun it. */
+static int64_t reply_after(int64_t took_ns)
+{
+    return w.machine.end_ns + line_reply_ns(&w.machine, &w.machine.transaction.frame) + took_ns;
+}
+
+static void a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms(void)
+{
+    static const struct {
+        int64_t turnaround_ms, late_ms;
+    } BOUNDS[] = {{5, 120}, {60, 120}, {61, 122}, {300, 600}};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin_asking();
+        w.machine.table.drive[0].turnaround_ns = BOUNDS[i].turnaround_ms * MS;
+        line_owe(&w.machine, 0);
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1 && drive->failed_ns == w.machine.end_ns);
+        CHECK(drive->owed[0].until_ns == reply_after(BOUNDS[i].late_ms * MS));
+        CHECK(line_may_be_late(&w.machine, 0, &w.machine.transaction.frame, drive->owed[0].until_ns - 1));
+        CHECK(!line_may_be_late(&w.machine, 0, &w.machine.transaction.frame, drive->owed[0].until_ns));
+    }
+}
+
+/* Less than half of the least that it ever took, by more than half a millisecond, within two seconds of a failure. */
+static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
+{
+    static const struct {
+        int64_t failed_ago_ns, least_ns, took_ns;
+        bool doubtful;
+    } CASES[] = {
+        {1000000000, 4000000, 1499999, true},  {1000000000, 4000000, 1500000, false}, {1999999999, 4000000, 1000000, true},
+        {2000000000, 4000000, 1000000, false}, {1000000000, 0, 0, false},
+    };
+    for (uint32_t i = 0; i < 5; i++) {
+        begin_asking();
+        w.machine.start_ns = w.machine.end_ns = w.now_ns = 5000 * MS;
+        drive->failed_ns = w.now_ns - CASES[i].failed_ago_ns;
+        drive->least_ns = CASES[i].least_ns;
+        CHECK(line_is_doubtful(&w.machine, 0, reply_after(CASES[i].took_ns)) == CASES[i].doubtful);
+        CHECK(drive->least_ns == (CASES[i].doubtful ? 0 : CASES[i].least_ns));
+        CHECK(!line_is_doubtful(&w.machine, 0, reply_after(CASES[i].took_ns)));
+    }
+}
+
+static void a_turn_around_is_learned_with_its_spread(void)
+{
+    static const struct {
+        int64_t smoothed_ns, variation_ns, expected_ns;
+    } KNOWN[] = {
+        {20000000, 0, 20500000}, {20000000, 125000, 20500000}, {20000000, 1000000, 24000000}, {1000000, 0, 10000000},
+        {9500000, 0, 10000000}, {9500001, 0, 10000001}, {0, 0, 100000000}, {99900000, 0, 100000000},
+    };
+    for (uint32_t i = 0; i < 8; i++) {
+        begin_asking();
+        drive->smoothed_ns = KNOWN[i].smoothed_ns;
+        drive->variation_ns = KNOWN[i].variation_ns;
+        CHECK(line_expected_turnaround_ns(&w.machine, 0) == KNOWN[i].expected_ns);
+    }
+    begin_asking();
+    w.machine.table.drive[0].reply_timeout_ns = 7 * MS;
+    CHECK(line_expected_turnaround_ns(&w.machine, 0) == 7 * MS);
+    for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) {   /* on a pseudo-terminal bytes take no time at all */
+        begin_asking();
+        drive->smoothed_ns = 0;
+        line_learn_turnaround(&w.machine, 0, reply_after(took_ns));
+        CHECK(drive->smoothed_ns == (took_ns > 0 ? took_ns + 1 : 1) && drive->variation_ns == 0);
+    }
+    begin_asking();
+    drive->smoothed_ns = 0;
+    line_learn_turnaround(&w.machine, 0, reply_after(8 * MS));
+    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 4 * MS && drive->deadline_ns == 24 * MS + 1);
+    line_learn_turnaround(&w.machine, 0, reply_after(16 * MS + 1));
+    CHECK(drive->smoothed_ns == 9 * MS + 1 && drive->variation_ns == 5 * MS && drive->usual_ns == 29 * MS + 1);
+    line_learn_turnaround(&w.machine, 0, reply_after(1 * MS + 1));
+    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 5 * MS + 750000 && drive->deadline_ns == 31 * MS + 1);
+}
+
+/* No later than the middle of the exchange, and than half of its shortest turn-around after the request. */
+static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
+{
+    begin_asking();
+    w.machine.end_ns = w.machine.start_ns + 4 * MS;
+    drive->least_ns = 6 * MS;
+    CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 12 * MS) == w.machine.start_ns + 6 * MS);
+    CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 14 * MS) == w.machine.start_ns + 7 * MS);
+    CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
+}
+
+/* It is there, and that is all that is known: what it said may be another's, and one of those that are owed has come. */
+static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
+{
+    for (uint32_t current = 0; current < 2; current++) {
+        begin_asking();
+        line_owe(&w.machine, 0);
+        drive->stage = STAGE_READ;
+        w.machine.current = current;
+        line_doubt(&w.machine, 0, w.now_ns + MS);
+        CHECK(drive->count.exchanges == 1 && drive->count.heard_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
+        CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);   /* two were, and one has come */
+        CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));
+    }
+}
+
+/* More than can be told apart: a silence sorts them out. */
+static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time(void)
+{
+    begin_asking();
+    for (uint8_t i = 0; i <= OWED_MAX; i++) {
+        w.machine.transaction.frame = frame_of(1, READ, STATUS, 1);
+        w.machine.transaction.frame.match[2] = (uint8_t)(2 + i);
+        CHECK(drive->held_until_ns == 0);
+        line_owe(&w.machine, 0);
+        CHECK(drive->owed_count == (i < OWED_MAX ? i + 1U : OWED_MAX));
+    }
+    CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns && drive->held_until_ns == reply_after(4 * 200 * MS));
+    CHECK(drive->owed[0].look.head[2] == 3 && drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX);   /* the oldest went */
+    w.machine.start_ns = drive->held_until_ns;   /* all of that is over */
+    line_owe(&w.machine, 0);
+    CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
+}
+
+/* What is certain tells how short a turn-around may be; 0 is: not known. */
+static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
+{
+    begin_asking();
+    line_settle(&w.machine, 0, reply_after(3 * MS));
+    CHECK(drive->least_ns == 3 * MS + 1);
+    line_settle(&w.machine, 0, reply_after(4 * MS));
+    CHECK(drive->least_ns == 3 * MS + 1);
+    line_settle(&w.machine, 0, reply_after(0));
+    CHECK(drive->least_ns == 1);
+    drive->least_ns = 0;
+    line_owe(&w.machine, 0);
+    line_owe(&w.machine, 0);
+    int64_t until_ns = drive->owed[0].until_ns;
+    w.machine.end_ns += 7 * MS;
+    line_settle(&w.machine, 0, reply_after(3 * MS));   /* perhaps the older one's: it is owed on */
+    CHECK(drive->least_ns == 0 && drive->owed_count == 1 && drive->owed[0].until_ns == until_ns + 7 * MS);
+    for (uint32_t how = 0; how < 2; how++) {
+        begin_asking();
+        w.machine.transaction.frame.exact = how == 0;
+        w.machine.transaction.frame.reply_bytes = how == 0 ? 7 : 0;
+        line_settle(&w.machine, 0, reply_after(3 * MS));
+        line_owe(&w.machine, 0);
+        CHECK(drive->least_ns == 0 && drive->owed_count == 0);
+    }
+}
+
+int main(void)
+{
+    a_doubtful_reply_ends_the_cycle_and_holds_the_drive();
+    one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time();
+    the_shortest_turn_around_is_that_of_a_certain_reply();
+    a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms();
+    a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once();
+    a_turn_around_is_learned_with_its_spread();
+    a_value_was_taken_in_the_middle_or_soon_after_the_request();
+    return checks_report("line owed");
+}

@@ -1,0 +1,133 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_probes: what a drive of a line loses when it becomes quiet, and how long what is urgent waits for silence. */
+#include "line_wire.h"
+
+static void one_that_becomes_quiet_forgets_what_it_was_told(void)
+{
+    for (uint32_t how = 0; how < 4; how++) {
+        begin_with(2, 0);
+        line_drive_state *drive = &w.machine.drive[0];
+        drive->mode = how == 3 ? DRIVE_QUIET : DRIVE_ARMED;
+        drive->may_turn = how != 1;
+        drive->stop = STOP_POWER_OFF;
+        drive->stopping = drive->back = true;
+        drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7, drive->probe_at_ns = 1;
+        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+            drive->way_told[way] = WAY_FORWARD;
+        }
+        w.machine.current = how == 1 ? 1 : 0;
+        w.machine.shut = how == 2 ? 2 : how == 1 ? 1 : 0;
+        line_go_quiet(&w.machine, 0, w.now_ns);
+        CHECK(drive->mode == DRIVE_QUIET && (drive->demoted & DEMOTED_QUIET) != 0 && drive->count.quiet == (how != 3));
+        CHECK(drive->stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->stopping && !drive->back);
+        CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);
+        /* one quick stop, one set-point of zero, and a question; or the question alone */
+        CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
+        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
+            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+        }
+        CHECK(w.machine.current == (how == 1 ? 1 : (uint32_t)LINE_DRIVES_MAX));
+    }
+}
+
+static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
+{
+    begin_with(2, 0);
+    line_drive_state *drive = &w.machine.drive[0];
+    drive->may_turn = true;
+    line_go_quiet(&w.machine, 0, w.now_ns);
+    int64_t pause_ns = 100 * MS;
+    for (uint32_t round = 0; round < 4; round++) {
+        for (uint32_t i = 0; i < 3; i++) {
+            line_frame frame;
+            w.now_ns += MS;
+            line_next_probe(&w.machine, 0, w.now_ns, &frame);
+            bool at_once = round == 0 && i < 2;
+            CHECK(i == 0   ? frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP
+                  : i == 1 ? frame.request[1] == WRITE && frame.request[3] == SPEED && frame.request[5] == 0
+                           : frame.request[1] == READ && frame.request[3] == STATUS);
+            CHECK(drive->probe_at_ns == (at_once ? w.now_ns : w.now_ns + pause_ns));
+            CHECK(drive->probe_place == (i + 1) % 3);
+            pause_ns = at_once ? pause_ns : 2 * pause_ns < 2000 * MS ? 2 * pause_ns : 2000 * MS;
+            CHECK(drive->probe_pause_ns == pause_ns);
+        }
+    }
+}
+
+static void the_exchange_that_asks_goes_before_the_extra_ranges(void)
+{
+    begin_with(1, 0);
+    w.machine.table.drive[0].probe = 1;
+    w.machine.table.drive[0].extra_count = 1;
+    w.machine.table.drive[0].extra[0].frame = frame_of(1, READ, STATUS, 1);
+    line_go_quiet(&w.machine, 0, w.now_ns);
+    line_frame frame;
+    line_next_probe(&w.machine, 0, w.now_ns, &frame);
+    CHECK(frame.request[1] == WRITE && frame.request[3] == SPEED);
+}
+
+static void the_first_quiet_drive_whose_time_has_come_is_asked(void)
+{
+    begin_with(3, 0);
+    line_machine *m = &w.machine;
+    m->drive[3].mode = DRIVE_QUIET;   /* it is none of the line */
+    m->drive[3].may_turn = true;
+    CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
+    for (uint32_t i = 1; i < 3; i++) {
+        m->drive[i].mode = DRIVE_QUIET;
+        m->drive[i].probe_at_ns = m->drive[i].quiet_until_ns = w.now_ns;
+    }
+    CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
+    m->drive[2].may_turn = true;
+    CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == 2);
+    m->drive[2].probe_at_ns++;
+    CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
+    m->drive[2].probe_at_ns--, m->drive[2].quiet_until_ns++;
+    CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
+    m->drive[1].may_turn = true;
+    CHECK(line_due_probe(m, true, w.now_ns) == 1);
+}
+
+/* Whatever of it is urgent. */
+static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever(void)
+{
+    for (uint32_t what = 0; what < 6; what++) {
+        begin_with(2, 0);
+        line_machine *m = &w.machine;
+
+        m->ours_ns = w.now_ns + 3 * MS;
+        m->broadcasts = what == 1;
+        m->drive[2].stop = STOP_QUICK;   /* it is none of the line */
+        m->drive[1].stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
+        m->drive[1].mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
+        m->drive[1].may_turn = what == 3 || what == 4;
+        m->shut = what == 4;
+        bool urgent = what >= 1 && what <= 3;
+        m->urgent_by_ns = 0;
+        m->noisy = false;
+        CHECK(!line_ends_patience(m, w.now_ns) && !m->noisy);
+        CHECK(m->urgent_by_ns == (urgent ? w.now_ns + 23 * MS : 0));
+        CHECK(!line_ends_patience(m, w.now_ns + 23 * MS - 1));
+        CHECK(line_ends_patience(m, w.now_ns + 23 * MS) == urgent && m->noisy == urgent);
+    }
+    begin_with(1, 0);
+    w.machine.broadcasts = 1;
+    w.machine.ours_ns = w.now_ns;   /* then the gap comes first */
+    CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + GAP_NS + 20 * MS);
+    w.machine.urgent_by_ns = 0;
+    w.machine.noisy = true;         /* it was in vain the last time */
+    w.machine.ours_ns = w.now_ns + 3 * MS;
+    CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + 3 * MS);
+    w.machine.broadcasts = 0;
+    CHECK(!line_ends_patience(&w.machine, w.now_ns + 9 * MS) && w.machine.urgent_by_ns == 0);
+}
+
+int main(void)
+{
+    one_that_becomes_quiet_forgets_what_it_was_told();
+    probes_of_one_that_may_turn_stop_it_in_each_round();
+    the_exchange_that_asks_goes_before_the_extra_ranges();
+    the_first_quiet_drive_whose_time_has_come_is_asked();
+    what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever();
+    return checks_report("line probes");
+}

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class HistoryPolicy(IntEnum):
+    KEEP_LAST = 1
+
+
+class ReliabilityPolicy(IntEnum):
+    RELIABLE = 1
+    BEST_EFFORT = 2
+
+
+class DurabilityPolicy(IntEnum):
+    TRANSIENT_LOCAL = 1
+    VOLATILE = 2
+
+
+@dataclass(kw_only=True)
+class QoSProfile:
+    depth: int
+    history: HistoryPolicy = HistoryPolicy.KEEP_LAST
+    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
+
+
+def profile(given):
+    """A depth stands for a profile."""
+    return QoSProfile(depth=given) if isinstance(given, int) else given
+
+
+def compatible(offered, requested):
+    """What a reader asks for is no more than what the writer offers."""
+    return (
+        offered.reliability <= requested.reliability and offered.durability <= requested.durability
+    )

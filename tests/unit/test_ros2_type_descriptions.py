@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ~/get_type_description answers for every type that there is, without a network."""
+
+import hashlib
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from motord.bus.ros2.cdr import decode, encode
+from motord.bus.ros2.type_descriptions import SERVICE, serve_types
+from motord.bus.ros2.types import TYPES, type_hash
+
+
+class Served:
+    """A node that has these types, and what it was told to serve."""
+
+    def __init__(self, *types):
+        self.types = set(types)
+        serve_types(self)
+
+    def serve(self, name, kind, answer):
+        assert (name, kind) == ("~/get_type_description", SERVICE)
+        self._answer = answer
+
+    async def ask(self, kind, sources=True):
+        """The answer, by way of its bytes."""
+        request = SimpleNamespace(
+            type_name="", type_hash=type_hash(kind), include_type_sources=sources
+        )
+        reply = f"{SERVICE}_Response"
+        return decode(reply, bytes(encode(reply, await self._answer(request))))
+
+
+def plain(value):
+    if isinstance(value, SimpleNamespace):
+        return {key: plain(item) for key, item in vars(value).items()}
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+@pytest.mark.parametrize("kind", TYPES)
+async def test_an_answer_hashes_to_what_was_asked_for(kind):
+    told = await Served(kind).ask(kind)
+    assert (told.successful, told.failure_reason) == (True, "")
+    described = plain(told.type_description)
+    for one in (described["type_description"], *described["referenced_type_descriptions"]):
+        for field in one["fields"]:
+            assert field.pop("default_value") == ""
+    text = json.dumps(described, separators=(", ", ": ")).encode()
+    assert f"RIHS01_{hashlib.sha256(text).hexdigest()}" == type_hash(kind)
+
+
+async def test_sources_are_the_texts_of_the_type_and_of_all_that_it_is_made_of():
+    kind = "std_srvs/srv/Trigger"
+    told = await Served(kind).ask(kind)
+    texts = {one.type_name: (one.encoding, one.raw_file_contents) for one in told.type_sources}
+    assert texts[kind] == ("srv", "---\nbool success\nstring message\n")
+    assert texts["builtin_interfaces/msg/Time"] == ("msg", "int32 sec\nuint32 nanosec\n")
+    assert texts[f"{kind}_Event"] == ("implicit", "")
+    assert not (await Served(kind).ask(kind, sources=False)).type_sources
+
+
+async def test_a_type_that_the_node_does_not_have_is_not_described():
+    told = await Served("std_msgs/msg/String").ask("std_msgs/msg/Header")
+    assert not told.successful
+    assert type_hash("std_msgs/msg/Header") in told.failure_reason
