@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """With this folder in PYTHONPATH, motord-bus has pure-Python threads beside it in its process,
-which want the GIL all the time: as many as HOGS says, from SIGUSR1 on."""
+which want the GIL all the time: as many as HOGS says, from SIGUSR1 on. From SIGWINCH on its event
+loop stands still. Either ends with SIGUSR2."""
 
 import os
 import signal
@@ -21,6 +22,12 @@ def begin(*_: object) -> None:
         threading.Thread(target=hog, daemon=True).start()
 
 
+def stand_still(*_: object) -> None:
+    _end.clear()
+    _end.wait()
+
+
 if "motord.bus" in sys.orig_argv:
     signal.signal(signal.SIGUSR1, begin)
+    signal.signal(signal.SIGWINCH, stand_still)
     signal.signal(signal.SIGUSR2, lambda *_: _end.set())

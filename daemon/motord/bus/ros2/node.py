@@ -135,6 +135,7 @@ class Node:
 
     def reader(self, name: str, kind: str, quality: Quality) -> Reader:
         """A topic whose samples are taken elsewhere, as they come. Raises DdsError."""
+        self.types.add(kind)
         topic = names.topic(self.full(name))
         self._readers.append(self._participant.reader(topic, kind, quality, _typed(kind), None))
         return self._readers[-1]
