@@ -175,7 +175,7 @@ def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
         )
         rows = inputs(armed)["ros2"]["rivals"]["cmd_vel"]
     assert all(row["rate_hz"] > 0.0 for row in rows)
-    assert armed.said().count("command against each other") == 1
+    assert "command against each other" in armed.said()
     wait_until(lambda: not inputs(armed)["ros2"]["rivals"], "the end of the contest")
 
 
@@ -377,8 +377,9 @@ def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s
     before, x_m = count(), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
+        # The graph may name him later than his first command comes.
+        wait_until(lambda: "input.ros2: /broken asks for " in armed.said(), "his name")
     assert armed.sim.truth().x_m == x_m
-    assert "input.ros2: /broken asks for " in armed.said()
 
 
 def test_old_commands_move_nothing(armed):
