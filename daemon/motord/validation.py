@@ -13,6 +13,7 @@ import subprocess
 import sys
 from typing import Any
 
+ANSWER_WITHIN_S = 60.0
 HERE = True
 """Whether this process does it: then tables of the robot file are pydantic's."""
 _reader: subprocess.Popen[bytes] | None = None
@@ -35,7 +36,14 @@ def ask(*question: Any) -> Any:
     if _reader is None:
         raise RuntimeError("there is no process that reads a robot file")
     reader, _reader = _reader, None
-    raw, _ = reader.communicate(pickle.dumps(question))
+    try:
+        raw, _ = reader.communicate(pickle.dumps(question), timeout=ANSWER_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        reader.kill()
+        reader.wait()
+        raise RuntimeError(
+            f"the process that reads the robot file did not answer within {ANSWER_WITHIN_S:g} s"
+        ) from None
     if reader.returncode:
         raise RuntimeError("the process that reads the robot file has failed")
     return pickle.loads(raw)
