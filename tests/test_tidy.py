@@ -146,8 +146,8 @@ def test_no_error_is_swallowed():
 def test_limits_on_waiting_hold_in_cleanups_too():
     rows = matching(PRODUCT, r"asyncio\.(timeout|timeout_at|wait_for)\(")
     report(
-        [row for row in rows if "hal/motord_hal/clock.py" not in row],
-        "until Python 3.11.3 a cancelled task gets no TimeoutError: motord_hal.clock.within",
+        [row for row in rows if "hal/motord_hal/base/clock.py" not in row],
+        "until Python 3.11.3 a cancelled task gets no TimeoutError: motord_hal.base.clock.within",
     )
 
 
@@ -184,17 +184,17 @@ def test_headers_of_csrc_point_downwards():
 
 def test_the_c_extension_has_seven_doors():
     doors = {
-        ROOT / "daemon/motord/rt.py",
-        ROOT / "daemon/motord/rt_replay.py",
-        ROOT / "hal/motord_hal/rt.py",
-        ROOT / "hal/motord_hal/rt_board.py",
-        ROOT / "hal/motord_hal/rt_can.py",
-        ROOT / "hal/motord_hal/rt_line.py",
-        ROOT / "hal/motord_hal/rt_pwm.py",
+        ROOT / "daemon/motord/realtime/loop.py",
+        ROOT / "daemon/motord/realtime/replay.py",
+        ROOT / "hal/motord_hal/realtime/exchange.py",
+        ROOT / "hal/motord_hal/realtime/board.py",
+        ROOT / "hal/motord_hal/realtime/can.py",
+        ROOT / "hal/motord_hal/realtime/line.py",
+        ROOT / "hal/motord_hal/realtime/pwm.py",
     }
     report(
         matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
-        "_motord_rt is imported by motord/rt.py, rt_replay.py, motord_hal/rt.py and"
+        "_motord_rt is imported by motord/realtime/loop.py, rt_replay.py, motord_hal/realtime/exchange.py and"
         " rt_{board,can,line,pwm}.py alone",
     )
 

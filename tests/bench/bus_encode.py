@@ -15,11 +15,11 @@ import timeit
 from collections.abc import Callable
 from typing import Any
 
+from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 from motord.bus import json_direct
 from motord.bus.messages import Body
 from motord.bus.ros2 import direct
 from motord.bus.topics import TOPICS, View, wall_offset_ns
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 
 BODY = Body(robot="bench", joints=("left", "right"))
 CALLS = 2000

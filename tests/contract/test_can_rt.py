@@ -13,10 +13,10 @@ from loop_side import PATIENT_S, running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from test_can_line import TURN, joints, spec_of
 
-from motord_hal.errors import HalError
-from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, EventKind
-from motord_hal.rt import Exchange, JointSetpoint, Setpoints
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import DriveState, EventKind
+from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 
 FRAME = struct.Struct("=IB3x8s")
 """struct can_frame: linux/can.h"""

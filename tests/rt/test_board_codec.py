@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from motord_hal.ascii.dialect import TextDialect
 from motord_hal.ascii.text import Text
 from motord_hal.drives.load import find_profile
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.mcu.frames import FRAME_BYTES_MAX, Frame, FrameError, build, parse
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.rt_engine import board_text
 from motord_hal.rt_engine.board_table import board_table, layout_of
 

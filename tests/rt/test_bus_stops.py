@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from small_base import core_config, settings, until
 
-from motord import rt
 from motord.bus.station import Station
 from motord.client import ClientError
 from motord.config import load_robot
-from motord.doors import open_stop_socket
+from motord.local_socket.command_sockets import open_stop_socket
+from motord.realtime import loop as rt
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 30.0

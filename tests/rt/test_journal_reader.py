@@ -11,8 +11,8 @@ import zstandard
 from _motord_rt import ffi, lib
 
 from motord.bus.journal import Journal
-from motord.page_file import JOURNAL, PageFile
-from motord.rt_replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
+from motord.realtime.page_file import JOURNAL, PageFile
+from motord.realtime.replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
 
 
 class Writer:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motord.client import Client, ClientError, Refused
-from motord.page_file import own_page
+from motord.realtime.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
 

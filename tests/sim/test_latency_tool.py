@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.rt import Loop, LoopSettings
+from motord.realtime.loop import Loop, LoopSettings
 from motord.tools.latency import LatencyError, LatencyOptions, run_latency
 from motord.tools.latency_load import BURNER
 from motord.tools.latency_other_end import PEER

@@ -24,7 +24,7 @@ from fault_mix import BATCH_S, SERIAL_KINDS, batches
 from said import Said
 
 from motord.client import Client, ClientError, Refused
-from motord.page_file import own_page
+from motord.realtime.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from motord.api.motion import Goal
 from motord.bus.inputs import gap as gap_module
 from motord.bus.inputs.desk import ANY_TIME, METHODS, Desk, NotTaken
 from motord.bus.inputs.gap import Gap
@@ -16,7 +17,6 @@ from motord.bus.station import Station
 from motord.bus.tunable import Tunable
 from motord.client import ClientError
 from motord.config import Ros2Input, load_robot
-from motord.motion import Goal
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 LONGEST_S = 0.5

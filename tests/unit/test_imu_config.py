@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from motord import assembly
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
-from motord.rt import Loop, LoopSettings
+from motord.control import assembly
+from motord.realtime.loop import Loop, LoopSettings
 from motord_hal.ascii.dialect import TextDialect
-from motord_hal.ports import Mounting
+from motord_hal.fieldbus.ports import Mounting
 from motord_hal.sim.content import NamedContent
 from motord_hal.sim.gyro import SimulatedGyro
 from motord_hal.sim.plant import Contact, Plant, Wheel, WheelModel

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from motord.api.snapshot import STATES
 from motord.bus.inputs.desk import Desk
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.station import Station
 from motord.client import ClientError
 from motord.config import Ros2Input, load_robot
-from motord.machine import Event, Facts, Refusal, State, step
-from motord.snapshot import STATES
+from motord.control.machine import Event, Facts, Refusal, State, step
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4

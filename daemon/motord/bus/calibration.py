@@ -15,8 +15,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from motord.motion import End, Travel, problem
-from motord.snapshot import Snapshot
+from motord.api.motion import End, Travel, problem
+from motord.api.snapshot import Snapshot
 
 Quantity = Literal["wheel_radius", "track"]
 REST_S = 2.0

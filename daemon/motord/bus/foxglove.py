@@ -15,13 +15,13 @@ import foxglove
 from foxglove import Channel, Context, Schema
 from foxglove.websocket import Capability, WebSocketServer
 
+from motord.api.deadline import within
 from motord.bus.foxglove_clients import ENCODING, Commands, Looks
 from motord.bus.ros2.direct import encoder, stamp_ns
 from motord.bus.ros2.types import definition
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
 from motord.bus.topics import TOPICS
 from motord.config import FoxgloveInput, FoxgloveServer
-from motord.deadline import within
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -21,11 +21,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram
+from motord.api.deadline import within
+from motord.api.local_rpc import NOT_ALLOWED, REFUSED
+from motord.api.stop_request import AGAIN_S, open_sender, try_send
 from motord.client import ClientError, Refused
-from motord.commands import RELEASE, TWIST, datagram, joint_datagram
-from motord.deadline import within
-from motord.local_rpc import NOT_ALLOWED, REFUSED
-from motord.stop_request import AGAIN_S, open_sender, try_send
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
@@ -105,8 +105,8 @@ async def call(path: Path, method: str, **params: Any) -> Any:
 
 
 class StopSender:
-    """Sends stop requests (motord.stop_request) from a socket that is open beforehand: it needs no
-    descriptor when it counts."""
+    """Sends stop requests (motord.api.stop_request) from a socket that is open beforehand: it needs
+    no descriptor when it counts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

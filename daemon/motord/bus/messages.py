@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from motord.api.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
 from motord.bus.message_types import (
     BatteryState,
     DiagnosticArray,
@@ -36,7 +37,6 @@ from motord.bus.message_types import (
     TwistWithCovariance,
     Vector3,
 )
-from motord.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
 
 UNMEASURED = 1e6
 """Variance of what wheels cannot tell: height, roll, pitch. Filters give it no weight."""

@@ -11,10 +11,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from motord.bus.inputs.gap import STOOD_STILL, Gap
-from motord.bus.link import Source
-from motord.client import ClientError
-from motord.motion import (
+from motord.api.motion import (
     STOPS_EVERY_S,
     Axis,
     Bounds,
@@ -29,8 +26,11 @@ from motord.motion import (
     planned,
     problem,
 )
-from motord.snapshot import Snapshot
-from motord.state_page import NoPage, StatePage
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
+from motord.bus.inputs.gap import STOOD_STILL, Gap
+from motord.bus.link import Source
+from motord.client import ClientError
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -21,7 +21,7 @@ from motord.bus.mqtt_names import names_of
 from motord.bus.secret import read_secret
 from motord.bus.topics import Topic, View
 from motord.config import MqttBroker
-from motord.sparing import Spared
+from motord.process.rate_limited_log import Spared
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

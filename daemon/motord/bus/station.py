@@ -12,6 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motord.api.deadline import within
+from motord.api.halting import outcome
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
+from motord.api.stop_request import KINDS
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
 from motord.bus.guard import keep
@@ -20,12 +25,7 @@ from motord.bus.link import Source, StopSender, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError, Refused
-from motord.deadline import within
-from motord.extras import how_to_install
-from motord.halting import outcome
-from motord.snapshot import Snapshot
-from motord.state_page import NoPage, StatePage
-from motord.stop_request import KINDS
+from motord.process.extras import how_to_install
 
 if TYPE_CHECKING:
     from motord.config import Robot

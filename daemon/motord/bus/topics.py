@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from motord.api.snapshot import Snapshot
 from motord.bus import message_types, messages
 from motord.bus.messages import Body, Commander
-from motord.snapshot import Snapshot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from motord.bus.inputs.desk import NotTaken
 from motord.client import ClientError
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.config import Robot

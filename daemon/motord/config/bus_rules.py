@@ -27,7 +27,7 @@ from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.recording_rules import memory_holds_the_time_before_a_fault
 from motord.config.toml_lines import Path
-from motord.extras import how_to_install
+from motord.process.extras import how_to_install
 
 LEASE_COMMANDS = 2
 OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -12,9 +12,9 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
+from motord_hal.base.errors import ProfileError
 from motord_hal.can.plan import CanPlan, with_cycle
-from motord_hal.errors import ProfileError
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 LOAD_MAX = 1.0
 LOAD_WARNING = 0.8

@@ -13,9 +13,9 @@ from motord.config.model import Joint, Robot
 from motord.config.problems import nearest
 from motord.config.robot_rules import ROBOT_RULES
 from motord.config.wheels import Profiles, profile_of
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.load import is_file_name, list_profiles
 from motord_hal.drives.profile import DriveProfile
-from motord_hal.errors import ProfileError
 from motord_hal.modbus.codec import UNIT_MAX
 
 _REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))

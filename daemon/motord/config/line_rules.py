@@ -28,7 +28,7 @@ from motord_hal.ascii.dialect import (
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.can.adapters import why_unfit
-from motord_hal.lines import RT_CAN_INTERFACES
+from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ from motord.config.model import Robot
 from motord.config.problems import ConfigError, Problem, dotted
 from motord.config.syntax import explain_syntax
 from motord.config.toml_lines import Path, line_of, lines_of
-from motord_hal import bounded
+from motord_hal.base import bounded
 
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 

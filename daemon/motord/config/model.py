@@ -43,7 +43,7 @@ from motord.config.line_sections import Cpus, LineSection
 from motord.config.problems import Problem
 from motord.config.section import Field, Name, PrivateAttr, Section, number
 from motord.config.speed_loop_section import SpeedLoop
-from motord_hal.ports import REST_VELOCITY_RAD_S
+from motord_hal.fieldbus.ports import REST_VELOCITY_RAD_S
 
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 

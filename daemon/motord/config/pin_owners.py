@@ -12,7 +12,7 @@ from motord.config.model import Robot
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
-from motord_hal.ports import EdgesEncoder, LineSpec
+from motord_hal.fieldbus.ports import EdgesEncoder, LineSpec
 from motord_hal.pwm.pins import places_of
 
 

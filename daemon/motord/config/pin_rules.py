@@ -13,8 +13,8 @@ from motord.config.pin_owners import pins_have_one_owner
 from motord.config.toml_lines import Path
 from motord.config.wheels import Profiles
 from motord.config.wiring import line_specs
+from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec
 from motord_hal.gpio.lines import why_no_pull
-from motord_hal.ports import EdgesEncoder, JointSpec, LineSpec
 from motord_hal.pwm.pins import Place, bridge_of, places_of
 
 

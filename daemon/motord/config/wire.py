@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from motord_hal.ascii.dialect import text_bytes
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import Gap
-from motord_hal.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine.ddsm_frames import DdsmFrames
 
 _ASK_BYTES = 8 + 7

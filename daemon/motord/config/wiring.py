@@ -10,7 +10,7 @@ from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, Se
 from motord.config.model import Joint, Robot
 from motord.config.wheels import Profiles, rad_per_count
 from motord_hal.drives.profile import DriveProfile, Gap
-from motord_hal.ports import (
+from motord_hal.fieldbus.ports import (
     BoardEncoder,
     CounterEncoder,
     DirectionKind,

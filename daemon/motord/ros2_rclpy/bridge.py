@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from motord.api.state_page import NoPage, StatePage
 from motord.bus.adapters import Adapter
 from motord.bus.inputs.desk import NotTaken
 from motord.bus.link import Ask, Source, call
@@ -25,7 +26,6 @@ from motord.bus.ros2.nodes import Node
 from motord.bus.station import Station
 from motord.bus.tunable import Tunable
 from motord.client import ClientError, find_socket
-from motord.state_page import NoPage, StatePage
 
 if TYPE_CHECKING:
     from motord.config import Robot, Ros2Input

@@ -35,7 +35,7 @@ from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 ANSWER_WITHIN_S = 30.0
 """Of a call; the daemon's own deadlines are shorter."""

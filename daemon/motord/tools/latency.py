@@ -13,14 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from motord.rt import Bucket, HistogramKind, Loop, LoopSettings, Percentiles
+from motord.realtime.loop import Bucket, HistogramKind, Loop, LoopSettings, Percentiles
 from motord.tools.latency_cyclictest import CyclictestResult, beside
 from motord.tools.latency_load import load
 from motord.tools.latency_machine import CpuTimes, machine_facts
 from motord.tools.latency_other_end import Answers, LatencyError, OtherEnd, other_end, own_port
 from motord.tools.latency_report import NOTHING, Bar, LatencyReport, Spread, Window
 from motord.tools.latency_rig import Rig, core_config
-from motord_hal.clock import within
+from motord_hal.base.clock import within
 
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]
 

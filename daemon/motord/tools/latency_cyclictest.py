@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from motord.tools.latency_process import running
 from motord.tools.latency_report import Bar, Spread
-from motord_hal.clock import within
+from motord_hal.base.clock import within
 
 HISTOGRAM_US = 20_000
 """Later than this is counted as overflow, and told as the maximum."""

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from motord.tools.latency_process import running
 from motord.tools.latency_report import Spread
-from motord_hal.clock import within
+from motord_hal.base.clock import within
 
 COMMAND_HZ = 100.0
 PEER = Path(__file__).with_name("latency_peer.py")

@@ -8,7 +8,7 @@ import contextlib
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Sequence
 
-from motord_hal.clock import within
+from motord_hal.base.clock import within
 
 END_DEADLINE_S = 10.0
 

@@ -17,11 +17,11 @@ import socket
 import time
 from collections.abc import Iterator
 
-from motord.rt import BaseLimits, Control, CoreConfig, JointConfig, Loop, StopAction
+from motord.realtime.loop import BaseLimits, Control, CoreConfig, JointConfig, Loop, StopAction
 from motord.tools.latency_other_end import LatencyError
 from motord.tools.latency_peer import COMMAND, Tally
-from motord_hal.clock import within
-from motord_hal.rt import Exchange, Setpoints
+from motord_hal.base.clock import within
+from motord_hal.realtime.exchange import Exchange, Setpoints
 
 LINE = 0
 WHEEL_RADIUS_M = 0.1

@@ -8,11 +8,11 @@ import itertools
 from collections import defaultdict, deque
 from collections.abc import Callable
 
-from motord_hal.clock import NS_PER_S, now_ns
-from motord_hal.errors import BadReply, HalError, NoReply, PortError, Refused
+from motord_hal.base.clock import NS_PER_S, now_ns
+from motord_hal.base.errors import BadReply, HalError, NoReply, PortError, Refused
 from motord_hal.modbus.codec import EXCEPTION_TEXT
-from motord_hal.rt_line import Answer, AnswerKind, Ask, LineThread
-from motord_hal.rt_table import LineFrame
+from motord_hal.realtime.line import Answer, AnswerKind, Ask, LineThread
+from motord_hal.realtime.table import LineFrame
 
 ANSWER_ALLOWANCE_S = 1.0
 """Whoever waits for an answer waits so much longer than the line may take: the event loop may be

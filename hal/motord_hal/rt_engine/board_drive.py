@@ -6,12 +6,12 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import Say
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu import board
-from motord_hal.ports import LineSpec
-from motord_hal.rt_board import BoardThread
+from motord_hal.realtime.board import BoardThread
 from motord_hal.rt_engine.board_jobs import BoardJobs
 from motord_hal.rt_engine.drive import RtDrive
 from motord_hal.rt_engine.news import News

@@ -7,12 +7,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.errors import DriveFault, HalError, NoReply
 from motord_hal.mcu.board import WAIT_LEAST_S
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.rt_board import BoardSays, BoardThread
+from motord_hal.realtime.board import BoardSays, BoardThread
 from motord_hal.rt_engine.asks import Check, always
 from motord_hal.rt_engine.board_table import Layout, write
 

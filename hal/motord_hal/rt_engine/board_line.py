@@ -7,20 +7,20 @@ import os
 from collections import Counter
 
 from motord_hal.ascii.dialect import text_bytes
-from motord_hal.engine.parameter import readable
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import NoReply, PortError, ProfileError
+from motord_hal.base.errors import NoReply, PortError, ProfileError
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
+from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import period_s, wire_limit_hz
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
-from motord_hal.rt import Exchange
-from motord_hal.rt_board import BoardReport, BoardThread, check_table
+from motord_hal.realtime.board import BoardReport, BoardThread, check_table
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.thread import cpu_mask
 from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.board_drive import BoardRtDrive
 from motord_hal.rt_engine.board_jobs import BoardJobs
 from motord_hal.rt_engine.board_table import board_table, layout_of
-from motord_hal.rt_thread import cpu_mask
 from motord_hal.serial.port import OpenPort, open_port
 
 

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import DriveProfile, Register, Step
-from motord_hal.engine.job import configure_steps, watchdog_time_s
-from motord_hal.errors import ProfileError
+from motord_hal.fieldbus.job import configure_steps, watchdog_time_s
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.mcu.board import QUIET_ALLOWANCE_S
 from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_bytes
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine import board_text
 from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
 from motord_hal.rt_engine.table import raw_limits, si_per_raw
-from motord_hal.rt_table import FieldKind
 
 Plain = dict[str, Any]
 

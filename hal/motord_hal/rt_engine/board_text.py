@@ -18,10 +18,10 @@ from motord_hal.ascii.dialect import (
 )
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import Register
-from motord_hal.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.mcu.frames import RATE_UNIT_RAD_S
-from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine.table import si_per_raw
 
 Plain = dict[str, Any]

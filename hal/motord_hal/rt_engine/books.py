@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from motord_hal.ports import LineStats, RoundTrips
-from motord_hal.rt_line import LineReport, LineThread, Mode
+from motord_hal.fieldbus.ports import LineStats, RoundTrips
+from motord_hal.realtime.line import LineReport, LineThread, Mode
 
 _ERRORS = ("no_reply", "bad_reply", "refused")
 

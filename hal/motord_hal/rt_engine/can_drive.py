@@ -7,13 +7,13 @@ import asyncio
 from collections.abc import Sequence
 from typing import Any
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
+from motord_hal.base.retry import Backoff
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import Say
-from motord_hal.engine.job import Job
-from motord_hal.ports import LineSpec
-from motord_hal.retry import Backoff
-from motord_hal.rt_can import CanThread
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.realtime.can import CanThread
 from motord_hal.rt_engine.can_jobs import CanJobs
 from motord_hal.rt_engine.can_table import inputs_of, silence_s
 from motord_hal.rt_engine.drive import RtDrive

@@ -7,17 +7,17 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
+from motord_hal.base.clock import NS_PER_S, now_ns, now_s
+from motord_hal.base.errors import HalError, NoReply
 from motord_hal.can.job_step import StepRunner
 from motord_hal.can.plan import CanPlan, with_cycle
-from motord_hal.clock import NS_PER_S, now_ns, now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
-from motord_hal.engine.job import Job
-from motord_hal.errors import HalError, NoReply
-from motord_hal.rt_can import CanDriveReport, CanThread
+from motord_hal.fieldbus.job import Job
+from motord_hal.realtime.can import CanDriveReport, CanThread
+from motord_hal.realtime.thread import Plain
 from motord_hal.rt_engine.asks import Check, always
 from motord_hal.rt_engine.can_table import packet, write
-from motord_hal.rt_thread import Plain
 
 ORDER_WITHIN_S = 0.5
 """So long a frame may wait while the bus takes nothing."""

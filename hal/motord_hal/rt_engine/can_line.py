@@ -7,23 +7,31 @@ import os
 import socket
 from collections import Counter
 
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import CanPlan
-from motord_hal.clock import now_s
 from motord_hal.drives.profile import Step
-from motord_hal.engine.job import Job
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import PortError, ProfileError
-from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
-from motord_hal.rt import Exchange
-from motord_hal.rt_can import DRIVES_MAX, ERROR, EXTENDED, CanReport, CanThread, Heard, check_table
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.realtime.can import (
+    DRIVES_MAX,
+    ERROR,
+    EXTENDED,
+    CanReport,
+    CanThread,
+    Heard,
+    check_table,
+)
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.thread import cpu_mask
 from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.can_drive import CanRtDrive
 from motord_hal.rt_engine.can_jobs import CanJobs
 from motord_hal.rt_engine.can_port import open_socket
 from motord_hal.rt_engine.can_table import can_table
-from motord_hal.rt_thread import cpu_mask
 
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""

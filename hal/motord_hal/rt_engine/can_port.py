@@ -9,10 +9,10 @@ import socket
 import struct
 from collections.abc import Iterable
 
+from motord_hal.base.errors import PortError
 from motord_hal.can.address import split_address
 from motord_hal.can.unix_client import SO_TIMESTAMPNS
-from motord_hal.errors import PortError
-from motord_hal.rt_can import EXTENDED, REMOTE
+from motord_hal.realtime.can import EXTENDED, REMOTE
 
 _FILTER = struct.Struct("=II")
 """struct can_filter: identifier, mask."""

@@ -17,10 +17,10 @@ from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
 from motord_hal.drives.profile import SI_UNITS, Step
-from motord_hal.ports import JointSpec, LineSpec
-from motord_hal.rt_can import EXTENDED, REMOTE
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.realtime.can import EXTENDED, REMOTE
+from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.meaning import harmless_words, setpoint_scale, sources_of
-from motord_hal.rt_table import FieldKind
 
 SAMPLE_PART = 0.5
 """As of the asyncio engine: measurements that the bus has bunched are told apart by this part of

@@ -14,10 +14,10 @@ from motord_hal.ddsm.codec import (
     pick,
 )
 from motord_hal.drives.profile import DriveProfile, Register, Step
+from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, WireTime, wanted_registers
-from motord_hal.ports import JointSpec
+from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.rt_engine.frames import PlannedFrame
-from motord_hal.rt_table import LineFrame, Seal
 
 
 class DdsmFrames:

@@ -13,17 +13,17 @@ from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from motord_hal.clock import NS_PER_S, now_ns, within
+from motord_hal.base.clock import NS_PER_S, now_ns, within
+from motord_hal.base.errors import HalError, PortError
+from motord_hal.base.retry import Backoff
 from motord_hal.drives.profile import DriveProfile, Step
-from motord_hal.engine.faults import FaultWatch, Say
-from motord_hal.engine.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
-from motord_hal.errors import HalError, PortError
-from motord_hal.ports import DriveState, EventKind, JointSpec
-from motord_hal.retry import Backoff
+from motord_hal.fieldbus.faults import FaultWatch, Say
+from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.realtime.line import AnswerKind, Demoted, DriveReport, LineThread, Mode
 from motord_hal.rt_engine.asks import Check, exception_text
 from motord_hal.rt_engine.jobs import DriveJobs
 from motord_hal.rt_engine.news import News
-from motord_hal.rt_line import AnswerKind, Demoted, DriveReport, LineThread, Mode
 
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from motord_hal.drives.profile import DriveProfile, Step
-from motord_hal.ports import JointSpec
-from motord_hal.rt_table import LineFrame
+from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.realtime.table import LineFrame
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,16 +9,16 @@ import contextlib
 import os
 from collections.abc import AsyncIterator, Mapping
 
-from motord_hal.errors import PortError
-from motord_hal.halt import halt_unit
-from motord_hal.ports import LineSpec
-from motord_hal.rt import Exchange
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.halt import halt_unit
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.line import LineThread, ThreadSpec
 from motord_hal.rt_engine.asks import Asks
 from motord_hal.rt_engine.frames import DriveFrames
 from motord_hal.rt_engine.news import News
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
-from motord_hal.rt_line import LineThread, ThreadSpec
 from motord_hal.serial.port import open_port
 
 SLOT_WITHIN_S = 0.5

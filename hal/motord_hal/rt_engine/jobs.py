@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import BadReply, DriveFault, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.errors import BadReply, DriveFault, NoReply
+from motord_hal.realtime.table import LineFrame
 from motord_hal.rt_engine.asks import Asks, Check, always
 from motord_hal.rt_engine.frames import DriveFrames
-from motord_hal.rt_table import LineFrame
 
 
 class DriveJobs:

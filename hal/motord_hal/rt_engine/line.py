@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 
-from motord_hal.engine.parameter import readable
-from motord_hal.errors import HalError, PortError, ProfileError
-from motord_hal.ports import LineSpec, LineStats, Listener
-from motord_hal.rt import Exchange
+from motord_hal.base.errors import HalError, PortError, ProfileError
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.ports import LineSpec, LineStats, Listener
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
 from motord_hal.rt_engine.asks import Asks
 from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.books import Books
@@ -16,7 +17,6 @@ from motord_hal.rt_engine.drive import SerialDrive
 from motord_hal.rt_engine.jobs import DriveJobs
 from motord_hal.rt_engine.protocols import frames_of
 from motord_hal.rt_engine.table import line_table
-from motord_hal.rt_line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
 

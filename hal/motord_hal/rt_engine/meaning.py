@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from motord_hal.drives.profile import Channel, DriveProfile
-from motord_hal.ports import JointSpec
-from motord_hal.rt_table import FieldKind, SetpointKind
+from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.realtime.table import FieldKind, SetpointKind
 
 
 def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldKind, str]]:

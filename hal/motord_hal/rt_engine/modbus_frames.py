@@ -15,8 +15,8 @@ from motord_hal.modbus.codec import (
     reply_bytes,
 )
 from motord_hal.modbus.plan import DrivePlan, ReadRange
+from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.rt_engine.frames import PlannedFrame
-from motord_hal.rt_table import LineFrame, Seal
 
 _WRITE_ECHO_BYTES = 6
 _READ_HEAD_BYTES = 3

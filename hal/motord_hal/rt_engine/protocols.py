@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import ProfileError
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.modbus.codec import frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.rt_engine.ddsm_frames import DdsmFrames
 from motord_hal.rt_engine.frames import DriveFrames
 from motord_hal.rt_engine.modbus_frames import ModbusFrames

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from motord_hal.drives.profile import DriveProfile, Register, RegisterType, Step
+from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.modbus.plan import DrivePlan, ReadRange, WireTime
-from motord_hal.ports import JointSpec
+from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.roboclaw import codec
 from motord_hal.rt_engine.frames import PlannedFrame
-from motord_hal.rt_table import LineFrame, Seal
 
 _HEAD_BYTES = 2
 """Address and command, before the content of a write."""

@@ -11,14 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
-from motord_hal.engine.job import configure_steps, kept_steps, watchdog_time_s
+from motord_hal.fieldbus.job import configure_steps, kept_steps, watchdog_time_s
+from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import Echo, JointSpec, LineSpec
-from motord_hal.rt_engine.frames import DriveFrames, PlannedFrame
-from motord_hal.rt_engine.meaning import harmless, setpoint_kind, sources_of
-from motord_hal.rt_table import (
+from motord_hal.realtime.table import (
     FieldKind,
     Form,
     LineDrive,
@@ -29,6 +27,8 @@ from motord_hal.rt_table import (
     LineTable,
     LineWay,
 )
+from motord_hal.rt_engine.frames import DriveFrames, PlannedFrame
+from motord_hal.rt_engine.meaning import harmless, setpoint_kind, sources_of
 
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF

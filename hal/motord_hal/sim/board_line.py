@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import character_bits
-from motord_hal.ports import LineSpec
 from motord_hal.sim.content import NamedContent
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.faults import FaultScript

@@ -14,7 +14,7 @@ from typing import Any
 import can
 
 from motord_hal.drives.can_profile import Frame, Sender
-from motord_hal.ports import LineSpec
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.sim.can_content import CanContent
 from motord_hal.sim.can_port import CanPort
 from motord_hal.sim.drive import SimulatedDrive

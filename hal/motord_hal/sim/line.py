@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from motord_hal.drives.profile import Gap
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import character_bits, silent_interval_s
 from motord_hal.modbus.timing import drive_gap_s, line_gap_s
-from motord_hal.ports import LineSpec
 from motord_hal.sim.drive import SimulatedDrive
 from motord_hal.sim.faults import FaultScript, Spoiled
 from motord_hal.sim.framing import framing_of

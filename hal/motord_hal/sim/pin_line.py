@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.pwm.pins import Place, bridge_of, may_be_left_out, places_of
 from motord_hal.sim.bridge import SimulatedBridge, mode_of
 from motord_hal.sim.pin_folder import PinFolder

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from motord_hal.drives.profile import DriveProfile
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.board_line import SimulatedBoard
 from motord_hal.sim.bridge import SimulatedBridge

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
 from motord_hal.ascii.text import Lines
 from motord_hal.ascii.twist import LINEAR, wheels_of
-from motord_hal.ports import LineSpec
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.sim.content import NamedContent
 from motord_hal.sim.gyro import SimulatedGyro
 

@@ -14,7 +14,7 @@ from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

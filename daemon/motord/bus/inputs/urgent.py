@@ -10,7 +10,7 @@ from typing import Any
 
 from motord.bus.link import reason
 from motord.client import ClientError, Refused
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 AGAIN_S = 0.1
 

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
+from motord.api.snapshot import SNAPSHOT_VERSION
 from motord.bus.publish.rosbag2 import METADATA, RECORD, channel_metadata
 from motord.bus.ros2.types import definition
-from motord.snapshot import SNAPSHOT_VERSION
 
 MB = 1_000_000
 ALL = "all"

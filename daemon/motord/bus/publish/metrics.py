@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from motord.api.snapshot import STATES
 from motord.bus.messages import Body
 from motord.bus.topics import View
-from motord.snapshot import STATES
 
 Labels = Mapping[str, str]
 

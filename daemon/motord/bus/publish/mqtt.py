@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
+from motord.api.snapshot import SNAPSHOT_VERSION
 from motord.bus.mqtt_connection import MqttConnection
 from motord.bus.topics import TOPICS
 from motord.config import MqttPublish
-from motord.snapshot import SNAPSHOT_VERSION
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -13,9 +13,9 @@ import logging
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
+from motord.api.deadline import within
 from motord.bus.publish.metrics import exposition
 from motord.config import PrometheusPublish
-from motord.deadline import within
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

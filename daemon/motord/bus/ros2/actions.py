@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 GOALS_KEPT = 16
 """With their results; more are forgotten, the oldest first."""

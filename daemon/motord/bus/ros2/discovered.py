@@ -19,7 +19,7 @@ from cyclonedds.domain import DomainParticipant
 
 from motord.bus.ros2.other_types import Side, other_type_said
 from motord.bus.ros2.unanswered import Unanswered, answered
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 _LOOK_AT_MOST = 64
 

@@ -17,11 +17,11 @@ import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from motord.api.deadline import within
 from motord.bus.inputs.desk import Desk, NotTaken
 from motord.bus.messages import state_name
 from motord.bus.ros2.nodes import Node
-from motord.deadline import within
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

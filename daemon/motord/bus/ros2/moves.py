@@ -10,13 +10,13 @@ from collections.abc import Callable, Coroutine
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from motord.api.motion import End, Goal, Motion, Plan, Wish
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
 from motord.bus.calibration import Calibration, Found, Measure, measure
 from motord.bus.mover import Mover, NotNow
 from motord.bus.ros2.actions import ActionServer, Refused, Status, Tell, Turn, Work
 from motord.bus.ros2.nodes import Node
-from motord.motion import End, Goal, Motion, Plan, Wish
-from motord.snapshot import Snapshot
-from motord.state_page import NoPage, StatePage
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

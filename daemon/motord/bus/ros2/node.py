@@ -19,7 +19,7 @@ from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.types import type_hash, with_parts
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",

@@ -15,10 +15,10 @@ from errno import ETIMEDOUT
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol
 
+from motord.api.deadline import within
 from motord.bus.inputs.desk import AHEAD, ZERO_STAMP, Desk
 from motord.bus.link import NO_LEASE, SOCKET_FULL
 from motord.bus.ros2.quality import Quality
-from motord.deadline import within
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 NEWEST_FEW = Quality(depth=8, reliable=False)

@@ -18,6 +18,7 @@ from typing import Any
 
 from cyclonedds.core import DDSException
 
+from motord.api.deadline import within
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant
@@ -25,8 +26,7 @@ from motord.bus.ros2.discovered import client_of
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import asker
 from motord.bus.ros2.types import type_hash
-from motord.deadline import within
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 WAITING_MAX = 32
 """Requests; more are not answered."""

@@ -33,7 +33,7 @@ from motord.bus.ros2.zenoh_names import (
     quality_said,
     type_of,
 )
-from motord.sparing import Sparing
+from motord.process.rate_limited_log import Sparing
 
 WAITING_MAX = 32
 """Requests; more are refused."""

@@ -14,12 +14,12 @@ from typing import Any
 
 import zenoh
 
+from motord.api.deadline import within
 from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.types import with_parts
 from motord.bus.ros2.zenoh_endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh_names import NodeNames
-from motord.deadline import within
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where ROS 2 has its router."""
