@@ -182,20 +182,11 @@ def test_headers_of_csrc_point_downwards():
     report(rows, "threads, schedulers, mappings: loop*.c, line_thread.c, output_pwm.c, bus*.c")
 
 
-def test_the_c_extension_has_seven_doors():
-    doors = {
-        ROOT / "daemon/motord/realtime/loop.py",
-        ROOT / "daemon/motord/realtime/replay.py",
-        ROOT / "hal/motord_hal/realtime/exchange.py",
-        ROOT / "hal/motord_hal/realtime/board.py",
-        ROOT / "hal/motord_hal/realtime/can.py",
-        ROOT / "hal/motord_hal/realtime/line.py",
-        ROOT / "hal/motord_hal/realtime/pwm.py",
-    }
+def test_two_folders_know_the_c_extension():
+    others = [path for path in PRODUCT if path.parent.name != "realtime"]
     report(
-        matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
-        "_motord_rt is imported by motord/realtime/loop.py, rt_replay.py, motord_hal/realtime/exchange.py and"
-        " rt_{board,can,line,pwm}.py alone",
+        matching(others, r"(import|from) _motord_rt"),
+        "_motord_rt is imported in motord/realtime and motord_hal/realtime alone",
     )
 
 

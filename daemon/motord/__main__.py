@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import sys
 
+from motord.base import validation
 from motord.cli import cli
-from motord.process import validation
 
 
 def main() -> None:

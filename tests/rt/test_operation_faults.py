@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 from small_base import core_config, hear_wheels, settings, until
 
+from motord.base.sdnotify import Notifier
 from motord.config import load_robot
-from motord.control import procedures
 from motord.control.machine import Event, State
 from motord.control.operation import Operation, process_name
+from motord.daemon import procedures
 from motord.local_socket.server import Refused
-from motord.process.sdnotify import Notifier
 from motord.realtime import loop as rt
 from motord_hal.base.paths import config_dir
 from motord_hal.fieldbus.ports import EventKind, LineEvent, LineState

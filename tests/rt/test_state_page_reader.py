@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord.api import state_page
+from motord.api.page_file import own_page
 from motord.api.state_page import NoPage, StatePage
 from motord.realtime import loop as rt
-from motord.realtime.page_file import own_page
 
 
 @pytest.fixture

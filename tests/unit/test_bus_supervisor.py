@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from motord.config import load_robot
-from motord.process import bus_supervisor
-from motord.process.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
+from motord.daemon import bus_supervisor
+from motord.daemon.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 30.0

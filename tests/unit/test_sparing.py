@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from motord.process import rate_limited_log as sparing
+from motord.base import rate_limited_log as sparing
 
 
 def test_a_thousand_of_one_matter_are_one_line(caplog):

@@ -17,7 +17,7 @@ DEADLINE_S = 120.0
 SEEN = """
 import json, sys
 from pathlib import Path
-from motord.process import validation
+from motord.base import validation
 
 def seen(value):
     if type(value).__module__.startswith("motord.config") and hasattr(value, "model_fields_set"):

@@ -10,11 +10,11 @@ import os
 import time
 from pathlib import Path
 
+from motord.api.page_file import PAGE
 from motord.api.snapshot import STATES, Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.api.stop_request import page_link, send, stop_socket
 from motord.client import TIMEOUT_S, Client, ClientError, Refused
-from motord.realtime.page_file import PAGE
 
 ANSWER_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.005

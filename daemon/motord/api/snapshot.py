@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the core knows after a tick, as plain Python values.
 
-The names are those of `robot_state` in csrc/api.h, and so are the meanings. `motord.realtime.loop` fills
-it; everybody else, the second process too, only reads it: hence no import of the C core here.
+The names are those of `robot_state` in csrc/api.h, and so are the meanings. The folder `realtime`
+fills it; everybody else, the second process too, only reads it: hence no import of the C core.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ import struct
 from pathlib import Path
 from typing import Any, Self
 
+from motord.api.page_file import find_page
 from motord.api.snapshot import DoubtSnapshot, ImuSnapshot, JointSnapshot, Snapshot, gyro_word
-from motord.realtime.page_file import find_page
 
 REASONS = {
     0: "linear_velocity",

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from motord.base import validation
 from motord.bus.confine import confine
-from motord.process import validation
 
 
 def main() -> None:

@@ -12,8 +12,8 @@ from typing import Self
 
 import zstandard
 
+from motord.api.page_file import JOURNAL, find_page
 from motord.bus.ros2.cdr import HEADER
-from motord.realtime.page_file import JOURNAL, find_page
 
 TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import aiomqtt
 
+from motord.base.rate_limited_log import Spared
 from motord.bus import json_form
 from motord.bus.feed import Form, Make, as_message
 from motord.bus.guard import first, raise_if_cancelled
@@ -21,7 +22,6 @@ from motord.bus.mqtt_names import names_of
 from motord.bus.secret import read_secret
 from motord.bus.topics import Topic, View
 from motord.config import MqttBroker
-from motord.process.rate_limited_log import Spared
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

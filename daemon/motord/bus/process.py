@@ -16,10 +16,10 @@ from pathlib import Path
 
 import click
 
+from motord.base import log
 from motord.bus.station import Station
 from motord.client import ClientError, find_socket
 from motord.config import ConfigError, Robot, load_robot
-from motord.process import log
 
 BEAT_EVERY_S = 1.0
 _FAILED, _USAGE = 1, 2

@@ -17,6 +17,7 @@ from motord.api.halting import outcome
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.api.stop_request import KINDS
+from motord.base.extras import how_to_install
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.feed import Feed, Form, as_message
 from motord.bus.guard import keep
@@ -25,7 +26,6 @@ from motord.bus.link import Source, StopSender, call
 from motord.bus.messages import Body
 from motord.bus.topics import View
 from motord.client import ClientError, Refused
-from motord.process.extras import how_to_install
 
 if TYPE_CHECKING:
     from motord.config import Robot

@@ -10,9 +10,9 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.inputs.desk import NotTaken
 from motord.client import ClientError
-from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.config import Robot

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motord.base.extras import how_to_install
 from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json, set_option
-from motord.process.extras import how_to_install
 
 if TYPE_CHECKING:
     from motord.realtime.replay import ReplayedCore, ReplayPage
@@ -106,7 +106,7 @@ class _Player:
 @contextlib.contextmanager
 def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
     """A state page in the name of that robot, and the process that brings it to the buses."""
-    from motord.realtime.page_file import PageInUse
+    from motord.api.page_file import PageInUse
     from motord.realtime.replay import ReplayPage
 
     robot = load_or_exit(robot_file, overrides)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import click
 
+from motord.api.page_file import own_page
+from motord.base import log
 from motord.cli.common import (
     Exit,
     Failure,
@@ -19,11 +21,9 @@ from motord.cli.common import (
     robot_argument,
     set_option,
 )
-from motord.control.app import run as run_daemon
+from motord.daemon.app import run as run_daemon
 from motord.local_socket.server import SocketInUse
-from motord.process import log
 from motord.realtime.loop import ConfigRefused, PageInUse
-from motord.realtime.page_file import own_page
 from motord_hal.base.errors import PortError, ProfileError
 
 _log = logging.getLogger(__name__)

@@ -20,7 +20,7 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import ConfigError, Robot, load_robot
-from motord.process.running_file import find, forget
+from motord.daemon.running_file import find, forget
 from motord.tools.stop_all import DaemonRuns, Halted
 from motord.tools.stop_all import stop_all as stop_everything
 from motord_hal.base import bounded

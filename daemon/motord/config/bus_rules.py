@@ -7,6 +7,7 @@ import stat
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 
+from motord.base.extras import how_to_install
 from motord.config.bus_sections import (
     LOOPBACK,
     BusPublish,
@@ -27,7 +28,6 @@ from motord.config.finding import Finding
 from motord.config.model import Robot
 from motord.config.recording_rules import memory_holds_the_time_before_a_fault
 from motord.config.toml_lines import Path
-from motord.process.extras import how_to_install
 
 LEASE_COMMANDS = 2
 OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from motord.process import validation
+from motord.base import validation
 
 if TYPE_CHECKING or validation.HERE:
     from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, StringConstraints

@@ -19,6 +19,8 @@ from pathlib import Path
 
 from motord.api.commands import LeaseGrant
 from motord.api.snapshot import Snapshot
+from motord.base.log import about
+from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
 from motord.control.assembly import base_limits
 from motord.control.battery import BatteryLevel, BatteryWatch
@@ -27,8 +29,6 @@ from motord.control.leases import Lease, Leases, NoLease
 from motord.control.machine import Event, Facts, Refusal, State, step
 from motord.control.waiting import Waiting
 from motord.local_socket.server import Refused
-from motord.process.log import about
-from motord.process.sdnotify import Notifier
 from motord.realtime.loop import Control, Loop
 from motord.realtime.types import StopRequests
 from motord_hal.base.clock import within

@@ -13,10 +13,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from motord.api.page_file import own_page
 from motord.api.stop_request import page_link, stop_socket
 from motord.config import BusInput, Robot, RtInput
 from motord.realtime.loop import LEASES_MAX
-from motord.realtime.page_file import own_page
 
 SOCKET_MODE = 0o660
 LOOPBACK = "127.0.0.1"

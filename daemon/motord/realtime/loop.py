@@ -28,9 +28,9 @@ from motord.api.commands import (
     Refusal,
     datagram,
 )
+from motord.api.page_file import JOURNAL, PageFile, PageInUse
 from motord.api.snapshot import Snapshot
-from motord.local_socket import permissions as grants
-from motord.realtime.page_file import JOURNAL, PageFile, PageInUse
+from motord.realtime import permissions as grants
 from motord.realtime.snapshot import lease_state_of, snapshot_of
 from motord.realtime.types import (
     AxisLimits,

@@ -9,9 +9,9 @@ from typing import Any, Self
 
 from _motord_rt import ffi, lib
 
+from motord.api.page_file import PageFile
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import decode
-from motord.realtime.page_file import PageFile
 
 LAYOUT_VERSION: int = lib.JOURNAL_LAYOUT_VERSION
 RECORD_BYTES: int = ffi.sizeof("journal_record")

@@ -29,13 +29,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.inbox import Crossing, Inbox
 from motord.bus.inputs.desk import NotTaken
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
-from motord.process.rate_limited_log import Sparing
 
 ANSWER_WITHIN_S = 30.0
 """Of a call; the daemon's own deadlines are shorter."""

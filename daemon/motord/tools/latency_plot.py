@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motord.process.extras import how_to_install
+from motord.base.extras import how_to_install
 from motord.tools.latency_report import CLASSES, Bar, LatencyReport, Spread
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.inputs.gap import STOOD_STILL, Gap
 from motord.bus.link import Source, reason
 from motord.bus.secret import Token
 from motord.client import ClientError
-from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -8,9 +8,9 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.link import reason
 from motord.client import ClientError, Refused
-from motord.process.rate_limited_log import Sparing
 
 AGAIN_S = 0.1
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from types import SimpleNamespace
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
-from motord.process.rate_limited_log import Sparing
 
 GOALS_KEPT = 16
 """With their results; more are forgotten, the oldest first."""

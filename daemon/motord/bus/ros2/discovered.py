@@ -17,9 +17,9 @@ from cyclonedds.builtin import (
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.ros2.other_types import Side, other_type_said
 from motord.bus.ros2.unanswered import Unanswered, answered
-from motord.process.rate_limited_log import Sparing
 
 _LOOK_AT_MOST = 64
 

@@ -18,10 +18,10 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from motord.api.deadline import within
+from motord.base.rate_limited_log import Sparing
 from motord.bus.inputs.desk import Desk, NotTaken
 from motord.bus.messages import state_name
 from motord.bus.ros2.nodes import Node
-from motord.process.rate_limited_log import Sparing
 
 if TYPE_CHECKING:
     from motord.bus.station import Station

@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.dds import Discovery, Participant, Reader, Writer
@@ -19,7 +20,6 @@ from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service
 from motord.bus.ros2.types import type_hash, with_parts
-from motord.process.rate_limited_log import Sparing
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",

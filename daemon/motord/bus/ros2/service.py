@@ -19,6 +19,7 @@ from typing import Any
 from cyclonedds.core import DDSException
 
 from motord.api.deadline import within
+from motord.base.rate_limited_log import Sparing
 from motord.bus.ros2 import names
 from motord.bus.ros2.cdr import HEADER, decode, encode
 from motord.bus.ros2.dds import Participant
@@ -26,7 +27,6 @@ from motord.bus.ros2.discovered import client_of
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import asker
 from motord.bus.ros2.types import type_hash
-from motord.process.rate_limited_log import Sparing
 
 WAITING_MAX = 32
 """Requests; more are not answered."""

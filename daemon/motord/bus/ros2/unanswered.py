@@ -8,8 +8,8 @@ import logging
 import time
 from collections.abc import Callable
 
+from motord.base.rate_limited_log import AGAIN_S
 from motord.bus.ros2.senders import unnamed
-from motord.process.rate_limited_log import AGAIN_S
 
 NAMED_WITHIN_S = 6.0
 """A node is told in the graph after its endpoints; then it is said without its name."""

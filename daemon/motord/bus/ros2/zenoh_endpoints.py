@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
+from motord.base.rate_limited_log import Sparing
 from motord.bus.inbox import Inbox
 from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
@@ -33,7 +34,6 @@ from motord.bus.ros2.zenoh_names import (
     quality_said,
     type_of,
 )
-from motord.process.rate_limited_log import Sparing
 
 WAITING_MAX = 32
 """Requests; more are refused."""

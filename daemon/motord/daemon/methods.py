@@ -10,16 +10,15 @@ from typing import Any
 from motord.api.commands import VERSION
 from motord.bus.publish.samples import Samples
 from motord.config import SocketInput
-from motord.control import drive_parameters, procedures
 from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
-from motord.local_socket import parameters, report
+from motord.daemon import drive_parameters, parameters, procedures, report
+from motord.daemon.bus_supervisor import BusSupervisor
 from motord.local_socket.command_sockets import Doors
 from motord.local_socket.params import Params, names, number, text
 from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
-from motord.process.bus_supervisor import BusSupervisor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ from motord.bus.publish.samples import Samples
 from motord.control.health import Health
 from motord.control.leases import Lease
 from motord.control.operation import Operation
-from motord.process.bus_supervisor import BusSupervisor
+from motord.daemon.bus_supervisor import BusSupervisor
 from motord.realtime.loop import HistogramKind, Loop, Percentiles
 from motord_hal.fieldbus.ports import Line
 from motord_hal.realtime.exchange import now_ns

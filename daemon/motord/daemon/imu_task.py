@@ -8,9 +8,9 @@ import logging
 from functools import partial
 from pathlib import Path
 
+from motord.base.log import about
 from motord.config import ChipImu
 from motord.control.operation import Operation
-from motord.process.log import about
 from motord_hal.base.errors import HalError
 from motord_hal.base.retry import Backoff
 from motord_hal.fieldbus.ports import Mounting

@@ -11,23 +11,22 @@ import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from motord.base.sdnotify import Notifier
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
 from motord.config import Robot
-from motord.control import procedures
 from motord.control.assembly import core_config, line_specs, loop_settings, profiles_of
-from motord.control.battery_task import watch_battery
 from motord.control.health import Health, Heart
-from motord.control.imu_task import watch_imu
 from motord.control.machine import Event
 from motord.control.operation import Operation
+from motord.daemon import procedures, running_file
+from motord.daemon.battery_task import watch_battery
+from motord.daemon.bus_supervisor import BusSupervisor
+from motord.daemon.imu_task import watch_imu
+from motord.daemon.methods import methods
+from motord.daemon.safety_pins import open_guard
 from motord.local_socket.command_sockets import open_doors, open_stop_socket
-from motord.local_socket.methods import methods
 from motord.local_socket.server import listening, serve, socket_path
-from motord.process import running_file
-from motord.process.bus_supervisor import BusSupervisor
-from motord.process.safety_pins import open_guard
-from motord.process.sdnotify import Notifier
 from motord.realtime.loop import Loop
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import Line, LineState

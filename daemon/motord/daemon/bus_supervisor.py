@@ -17,8 +17,8 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+from motord.base.rate_limited_log import Sparing
 from motord.config import Robot
-from motord.process.rate_limited_log import Sparing
 from motord_hal.base.clock import within
 
 SILENT_S = 10.0

@@ -8,10 +8,10 @@ import logging
 import math
 from pathlib import Path
 
+from motord.base.log import about
 from motord.config import DrivesBattery, InaBattery
 from motord.control.battery import BatteryLevel, Measure, of_drives
 from motord.control.operation import Operation
-from motord.process.log import about
 from motord_hal.base.clock import within
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import Line
