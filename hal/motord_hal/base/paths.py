@@ -11,7 +11,7 @@ def config_dir() -> Path:
 
     Raises FileNotFoundError where there is neither.
     """
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     for folder in (package / "_config", package.parent.parent / "config"):
         if (folder / "drives").is_dir():
             return folder
