@@ -191,10 +191,10 @@ def test_two_folders_know_the_c_extension():
 
 
 def test_the_second_process_has_one_door_to_c():
-    door = ROOT / "daemon/motord/bus/ros2/receiver.py"
+    door = ROOT / "daemon/motord/bus/ros2/dds/receiver.py"
     report(
         matching([path for path in PRODUCT if path != door], r"(import|from) _motord_bus"),
-        "_motord_bus is imported by motord/bus/ros2/receiver.py alone",
+        "_motord_bus is imported by motord/bus/ros2/dds/receiver.py alone",
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mailboxes through the line's door: newest wins, nothing is lost, nothing is mixed up."""
+"""The mailboxes through the lines' interface: newest wins, nothing is lost, nothing is mixed up."""
 
 import math
 import struct

@@ -11,7 +11,7 @@ import zstandard
 from _motord_rt import ffi, lib
 
 from motord.api.page_file import JOURNAL, PageFile
-from motord.bus.journal import Journal
+from motord.bus.messages.journal import Journal
 from motord.realtime.replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
 
 

@@ -5,7 +5,7 @@ import asyncio
 import contextlib
 
 from motord.api.local_rpc import REFUSED, ClientError, Refused
-from motord.bus.inputs.urgent import Urgent
+from motord.bus.commands.urgent import Urgent
 
 DEADLINE_S = 30.0
 

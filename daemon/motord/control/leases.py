@@ -73,7 +73,7 @@ class _Granted:
     used_ns: int
     kept: bool
     """It has been given out: it ends with its connection, not by lapsing."""
-    door: int = 0
+    socket_number: int = 0
     """Which of LEASES_MAX sockets is its own, where it has been given out."""
     sequence: int = 0
 
@@ -87,7 +87,7 @@ class Leases:
         """By connection, owner, and whether it has been given out."""
         self._gone: dict[str, int] = {}
         """Owners that were held when their connection ended, and when their lease would have."""
-        self._next_door = 0
+        self._next_socket = 0
         self._judging = asyncio.Lock()
 
     # ----------------------------------------------------------------------------------- granting
@@ -119,7 +119,7 @@ class Leases:
                 interval_least_ns=round(1e9 / rate_max_hz) if rate_max_hz else 0,
                 barred_until_ns=barred_until_ns,
             )
-            before = _Granted(owner, connection, grant, now, kept, self._free_door())
+            before = _Granted(owner, connection, grant, now, kept, self._free_socket())
             self._granted[connection, owner, kept] = before
             self._publish()
         elif (before.grant.priority, before.grant.lifetime_ns) != (priority, lifetime_ns):
@@ -128,17 +128,17 @@ class Leases:
         before.used_ns = now
         return before.grant
 
-    def door(self, connection: int, owner: str) -> int:
+    def socket_number(self, connection: int, owner: str) -> int:
         """Which socket is that of a lease that has been given out."""
-        return self._granted[connection, owner, True].door
+        return self._granted[connection, owner, True].socket_number
 
-    def _free_door(self) -> int:
+    def _free_socket(self) -> int:
         """The one that has been free for longest: its last owner may still send."""
-        taken = {granted.door for granted in self._granted.values() if granted.kept}
-        turns = (self._next_door + turn for turn in range(LEASES_MAX))
-        door = next(turn % LEASES_MAX for turn in turns if turn % LEASES_MAX not in taken)
-        self._next_door = door + 1
-        return door
+        taken = {granted.socket_number for granted in self._granted.values() if granted.kept}
+        turns = (self._next_socket + turn for turn in range(LEASES_MAX))
+        socket_number = next(turn % LEASES_MAX for turn in turns if turn % LEASES_MAX not in taken)
+        self._next_socket = socket_number + 1
+        return socket_number
 
     def _make_room(self, now: int) -> None:
         """What has lapsed for so long that nothing of it counts any more makes room."""

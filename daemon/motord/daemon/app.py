@@ -25,7 +25,7 @@ from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.imu_task import watch_imu
 from motord.daemon.methods import methods
 from motord.daemon.safety_pins import open_guard
-from motord.local_socket.command_sockets import open_doors, open_stop_socket
+from motord.local_socket.command_sockets import open_command_sockets, open_stop_socket
 from motord.local_socket.server import listening, serve, socket_path
 from motord.realtime.loop import Loop
 from motord_hal.fieldbus.open_line import open_line
@@ -68,12 +68,12 @@ async def run(
         _signals() as (end, hurry),
         listening(path) as listener,
         running_file.kept(robot, path.parent),
-        open_doors(robot, path) as doors,
+        open_command_sockets(robot, path) as command_sockets,
         open_stop_socket(robot, path) as stop_fd,
         open_guard(robot, {spec.name: spec.cycle_hz for spec in specs}) as guard,
         Loop(
             core_config(robot, profiles),
-            loop_settings(robot, doors.fds, guard, stop_fd),
+            loop_settings(robot, command_sockets.fds, guard, stop_fd),
             name,
             journal=robot.has_journal,
         ) as loop,
@@ -93,7 +93,7 @@ async def run(
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
             if bus is not None:
                 work.append(tasks.create_task(bus.run()))
-            offered = methods(operation, health, feeds, doors, bus)
+            offered = methods(operation, health, feeds, command_sockets, bus)
             server = tasks.create_task(
                 serve(listener, offered, operation.disconnect, operation.leases.holds)
             )

@@ -17,7 +17,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-from motord.base.rate_limited_log import Sparing
+from motord.base.rate_limited_log import RateLimitedLog
 from motord.config import Robot
 from motord_hal.base.clock import within
 
@@ -50,7 +50,7 @@ class BusSupervisor:
         self._pid: int | None = None
         self._restarts = 0
         self._again_s = AGAIN_MIN_S
-        self._voice = Sparing(_log)
+        self._voice = RateLimitedLog(_log)
 
     def report(self) -> dict[str, Any]:
         """For `status`: process number (None: it is not there now), restarts, and its own word."""

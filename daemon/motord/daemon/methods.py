@@ -16,7 +16,7 @@ from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
 from motord.daemon import drive_parameters, parameters, procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
-from motord.local_socket.command_sockets import Doors
+from motord.local_socket.command_sockets import CommandSockets
 from motord.local_socket.params import Params, names, number, text
 from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
 
@@ -54,7 +54,7 @@ def methods(
     operation: Operation,
     health: Health,
     feeds: Mapping[str, Samples],
-    doors: Doors,
+    command_sockets: CommandSockets,
     bus: BusSupervisor | None,
 ) -> dict[str, Method]:
     """By name. The first five only look."""
@@ -71,7 +71,7 @@ def methods(
         "params.set": Method(lambda _, wanted: _set(operation, wanted), None),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
         "lease": Method(
-            lambda caller, params: _lease(operation, doors, caller, params), LeaseParams
+            lambda caller, params: _lease(operation, command_sockets, caller, params), LeaseParams
         ),
         "release": Method(lambda who, params: _release(operation, who, params), OwnerParams),
         "arm": _acting(lambda _: procedures.arm(operation)),
@@ -130,11 +130,11 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
 
 
 def _lease(
-    operation: Operation, doors: Doors, caller: Caller, params: LeaseParams
+    operation: Operation, command_sockets: CommandSockets, caller: Caller, params: LeaseParams
 ) -> dict[str, Any]:
     """The right to command by datagrams, for as long as this connection lasts. Who is named as an
     input of the second process is given what that section says."""
-    section = doors.inputs.get(params.owner, doors.section)
+    section = command_sockets.inputs.get(params.owner, command_sockets.section)
     if section is None:
         raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
     priority = section.priority if params.priority is None else params.priority
@@ -143,21 +143,21 @@ def _lease(
             f"priority {priority} is above the robot file's {section.priority}", INVALID_PARAMS
         )
     lease_s = section.lease_s if params.lease_s is None else params.lease_s
-    if params.owner in doors.inputs and lease_s > section.lease_s:
+    if params.owner in command_sockets.inputs and lease_s > section.lease_s:
         raise RpcError(
             f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
         )
     rate_max_hz = section.rate_max_hz
     grant = operation.lease(caller.connection, params.owner, priority, lease_s, rate_max_hz)
-    door = operation.leases.door(caller.connection, params.owner)
+    number = operation.leases.socket_number(caller.connection, params.owner)
     return {
         "token": grant.token.hex(),
         "number": grant.number,
         "priority": priority,
         "lease_s": lease_s,
         "rate_max_hz": rate_max_hz,
-        "socket": str(doors.paths[door]),
-        "udp_port": doors.udp_port,
+        "socket": str(command_sockets.paths[number]),
+        "udp_port": command_sockets.udp_port,
         "version": VERSION,
     }
 

@@ -23,7 +23,7 @@ LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Doors:
+class CommandSockets:
     """Where commands may be sent to. `fds` stay open as long as the daemon runs."""
 
     section: RtInput | None = None
@@ -61,12 +61,12 @@ def open_stop_socket(robot: Robot, beside: Path) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
+def open_command_sockets(robot: Robot, beside: Path) -> Iterator[CommandSockets]:
     """The sockets of this robot: NAME.cmd.N.sock beside its local socket, whose owner is ours
     alone, and UDP on loopback where it is asked for. Raises OSError with the place."""
     section, inputs = section_of(robot), inputs_of(robot)
     if section is None and not inputs:
-        yield Doors()
+        yield CommandSockets()
         return
     name = robot.robot.name
     paths = tuple(beside.with_name(f"{name}.cmd.{number}.sock") for number in range(LEASES_MAX))
@@ -78,7 +78,9 @@ def open_doors(robot: Robot, beside: Path) -> Iterator[Doors]:
             _bind(udp, (LOOPBACK, udp_port), f"UDP {LOOPBACK}:{udp_port}")
             os.set_blocking(udp.fileno(), False)
             fds.append(udp.fileno())
-        yield Doors(section=section, inputs=inputs, paths=paths, udp_port=udp_port, fds=tuple(fds))
+        yield CommandSockets(
+            section=section, inputs=inputs, paths=paths, udp_port=udp_port, fds=tuple(fds)
+        )
 
 
 def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = False) -> int:

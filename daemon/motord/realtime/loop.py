@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's door to the C core: its configuration, the real-time loop, the state page.
+"""The daemon's interface to the C core: its configuration, the real-time loop, the state page.
 
 Names and units are those of csrc/api.h, which holds the meaning of each field. All times are
 CLOCK_MONOTONIC in nanoseconds. Nothing here waits for longer than one period of the loop.
@@ -30,7 +30,7 @@ from motord.api.commands import (
 )
 from motord.api.page_file import JOURNAL, PageFile, PageInUse
 from motord.api.snapshot import Snapshot
-from motord.realtime import permissions as grants
+from motord.realtime import permissions
 from motord.realtime.snapshot import lease_state_of, snapshot_of
 from motord.realtime.types import (
     AxisLimits,
@@ -214,7 +214,7 @@ class Loop:
         self._buffers = _Buffers()
         self._exchange = lib.loop_exchange()
         self._event_fd = -1
-        self._door: socket.socket | None = None
+        self._command_end: socket.socket | None = None
         self._release = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -241,23 +241,23 @@ class Loop:
                 journal_fd = unless_started.enter_context(journal).fd
             event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             unless_started.callback(os.close, event_fd)
-            door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-            unless_started.enter_context(door)
+            command_end, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            unless_started.enter_context(command_end)
             unless_started.enter_context(inside)
-            os.set_blocking(door.fileno(), False)
+            os.set_blocking(command_end.fileno(), False)
             stops = (self._settings.stop_fd,) if self._settings.stop_fd >= 0 else ()
-            doors = unless_started.enter_context(
+            poller = unless_started.enter_context(
                 _epoll((inside.fileno(), *self._settings.command_fds, *stops))
             )
             code = lib.loop_start(
-                self._loop_config(page_fd, journal_fd, event_fd, doors.fileno()), self._core
+                self._loop_config(page_fd, journal_fd, event_fd, poller.fileno()), self._core
             )
             if code == -errno.EBUSY:
                 raise RuntimeError("a loop runs in this process already")
             if code == -errno.EINVAL:
                 raise ValueError(f"the loop refuses {self._settings}")
             _raise_for(code, "loop_start")
-            self._event_fd, self._door = event_fd, door
+            self._event_fd, self._command_end = event_fd, command_end
             self._release = unless_started.pop_all()
         self._buffers.control[0] = {"limits": self._limits}
         self.beat()
@@ -290,7 +290,7 @@ class Loop:
         """
         if self._event_fd < 0:
             return
-        self._event_fd, self._door = -1, None
+        self._event_fd, self._command_end = -1, None
         with self._release:
             _raise_for(lib.loop_stop(), "loop_stop")
 
@@ -308,11 +308,11 @@ class Loop:
         lib.exchange_put_grants(self._exchange, raw)
 
     def send(self, command: bytes) -> None:
-        """A command (commands.datagram) by the door that all of them use. Raises BlockingIOError
-        where the loop takes none, ValueError where it does not run."""
-        if self._door is None:
+        """A command (commands.datagram) by the socket pair that all of them use. Raises
+        BlockingIOError where the loop takes none, ValueError where it does not run."""
+        if self._command_end is None:
             raise ValueError("the loop does not run")
-        self._door.send(command)
+        self._command_end.send(command)
 
     def commands(self) -> CommandReport:
         """Who commands, and what became of each lease; of the last tick in which something came or
@@ -371,7 +371,7 @@ class Loop:
         """What the kernel granted, and the counters; after `stop` the last ones."""
         raw = self._buffers.status
         lib.loop_status_read(raw)
-        refused = grants.Refused(
+        refused = permissions.Refused(
             scheduler=raw.scheduler_errno,
             affinity=raw.affinity_errno,
             memory_lock=raw.memory_lock_errno,
@@ -386,7 +386,7 @@ class Loop:
             overruns=raw.overruns,
             page_faults=raw.page_faults,
             tick_stamp_ns=raw.tick_stamp_ns,
-            refusals=grants.sentences(refused, priority=settings.priority, cpu=settings.cpu),
+            refusals=permissions.sentences(refused, priority=settings.priority, cpu=settings.cpu),
             estop_input=_ESTOP_INPUTS[raw.estop_input],
             watchdog=raw.watchdog_well != 0,
             watchdog_edges=raw.watchdog_edges,
@@ -456,10 +456,10 @@ def _epoll(fds: tuple[int, ...]) -> select.epoll:
     """What the loop waits for commands with."""
     if len(fds) > lib.COMMAND_SOCKETS:
         raise ValueError(f"{len(fds)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
-    doors = select.epoll()
+    poller = select.epoll()
     for fd in fds:
-        doors.register(fd, select.EPOLLIN)
-    return doors
+        poller.register(fd, select.EPOLLIN)
+    return poller
 
 
 def _raise_for(code: int, what: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the threads that drive boards on a stream: one a board, its table, its orders, its
-report.
+"""The interface to the threads that drive boards on a stream: one a board, its table, its orders,
+its report.
 
 The meaning of each field is in csrc/api_board.h; tables and orders are plain values named as there.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the threads that drive CAN buses: one a bus, its table, its orders, its report.
+"""The interface to the threads that drive CAN buses: one a bus, its table, its orders, its report.
 
 The meaning of each field is in csrc/api_can.h; tables, frames and orders are plain values named as
 there.

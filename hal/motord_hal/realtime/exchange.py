@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line's door to the C core: the clock, and the mailboxes between lines and loop.
+"""The lines' interface to the C core: the clock, and the mailboxes between lines and loop.
 
 Newest wins in each mailbox; a put never waits, and a take gives the newest value whether it is new
 or not. The meaning of each field is in csrc/api.h.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the lines that run in C: one thread a line, its table, its asks, its report.
+"""The interface to the lines that run in C: one thread a line, its table, its asks, its report.
 
 The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
 is done when a person, a fault or a parameter asks for it.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to the thread that drives motor bridges. The meaning of each field is in
+"""The interface to the thread that drives motor bridges. The meaning of each field is in
 csrc/api_bridge.h."""
 
 from __future__ import annotations

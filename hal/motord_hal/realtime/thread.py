@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doors to the threads of lines in C have in common, whatever the medium.
+"""What the interfaces to the threads of lines in C have in common, whatever the medium.
 
 The meaning of each field is in csrc/api_line.h.
 """
