@@ -2,8 +2,8 @@
 """From a snapshot to CDR without a message in between, for the topics that come often.
 
 What a field means is said in `motord.bus.messages.from_snapshot`, and what lies where in `cdr`;
-here it is said once more for speed, and tests hold the bytes equal. What never changes (names, frames, zeros) is
-laid out when the encoder is made. What is not the usual case goes the long way.
+here it is said once more for speed, and tests hold the bytes equal. What never changes (names,
+frames, zeros) is laid out when the encoder is made. What is not the usual case goes the long way.
 """
 
 from __future__ import annotations
