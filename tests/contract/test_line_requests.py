@@ -16,11 +16,11 @@ from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.line import AnswerKind, Ask, LineThread, ThreadSpec
-from motord_hal.rt_engine.asks import Asks
-from motord_hal.rt_engine.modbus_frames import modbus_frame
-from motord_hal.rt_engine.news import News
-from motord_hal.rt_engine.protocols import frames_of
-from motord_hal.rt_engine.table import line_table
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.modbus_frames import modbus_frame
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.request_queue import Asks
+from motord_hal.rt_engine.rs485.table import line_table
 from motord_hal.serial.port import open_port
 
 TEMPERATURE = 0x20A4

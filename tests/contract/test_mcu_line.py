@@ -24,7 +24,7 @@ from motord_hal.mcu import board, link
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.rt_engine import board_line
+from motord_hal.rt_engine.boards import line as board_line
 from motord_hal.serial.port import OpenPort, open_port
 
 COUNTS_PER_RAD = 1320 / math.tau

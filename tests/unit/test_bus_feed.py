@@ -24,7 +24,7 @@ from motord.bus.runtime import Runtime
 from motord.bus.secret import Token, read_secret
 from motord.client import ClientError, Refused
 from motord.config import load_robot
-from motord.config.bus_sections import ALL_TOPICS
+from motord.config.sections.bus import ALL_TOPICS
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0

@@ -25,8 +25,8 @@ from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.types.direct import encoder
 from motord.bus.runtime import Runtime
 from motord.config import McapPublish, load_robot
-from motord.config.bus_sections import SLOW
-from motord.config.recording_rules import MESSAGE_BYTES
+from motord.config.rules.recording import MESSAGE_BYTES
+from motord.config.sections.bus import SLOW
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from motord.config import load_robot
-from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
-from motord.config.wheels import profile_of
+from motord.config.rules.can import bus_load
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.base.paths import config_dir

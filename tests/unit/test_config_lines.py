@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, Echo

@@ -21,8 +21,8 @@ from motord_hal.modbus.codec import (
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.exchange import JointSetpoint
 from motord_hal.realtime.table import FieldKind, Form
-from motord_hal.rt_engine.modbus_frames import ModbusFrames
-from motord_hal.rt_engine.table import drive_table, line_table
+from motord_hal.rt_engine.rs485.modbus_frames import ModbusFrames
+from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
 MODBUS = [name for name in list_profiles() if find_profile(name).protocol == "modbus-rtu"]
 NUMBERS = st.one_of(

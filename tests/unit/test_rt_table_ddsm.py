@@ -12,8 +12,8 @@ from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import Channel, Register, RegisterType, Step
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.table import FieldKind, Form, Seal
-from motord_hal.rt_engine.protocols import frames_of
-from motord_hal.rt_engine.table import drive_table, line_table
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
 RPM = 2 * math.pi / 60
 

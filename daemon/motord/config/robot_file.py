@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from motord.base import validation
-from motord.config.model import Robot
 from motord.config.problems import ConfigError
+from motord.config.sections.model import Robot
 
 
 def load_robot(

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from motord.config.imu_section import Imu
-from motord.config.model import Joint, Limits, Robot
-from motord.config.wheels import (
+from motord.config.sections.imu import Imu
+from motord.config.sections.model import Joint, Limits, Robot
+from motord.config.sections.wheels import (
     Profiles,
     counter_bits,
     profile_of,

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from motord.config import Limits
-from motord.config.model import REST_MAX_S
 from motord.config.problems import nearest
-from motord.config.section import numbers_of
+from motord.config.sections.model import REST_MAX_S
+from motord.config.sections.section import numbers_of
 from motord.control.assembly import base_limits
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
 from motord.realtime.loop import limits_problem

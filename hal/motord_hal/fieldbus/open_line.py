@@ -26,13 +26,13 @@ KINDS = MappingProxyType(
         ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
         ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
         ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
-        ("modbus-rtu", "rt"): "motord_hal.rt_engine.line:RtLine",
+        ("modbus-rtu", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
         ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
-        ("ddsm", "rt"): "motord_hal.rt_engine.line:RtLine",
-        ("can", "rt"): "motord_hal.rt_engine.can_line:RtCanLine",
-        ("mcu", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
-        ("roboclaw", "rt"): "motord_hal.rt_engine.line:RtLine",
-        ("ascii", "rt"): "motord_hal.rt_engine.board_line:RtBoardLine",
+        ("ddsm", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("can", "rt"): "motord_hal.rt_engine.can.line:RtCanLine",
+        ("mcu", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
+        ("roboclaw", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("ascii", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
     }
 )
 
@@ -41,8 +41,8 @@ RT_CAN_INTERFACES = ("socketcan", "unix")
 
 HALTS = MappingProxyType(
     {
-        "modbus-rtu": "motord_hal.rt_engine.halt:halt_line",
-        "ddsm": "motord_hal.rt_engine.halt:halt_line",
+        "modbus-rtu": "motord_hal.rt_engine.rs485.halt:halt_line",
+        "ddsm": "motord_hal.rt_engine.rs485.halt:halt_line",
         "modbus-tcp": "motord_hal.modbus.halt:halt_line",
         "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
         "mcu": "motord_hal.mcu.halt:halt_line",

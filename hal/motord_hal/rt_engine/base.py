@@ -17,8 +17,8 @@ from motord_hal.base.errors import HalError, PortError
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
-from motord_hal.rt_engine.drive import DriveSays, RtDrive
-from motord_hal.rt_engine.news import News
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.drive import DriveSays, RtDrive
 
 SHUTDOWN_WITHIN_S = 0.6
 """The thread itself needs 0.5 s at most."""

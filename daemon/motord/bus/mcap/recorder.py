@@ -26,7 +26,7 @@ from motord.bus.ros2.types.cdr import encode
 from motord.bus.ros2.types.direct import encoder, stamp_ns
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
 from motord.config import McapPublish
-from motord.config.recording_rules import memory_bytes
+from motord.config.rules.recording import memory_bytes
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
