@@ -71,6 +71,27 @@ def test_lines_fit_a_screen():
     report(rows, f"at most {COLUMNS_MAX} columns in Python, {C_COLUMNS_MAX} in C")
 
 
+def prose(path: Path) -> list[tuple[int, str]]:
+    """Lines of a page by number, without tables and code."""
+    found, fenced = [], False
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        fenced ^= line.lstrip().startswith("```")
+        if not (fenced or line.startswith(("|", "    "))):
+            found.append((number, line))
+    return found
+
+
+def test_text_fits_a_screen():
+    rows = [
+        where(path, number)
+        for path in TRACKED
+        if path.suffix == ".md"
+        for number, line in prose(path)
+        if len(line) > COLUMNS_MAX
+    ]
+    report(rows, f"at most {COLUMNS_MAX} columns of text, beside tables and code")
+
+
 def test_a_file_has_one_subject():
     rows = [
         f"{where(path, 1)}: {lines} lines"
