@@ -203,6 +203,22 @@ def test_headers_of_csrc_point_downwards():
     report(rows, "threads, schedulers, mappings: loop*.c, line_thread.c, output_pwm.c, bus*.c")
 
 
+def test_folders_of_csrc_include_downwards():
+    below: dict[str, set[str]] = {
+        "base": set(), "core": {"base"}, "loop": {"base", "core"}, "bus": {"base"},
+        "fieldbus": {"base", "loop"}, "pwm": {"base", "loop"},
+    }  # fmt: skip
+    folders = {path.name: path.relative_to(ROOT / "csrc").parts[0] for path in CSRC}
+    rows = []
+    for path in CSRC:
+        own = folders[path.name]
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            header = re.match(r'#include "(?!api)(.+)"', line)
+            if header and folders[header.group(1)] not in below[own] | {own}:
+                rows.append(f"{where(path, number)}: {header.group(1)}")
+    report(rows, "base < core < loop < fieldbus, pwm; bus stands on base alone")
+
+
 def test_two_folders_know_the_c_extension():
     others = [path for path in PRODUCT if path.parent.name != "realtime"]
     report(

@@ -33,7 +33,7 @@ _PROGRESS_PART = 0.01
 _DUTY_THAT_TURNS = 0.4
 """Nobody knows the dead band of a motor and its load; at this duty it has ended."""
 _UNSURE_COUNTS_PER_S = 20.0
-"""What four counts come to when speeds are smoothed over 0.2 s (csrc/plausible.c)."""
+"""What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
 """So many have to be missing before an encoder is said to stand."""
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may command: leases by connection and owner. Python grants them and ends them; who of them is
-in command, and who is held, is decided by the loop (csrc/arbiter.c), which says so in its report.
+in command, and who is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
 
 The fresh lease with the highest priority commands; among equals the one who came first. Who asks
 for motion while nobody may move is held: his lease says zero until he has asked for zero himself or
