@@ -16,9 +16,10 @@ from collections.abc import Callable
 from typing import Any
 
 from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
-from motord.bus.messages.from_snapshot import Body, json_direct
+from motord.bus.messages import json_direct
+from motord.bus.messages.from_snapshot import Body
 from motord.bus.messages.topics import TOPICS, View, wall_offset_ns
-from motord.bus.ros2.types.table import direct
+from motord.bus.ros2.types import direct
 
 BODY = Body(robot="bench", joints=("left", "right"))
 CALLS = 2000

@@ -18,7 +18,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from motord.bus.rosbridge.adapter import adapter as rosbridge
+from motord.bus.rosbridge import adapter as rosbridge
 from motord.bus.runtime import Runtime
 from motord.client import Refused
 from motord.config import RosbridgeInput, load_robot

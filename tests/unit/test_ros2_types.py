@@ -4,8 +4,8 @@
 import pytest
 
 from motord.bus.messages.topics import TOPICS
+from motord.bus.ros2.types import table as types
 from motord.bus.ros2.types.table import TYPES, definition, type_hash
-from motord.bus.ros2.types.table import table as types
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 
