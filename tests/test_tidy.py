@@ -216,7 +216,10 @@ def test_folders_of_csrc_include_downwards():
             header = re.match(r'#include "(?!api|rt\.h)(.+)"', line)
             if header and folders[header.group(1)] not in below[own] | {own}:
                 rows.append(f"{where(path, number)}: {header.group(1)}")
-    report(rows, "base < core < loop < fieldbus, pwm; bus needs base alone; rt.h and api*.h are for all")
+    report(
+        rows,
+        "base < core < loop < fieldbus, pwm; bus needs base alone; rt.h and api*.h are for all",
+    )
 
 
 def test_two_folders_know_the_c_extension():
