@@ -32,7 +32,7 @@ $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[plot]' >&2
 	@touch $@
 
-$(VENV)/built: $(VENV)/made $(wildcard csrc/*.c csrc/*.h csrc/*.py)
+$(VENV)/built: $(VENV)/made $(shell find csrc -name '*.[ch]' -o -name '*.py')
 	@echo "compiling csrc ..." >&2
 	@$(PYTHON) setup.py --quiet build_ext --inplace >&2
 	@touch $@

@@ -10,8 +10,9 @@ from pathlib import Path
 from cffi import FFI
 
 HERE = Path(__file__).resolve().parent
-SOURCES = [HERE / f"{name}.c" for name in ("bus_outlet", "bus_receiver", "bus_twist")]
-SHARED = [HERE / f"{name}.c" for name in ("clock", "ring")]
+SOURCES = sorted((HERE / "bus").glob("*.c"))
+SHARED = [HERE / "base" / f"{name}.c" for name in ("clock", "ring")]
+FOLDERS = (HERE, HERE / "base", HERE / "bus")
 FLAGS = [
     *("-std=c11", "-O2", "-fvisibility=hidden", "-ffp-contract=off", "-D_GNU_SOURCE"),
     *("-Wall", "-Wextra", "-Werror=implicit-function-declaration"),
@@ -23,8 +24,8 @@ ffi.set_source(
     "_motord_bus",
     '#include "bus.h"',
     sources=[os.path.relpath(path) for path in (*SOURCES, *SHARED)],
-    include_dirs=[os.path.relpath(HERE)],
-    depends=[os.path.relpath(path) for path in HERE.glob("*.h")],
+    include_dirs=[os.path.relpath(folder) for folder in FOLDERS],
+    depends=[os.path.relpath(path) for path in HERE.rglob("*.h")],
     extra_compile_args=FLAGS + shlex.split(os.environ.get("MOTORD_CFLAGS", "")),
     extra_link_args=shlex.split(os.environ.get("MOTORD_LDFLAGS", "")),
     libraries=["dl", "pthread"],

@@ -13,8 +13,9 @@ from pathlib import Path
 from cffi import FFI
 
 HERE = Path(__file__).resolve().parent
-# bus_*.c are of another library: build_bus.py
-SOURCES = sorted(path for path in HERE.glob("*.c") if not path.name.startswith("bus_"))
+# csrc/bus is another library: build_bus.py
+SOURCES = sorted(path for path in HERE.rglob("*.c") if path.parent.name != "bus")
+FOLDERS = sorted({path.parent for path in HERE.rglob("*.h")})
 # Exact arithmetic on every machine: no fast-math (isnan(NAN) became 0), no fused multiply-add
 # (replay compares bit for bit between x86-64 and aarch64). Without errno and traps, which nobody
 # reads, the values stay the same.
@@ -55,8 +56,8 @@ ffi.set_source(
     "_motord_rt",
     '#include "rt.h"',
     sources=[os.path.relpath(path) for path in SOURCES],
-    include_dirs=[os.path.relpath(HERE)],
-    depends=[os.path.relpath(path) for path in HERE.glob("*.h")],
+    include_dirs=[os.path.relpath(folder) for folder in FOLDERS],
+    depends=[os.path.relpath(path) for path in HERE.rglob("*.h")],
     extra_compile_args=FLAGS + shlex.split(os.environ.get("MOTORD_CFLAGS", "")),
     extra_link_args=shlex.split(os.environ.get("MOTORD_LDFLAGS", "")),
     libraries=LIBRARIES,

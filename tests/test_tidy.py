@@ -71,6 +71,27 @@ def test_lines_fit_a_screen():
     report(rows, f"at most {COLUMNS_MAX} columns in Python, {C_COLUMNS_MAX} in C")
 
 
+def prose(path: Path) -> list[tuple[int, str]]:
+    """Lines of a page by number, without tables and code."""
+    found, fenced = [], False
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        fenced ^= line.lstrip().startswith("```")
+        if not (fenced or line.startswith(("|", "    "))):
+            found.append((number, line))
+    return found
+
+
+def test_text_fits_a_screen():
+    rows = [
+        where(path, number)
+        for path in TRACKED
+        if path.suffix == ".md"
+        for number, line in prose(path)
+        if len(line) > COLUMNS_MAX
+    ]
+    report(rows, f"at most {COLUMNS_MAX} columns of text, beside tables and code")
+
+
 def test_a_file_has_one_subject():
     rows = [
         f"{where(path, 1)}: {lines} lines"
@@ -146,8 +167,8 @@ def test_no_error_is_swallowed():
 def test_limits_on_waiting_hold_in_cleanups_too():
     rows = matching(PRODUCT, r"asyncio\.(timeout|timeout_at|wait_for)\(")
     report(
-        [row for row in rows if "hal/motord_hal/clock.py" not in row],
-        "until Python 3.11.3 a cancelled task gets no TimeoutError: motord_hal.clock.within",
+        [row for row in rows if "hal/motord_hal/base/clock.py" not in row],
+        "until Python 3.11.3 a cancelled task gets no TimeoutError: motord_hal.base.clock.within",
     )
 
 
@@ -182,28 +203,38 @@ def test_headers_of_csrc_point_downwards():
     report(rows, "threads, schedulers, mappings: loop*.c, line_thread.c, output_pwm.c, bus*.c")
 
 
-def test_the_c_extension_has_seven_doors():
-    doors = {
-        ROOT / "daemon/motord/rt.py",
-        ROOT / "daemon/motord/rt_replay.py",
-        ROOT / "hal/motord_hal/rt.py",
-        ROOT / "hal/motord_hal/rt_board.py",
-        ROOT / "hal/motord_hal/rt_can.py",
-        ROOT / "hal/motord_hal/rt_line.py",
-        ROOT / "hal/motord_hal/rt_pwm.py",
-    }
+def test_folders_of_csrc_include_downwards():
+    below: dict[str, set[str]] = {
+        "base": set(), "core": {"base"}, "loop": {"base", "core"}, "bus": {"base"},
+        "fieldbus": {"base", "loop"}, "pwm": {"base", "loop"},
+    }  # fmt: skip
+    folders = {path.name: path.relative_to(ROOT / "csrc").parts[0] for path in CSRC}
+    rows = []
+    for path in CSRC:
+        own = folders[path.name]
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            header = re.match(r'#include "(?!api|rt\.h)(.+)"', line)
+            if header and folders[header.group(1)] not in below[own] | {own}:
+                rows.append(f"{where(path, number)}: {header.group(1)}")
     report(
-        matching([path for path in PRODUCT if path not in doors], r"(import|from) _motord_rt"),
-        "_motord_rt is imported by motord/rt.py, rt_replay.py, motord_hal/rt.py and"
-        " rt_{board,can,line,pwm}.py alone",
+        rows,
+        "base < core < loop < fieldbus, pwm; bus needs base alone; rt.h and api*.h are for all",
+    )
+
+
+def test_two_folders_know_the_c_extension():
+    others = [path for path in PRODUCT if path.parent.name != "realtime"]
+    report(
+        matching(others, r"(import|from) _motord_rt"),
+        "_motord_rt is imported in motord/realtime and motord_hal/realtime alone",
     )
 
 
 def test_the_second_process_has_one_door_to_c():
-    door = ROOT / "daemon/motord/bus/ros2/receiver.py"
+    door = ROOT / "daemon/motord/bus/ros2/dds/receiver.py"
     report(
         matching([path for path in PRODUCT if path != door], r"(import|from) _motord_bus"),
-        "_motord_bus is imported by motord/bus/ros2/receiver.py alone",
+        "_motord_bus is imported by motord/bus/ros2/dds/receiver.py alone",
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 
-from motord import validation
+from motord.base import validation
 from motord.cli import cli
 
 

@@ -23,7 +23,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
-from motord import moving, stop_request
+from motord.api import moving, stop_request
+from motord.api.deadline import within
+from motord.api.local_rpc import ClientError, Refused, answer_to, request_line, result_of
+from motord.api.motion import Goal
+from motord.api.moving import Moved, MoveFailed
+from motord.api.status import Status
 from motord.client import (
     ANSWER_BYTES_MAX,
     CONNECT_AGAIN_S,
@@ -32,11 +37,6 @@ from motord.client import (
     find_socket,
     why_unreachable,
 )
-from motord.deadline import within
-from motord.local_rpc import ClientError, Refused, answer_to, request_line, result_of
-from motord.motion import Goal
-from motord.moving import Moved, MoveFailed
-from motord.status import Status
 
 __all__ = ["Client", "ClientError", "MoveFailed", "Moved", "Refused", "Status"]
 

@@ -25,11 +25,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from motord import moving, stop_request
-from motord.local_rpc import ClientError, Refused, WrongParams, answer_to, request_line, result_of
-from motord.motion import Goal
-from motord.moving import Moved, MoveFailed
-from motord.status import Status
+from motord.api import moving, stop_request
+from motord.api.local_rpc import (
+    ClientError,
+    Refused,
+    WrongParams,
+    answer_to,
+    request_line,
+    result_of,
+)
+from motord.api.motion import Goal
+from motord.api.moving import Moved, MoveFailed
+from motord.api.status import Status
 
 __all__ = [
     "Client", "ClientError", "MoveFailed", "Moved", "Refused", "Status", "WrongParams",

@@ -33,9 +33,9 @@ def hog() -> None:
 
 async def drive(engine: str, port: str, seconds: float) -> dict[str, float]:
     from motord_hal.drives.load import find_profile
-    from motord_hal.lines import open_line
-    from motord_hal.ports import DriveState, JointSpec, LineSpec
-    from motord_hal.rt import Exchange
+    from motord_hal.fieldbus.open_line import open_line
+    from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
+    from motord_hal.realtime.exchange import Exchange
 
     profile = find_profile("mcu-velocity")
     joints = tuple(

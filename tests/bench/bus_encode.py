@@ -15,11 +15,11 @@ import timeit
 from collections.abc import Callable
 from typing import Any
 
-from motord.bus import json_direct
-from motord.bus.messages import Body
-from motord.bus.ros2 import direct
-from motord.bus.topics import TOPICS, View, wall_offset_ns
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.bus.messages import json_direct
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.topics import TOPICS, View, wall_offset_ns
+from motord.bus.ros2.types import direct
 
 BODY = Body(robot="bench", joints=("left", "right"))
 CALLS = 2000
@@ -67,8 +67,8 @@ def moving() -> View:
 
 def cyclone(topic: str) -> Callable[[], Any]:
     """The message, built and serialized as a program on the Cyclone DDS binding does it."""
-    from motord.bus.ros2.cyclone_types import cyclone_type
-    from motord.bus.ros2.types import TYPES
+    from motord.bus.ros2.dds.cyclone_types import cyclone_type
+    from motord.bus.ros2.types.table import TYPES
 
     view, offset_ns = moving(), wall_offset_ns()
 

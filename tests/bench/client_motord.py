@@ -16,9 +16,9 @@ from pathlib import Path
 
 from motord_hal.drives.load import load_profile
 from motord_hal.drives.profile import Gap
-from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, Echo, JointSpec, LineSpec
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import DriveState, Echo, JointSpec, LineSpec
+from motord_hal.realtime.exchange import Exchange
 
 HERE = Path(__file__).parent
 

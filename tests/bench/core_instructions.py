@@ -34,7 +34,14 @@ def compile_to(program: Path) -> None:
     build = runpy.run_path(str(CSRC / "build_ffi.py"))
     sources = [HERE / "core_instructions.c", *build["SOURCES"]]
     libraries = [f"-l{name}" for name in (*build["LIBRARIES"], "pthread")]
-    command = ["gcc", *build["FLAGS"], "-fPIC", "-g", f"-I{CSRC}", *map(str, sources)]
+    command = [
+        "gcc",
+        *build["FLAGS"],
+        "-fPIC",
+        "-g",
+        *(f"-I{folder}" for folder in build["FOLDERS"]),
+        *map(str, sources),
+    ]
     subprocess.run([*command, "-o", str(program), *libraries], check=True, timeout=300)
 
 

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from wire import HERE, ROOT, SPEC_GAP_US, slave
 
+from motord.api.commands import datagram
 from motord.client import Client, ClientError
-from motord.commands import datagram
 
 PAUSE_S = (0.11, 0.14)
 """Longer than a cycle of the line, so that it is idle: the way is measured, not the queue."""

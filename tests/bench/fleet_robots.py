@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many robots' second processes in one: each has its own robot file, station and adapters, as
+"""Many robots' second processes in one: each has its own robot file, runtime and adapters, as
 motord-bus has them; only the snapshots are made here and not read from a daemon's page.
 
 fleet_robots.py FIRST COUNT SETTING...   in a setting, {n} is the robot's number
@@ -17,19 +17,19 @@ from pathlib import Path
 
 from bus_encode import moving
 
-from motord.bus.station import Station
+from motord.bus.runtime import Runtime
 from motord.config import load_robot
 
 ROBOT = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 LOOK_EVERY_S = 0.05
 
 
-def station(number: int, settings: list[str]) -> Station:
+def runtime(number: int, settings: list[str]) -> Runtime:
     words = [f"robot.name=r{number}", *(one.format(n=number) for one in settings)]
-    return Station(load_robot(ROBOT, tuple(words)), Path("/nonexistent"))
+    return Runtime(load_robot(ROBOT, tuple(words)), Path("/nonexistent"))
 
 
-async def drive(stations: list[Station]) -> None:
+async def drive(stations: list[Runtime]) -> None:
     """A snapshot of now for each, until cancelled."""
     snapshot = moving().snapshot
     while True:
@@ -40,7 +40,7 @@ async def drive(stations: list[Station]) -> None:
 
 
 async def main(first: int, count: int, settings: list[str]) -> None:
-    stations = [station(first + number, settings) for number in range(count)]
+    stations = [runtime(first + number, settings) for number in range(count)]
     end = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, end.set)
     async with asyncio.TaskGroup() as tasks:

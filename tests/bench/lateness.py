@@ -49,8 +49,8 @@ def figures(bars: Bars) -> dict[str, float]:
 def child(rate_hz: float, seconds: float) -> None:
     """One loop with a hog beside it; prints its histogram, and the page faults of two halves: with
     the hog alone, and while Python starts processes."""
-    from motord import rt
-    from motord.tools.latency_rig import core_config
+    from motord.realtime import loop as rt
+    from motord.tools.latency.rig import core_config
 
     def hog() -> None:
         while True:

@@ -206,7 +206,7 @@ class Bench:
         asan = ["gcc", "-print-file-name=libasan.so"]
         self.asan = subprocess.run(asan, check=True, capture_output=True, text=True).stdout.strip()
         (BUILT / "csrc").mkdir(parents=True, exist_ok=True)
-        for path in sorted(CSRC.glob("*.[ch]")):
+        for path in sorted(CSRC.rglob("*.[ch]")):
             # what is hidden cannot be replaced
             text = path.read_text(encoding="utf-8").replace("#pragma GCC visibility", "#pragma")
             write_if_other(BUILT / "csrc" / path.name, text)
@@ -220,7 +220,7 @@ class Bench:
         write_if_other(BUILT / "deadline.c", DEADLINE)
         write_if_other(BUILT / "called.c", CALLED)
         headers = list((BUILT / "csrc").glob("*.h"))
-        sources = [BUILT / "csrc" / path.name for path in sorted(CSRC.glob("*.c"))]
+        sources = [BUILT / "csrc" / path.name for path in sorted(CSRC.rglob("*.c"))]
         sources.append(BUILT / "deadline.c")
         objects = [BUILT / f"{source.stem}.o" for source in sources]
 
@@ -248,7 +248,7 @@ class Bench:
         reached, left = {name}, [name]
         while left:
             wanted = f'#include "{left.pop()}"'
-            for path in sorted(CSRC.glob("*.[ch]")):
+            for path in sorted(CSRC.rglob("*.[ch]")):
                 if path.name not in reached and wanted in path.read_text(encoding="utf-8"):
                     reached.add(path.name)
                     left.append(path.name)
@@ -423,10 +423,10 @@ def pure_files() -> list[str]:
     """No thread, no clock, no descriptor; of the headers, those with functions."""
     headers = [
         path.name
-        for path in sorted(CSRC.glob("*.h"))
+        for path in sorted(CSRC.rglob("*.h"))
         if "static inline" in path.read_text(encoding="utf-8")
     ]
-    parts = [path.name for path in sorted(CSRC.glob("*.c")) if not IMPURE.fullmatch(path.name)]
+    parts = [path.name for path in sorted(CSRC.rglob("*.c")) if not IMPURE.fullmatch(path.name)]
     return parts + headers
 
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 from _motord_rt import ffi, lib
 
-from motord_hal.clock import now_ns
-from motord_hal.errors import HalError
-from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, EventKind, JointSpec, Line, LineEvent, LineSpec
-from motord_hal.rt import Exchange, JointSetpoint, Setpoints
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, Line, LineEvent, LineSpec
+from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 
 GENEROUS_S = 60.0
 SETPOINTS_EVERY_S = 0.005

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from motord_hal.sim.unix_bus import UnixBus
+from motord_hal.sim.can.unix_bus import UnixBus
 
 HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
 MODE, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0D, 0x14, 0x17, 0x18

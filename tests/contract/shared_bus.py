@@ -9,7 +9,7 @@ from scripted_odrive import INTERFACE, new_address
 
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.sim.unix_bus import UnixBus
+from motord_hal.sim.can.unix_bus import UnixBus
 
 KINDS = (
     [("socketcan", "asyncio"), ("socketcan", "rt")]

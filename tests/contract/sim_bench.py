@@ -8,9 +8,9 @@ import select
 import threading
 
 from motord_hal.drives.load import find_profile
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
-from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
-from motord_hal.sim.can_port import free_address
+from motord_hal.sim.can.port import free_address
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run

@@ -9,10 +9,10 @@ from dataclasses import replace
 import pytest
 from loop_side import running, until
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import ProfileError
-from motord_hal.lines import halt_line, open_line
-from motord_hal.ports import (
+from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
@@ -22,7 +22,7 @@ from motord_hal.ports import (
     TextSpec,
     TextWheel,
 )
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.1)}
 

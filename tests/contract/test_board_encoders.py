@@ -9,9 +9,9 @@ from loop_side import running, until
 from mcu_peer import McuPeer, compiled
 from test_pwm_line import PERIOD_NS, Chip, armed, spec_of
 
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import BoardEncoder, DriveState, EventKind, JointSpec
+from motord_hal.fieldbus.ports import BoardEncoder, DriveState, EventKind, JointSpec
 
 PER_COUNT = math.tau / 1320
 BY_HAND_RAD_S = 4.0

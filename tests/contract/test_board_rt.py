@@ -11,9 +11,9 @@ from test_ascii_line import Reader
 from test_ascii_line import spec_of as text_spec
 from test_mcu_line import spec_of as frames_spec
 
-from motord_hal.clock import now_ns
-from motord_hal.ports import DriveState
-from motord_hal.rt import JointSetpoint, Setpoints
+from motord_hal.base.clock import now_ns
+from motord_hal.fieldbus.ports import DriveState
+from motord_hal.realtime.exchange import JointSetpoint, Setpoints
 
 TURN_RAD_S = 3.0
 NEVER_S = 60.0

@@ -11,12 +11,12 @@ from loop_side import running, until
 from scripted_odrive import BUSES, CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
 from test_can_line import TURN, spec_of
 
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import PortError
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import Sent
 from motord_hal.can.socket_frames import packed
-from motord_hal.clock import now_ns
-from motord_hal.errors import PortError
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.fieldbus.ports import DriveState, EventKind
 
 BUS_OFF, CONTROLLER, NO_ACK = 0x40, 0x04, 0x20
 

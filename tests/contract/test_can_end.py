@@ -9,7 +9,7 @@ from scripted_odrive import BUSES, INPUT_VELOCITY, STATE, Peer, living
 from test_can_line import TURN, joints, spec_of
 from test_can_rt import IDLE, Bus, arm, lively
 
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.fieldbus.ports import DriveState, EventKind
 
 ENGINES = ["asyncio", "rt"]
 

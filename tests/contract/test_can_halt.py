@@ -5,8 +5,8 @@ import pytest
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from test_can_line import spec_of
 
-from motord_hal.errors import PortError
-from motord_hal.lines import halt_line
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.open_line import halt_line
 
 
 @pytest.fixture(params=BUSES)

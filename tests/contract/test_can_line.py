@@ -21,10 +21,10 @@ from scripted_odrive import (
     living,
 )
 
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import DriveFault, HalError, NoReply, PortError
-from motord_hal.ports import (
+from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,

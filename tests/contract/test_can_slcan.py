@@ -7,8 +7,8 @@ from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 from slcan_adapter import SlcanAdapter
 from test_can_line import TURN, spec_of
 
-from motord_hal.lines import halt_line
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.ports import DriveState, EventKind
 
 
 @pytest.fixture

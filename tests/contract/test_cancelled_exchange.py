@@ -11,11 +11,11 @@ from test_modbus_line import hub_servo
 from test_modbus_line import spec_of as line_spec_of
 
 from motord_hal.drives.load import find_profile
-from motord_hal.lines import open_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.tcp_guard import GatewayClient
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 READ = Request(1, Function.READ_HOLDING, 0x0100, 1)
 

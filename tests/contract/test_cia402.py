@@ -8,11 +8,11 @@ from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
 from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
+from motord_hal.base.errors import DriveFault, HalError
+from motord_hal.base.paths import config_dir
 from motord_hal.drives.load import find_profile, load_profile
-from motord_hal.errors import DriveFault, HalError
-from motord_hal.lines import halt_line
-from motord_hal.paths import config_dir
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60
 NODE = 5

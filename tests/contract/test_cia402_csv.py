@@ -11,12 +11,12 @@ from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.can.halt import halt_line
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import ProfileError
-from motord_hal.lines import open_line
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.realtime.exchange import Exchange
 
 RPM = 2 * math.pi / 60
 NODES = (5, 6)

@@ -14,10 +14,10 @@ import pytest
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
+from motord_hal.base.errors import DriveFault
+from motord_hal.base.paths import config_dir
 from motord_hal.drives.load import load_profile
-from motord_hal.errors import DriveFault
-from motord_hal.paths import config_dir
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 ROOT = Path(__file__).parents[2]
 MODULES = ROOT / "build/node/node_modules"

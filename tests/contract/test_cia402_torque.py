@@ -11,7 +11,7 @@ from shared_bus import KINDS, end_of, shared_bus
 
 from motord_hal.can.halt import halt_line
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60
 NODE = 5

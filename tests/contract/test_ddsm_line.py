@@ -7,7 +7,7 @@ from loop_side import running, until
 from sim_bench import simulated, spec_of
 from test_simulated_ddsm import hub_motor
 
-from motord_hal.ports import DriveState
+from motord_hal.fieldbus.ports import DriveState
 
 WANTED_RAD_S = 3.0
 

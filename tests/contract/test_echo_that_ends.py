@@ -6,9 +6,9 @@ from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import ENGINES, hub_servo, registers_of, spec_of
 
+from motord_hal.fieldbus.ports import DriveState, Echo
 from motord_hal.modbus.codec import Function, Request, build_request
 from motord_hal.modbus.guard import StrictFramer
-from motord_hal.ports import DriveState, Echo
 
 
 @pytest.fixture(params=ENGINES)

@@ -8,7 +8,7 @@ from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
 from test_modbus_line import hub_servo, registers_of, spec_of
 
-from motord_hal.errors import BadReply, NoReply, PortError
+from motord_hal.base.errors import BadReply, NoReply, PortError
 from motord_hal.modbus import tcp_guard
 from motord_hal.modbus.codec import Function, Request, build_exception, build_reply
 from motord_hal.modbus.tcp_guard import GatewayClient

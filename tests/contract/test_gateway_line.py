@@ -9,7 +9,7 @@ from sim_bench import line_of
 from test_simulated_tcp import served
 
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.fieldbus.ports import DriveState, EventKind
 
 KINDS = {"modbus-tcp": False, "rtu-over-tcp": True}
 

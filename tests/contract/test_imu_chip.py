@@ -8,13 +8,13 @@ import threading
 
 import pytest
 
-from motord_hal.errors import BadReply, NoReply, PortError
+from motord_hal.base.errors import BadReply, NoReply, PortError
+from motord_hal.fieldbus.ports import AXES, Mounting
 from motord_hal.i2c import imu_reader
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.imu import STUCK_SAMPLES, ImuChip
 from motord_hal.i2c.imu_reader import ImuReader, ImuSpec
-from motord_hal.ports import AXES, Mounting
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 
 class Chip:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from motord_hal.errors import BadReply, PortError
+from motord_hal.base.errors import BadReply, PortError
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.ina import Ina
 

@@ -22,10 +22,10 @@ from test_modbus_line import (
     spec_of,
 )
 
+from motord_hal.base.errors import HalError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import HalError
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
-from motord_hal.ports import DriveState, EventKind, JointSpec
 
 DUTY, DUTY_WATCHDOG = 0x0100, 0x0110
 SPEED, RUN = 0x0056, 0x0066

@@ -11,7 +11,7 @@ from test_line_adversary import mute
 from test_modbus_line import ENGINES, registers_of, spec_of
 
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import DriveState, EventKind, JointSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 
 TARGET, ENABLE, STATUS = 0x0200, 0x0201, 0x0202
 ON, OFF = 1, 0

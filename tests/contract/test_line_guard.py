@@ -8,7 +8,7 @@ import pytest
 from loop_side import until
 from scripted_slave import ScriptedSlave, Unit
 
-from motord_hal.errors import BadReply, NoReply, PortError, Refused
+from motord_hal.base.errors import BadReply, NoReply, PortError, Refused
 from motord_hal.modbus.codec import (
     SILENT_FIXED_S,
     Function,

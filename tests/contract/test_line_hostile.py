@@ -21,10 +21,10 @@ from test_modbus_line import (
     spec_of,
 )
 
-from motord_hal.errors import NoReply
+from motord_hal.base.errors import NoReply
+from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request, build_exception
 from motord_hal.modbus.tcp_guard import GatewayClient
-from motord_hal.ports import DriveState
 
 
 @pytest.fixture(params=[*ENGINES, *GATEWAYS])

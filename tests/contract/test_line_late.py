@@ -11,8 +11,8 @@ from loop_side import running, until
 from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import ENGINES, POSITION_1, hub_servo, registers_of, spec_of
 
+from motord_hal.fieldbus.ports import EventKind
 from motord_hal.modbus.codec import Function, build_reply
-from motord_hal.ports import EventKind
 
 TICK_NS = 10_000
 CYCLE_NS = 20_000_000

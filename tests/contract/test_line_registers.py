@@ -21,10 +21,10 @@ from test_modbus_line import (
     spec_of,
 )
 
+from motord_hal.base.errors import DriveFault
 from motord_hal.drives.profile import Register, RegisterType, Step
-from motord_hal.errors import DriveFault
+from motord_hal.fieldbus.ports import DriveState, EventKind
 from motord_hal.modbus.codec import Function
-from motord_hal.ports import DriveState, EventKind
 
 
 @pytest.fixture(params=[*ENGINES, *GATEWAYS])

@@ -10,17 +10,17 @@ from loop_side import GENEROUS_S, running, until
 from scripted_slave import ScriptedSlave, Unit
 from test_modbus_line import CONTROL, ENABLE, ENGINES, OFF, hub_servo, registers_of, spec_of
 
-from motord_hal.clock import now_ns
-from motord_hal.errors import HalError
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request
-from motord_hal.ports import DriveState
-from motord_hal.rt import Exchange
-from motord_hal.rt_engine.asks import Asks
-from motord_hal.rt_engine.modbus_frames import modbus_frame
-from motord_hal.rt_engine.news import News
-from motord_hal.rt_engine.protocols import frames_of
-from motord_hal.rt_engine.table import line_table
-from motord_hal.rt_line import AnswerKind, Ask, LineThread, ThreadSpec
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.line import AnswerKind, Ask, LineThread, ThreadSpec
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.modbus_frames import modbus_frame
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.request_queue import Asks
+from motord_hal.rt_engine.rs485.table import line_table
 from motord_hal.serial.port import open_port
 
 TEMPERATURE = 0x20A4

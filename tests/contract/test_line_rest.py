@@ -26,10 +26,10 @@ from test_modbus_line import (
 )
 
 from motord_hal.asyncio_engine import drive
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import HalError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import HalError
-from motord_hal.ports import DriveState, JointSpec
+from motord_hal.fieldbus.ports import DriveState, JointSpec
 
 CYCLES_SEEN = 5
 """More than what may have been under way when the line was told to end."""

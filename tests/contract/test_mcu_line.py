@@ -8,16 +8,23 @@ import pytest
 from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
 
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.lines import halt_line, open_line
+from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.ports import (
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineSpec,
+    LineState,
+    Mounting,
+)
 from motord_hal.mcu import board, link
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec, LineState, Mounting
-from motord_hal.rt import Exchange
-from motord_hal.rt_engine import board_line
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.rt_engine.boards import line as board_line
 from motord_hal.serial.port import OpenPort, open_port
 
 COUNTS_PER_RAD = 1320 / math.tau

@@ -11,19 +11,19 @@ from loop_side import PATIENT_S, running, until
 from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
 
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.lines import open_line
-from motord_hal.modbus.codec import Function
-from motord_hal.ports import (
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
     LineSpec,
     LineState,
 )
-from motord_hal.rt import Exchange
+from motord_hal.modbus.codec import Function
+from motord_hal.realtime.exchange import Exchange
 
 RPM = 2 * math.pi / 60
 CONTROL, MODE, TARGET_1, TARGET_2, WATCHDOG = 0x200E, 0x200D, 0x2088, 0x2089, 0x2000

@@ -16,7 +16,7 @@ from test_modbus_line import (
     spec_of,
 )
 
-from motord_hal.ports import DriveState, EventKind, LineState
+from motord_hal.fieldbus.ports import DriveState, EventKind, LineState
 
 
 @pytest.fixture(params=[*ENGINES, *GATEWAYS])

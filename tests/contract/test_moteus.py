@@ -14,7 +14,7 @@ from test_can_bus import bus_that
 from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi
 NODES = (3, 9)

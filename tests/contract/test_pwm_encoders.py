@@ -9,11 +9,11 @@ import pytest
 from loop_side import running, until
 from test_pwm_line import Chip, spec_of
 
+from motord_hal.base.errors import PortError
 from motord_hal.drives.load import find_profile
 from motord_hal.encoder.counter import find_counter, open_counter
 from motord_hal.encoder.edges import open_edges
-from motord_hal.errors import PortError
-from motord_hal.ports import CounterEncoder, EdgesEncoder, EventKind, JointSpec, LineState
+from motord_hal.fieldbus.ports import CounterEncoder, EdgesEncoder, EventKind, JointSpec, LineState
 
 PER_COUNT = math.tau / 1320
 

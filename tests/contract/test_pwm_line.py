@@ -16,12 +16,11 @@ from loop_side import GENEROUS_S, PATIENT_S, running, until
 
 import motord_hal.pwm
 import motord_hal.rt_engine
-from motord_hal.clock import now_ns
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import HalError, PortError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import HalError, PortError
-from motord_hal.lines import halt_line, open_line
-from motord_hal.pinmux import not_muxed
-from motord_hal.ports import (
+from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
@@ -29,8 +28,9 @@ from motord_hal.ports import (
     LineState,
     PinsSpec,
 )
+from motord_hal.gpio.pinmux import not_muxed
 from motord_hal.pwm.line import WATCH_EVERY_S
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 PERIOD_NS = 50_000
 COMM = Path("/proc/self/comm").read_text().strip()

@@ -10,12 +10,12 @@ from dataclasses import replace
 import pytest
 from loop_side import running, until
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.load import find_profile
-from motord_hal.errors import ProfileError
-from motord_hal.lines import halt_line, open_line
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.realtime.exchange import Exchange
 from motord_hal.roboclaw.codec import build_reply, packet_bytes
-from motord_hal.rt import Exchange
 
 SPEEDS, DUTIES, TIMEOUT, READ_TIMEOUT = 37, 34, 14, 15
 

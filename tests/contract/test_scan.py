@@ -85,7 +85,7 @@ def test_nobody_there_is_said_within_the_bound(line):
 
 def test_a_port_that_somebody_has_is_refused_with_his_name(line):
     from motord.tools.scan import spec_of
-    from motord_hal.ports import DirectionSpec
+    from motord_hal.fieldbus.ports import DirectionSpec
     from motord_hal.serial.port import open_port
 
     held = open_port(spec_of(port_of(line), 9600, "none", DirectionSpec()))

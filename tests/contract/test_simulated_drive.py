@@ -13,7 +13,7 @@ from loop_side import running, until
 from sim_bench import GEAR, RT, can_reverse, folder_of, simulated, spec_of, with_rt
 
 from motord_hal.drives.load import find_profile, list_profiles
-from motord_hal.ports import DriveState, EventKind
+from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 6.0
 DUTY = 0.5

@@ -14,11 +14,11 @@ from loop_side import running, until
 from test_pwm_line import armed
 
 from motord.config import load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import find_profile, list_profiles
-from motord_hal.ports import CounterEncoder, DriveState, JointSpec, LineSpec, PinsSpec
+from motord_hal.fieldbus.ports import CounterEncoder, DriveState, JointSpec, LineSpec, PinsSpec
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import HELD_UP_S, PausingClock
 

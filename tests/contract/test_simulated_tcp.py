@@ -22,8 +22,8 @@ from motord_hal.modbus.codec import (
     build_request,
 )
 from motord_hal.sim.control import SimControl
-from motord_hal.sim.gateway import TARGET_SILENT
 from motord_hal.sim.rig import PortSpec
+from motord_hal.sim.rs485.gateway import TARGET_SILENT
 from motord_hal.sim.runner import run
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)

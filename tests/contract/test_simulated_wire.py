@@ -17,7 +17,7 @@ from motord_hal.modbus.codec import (
     silent_interval_s,
 )
 from motord_hal.sim.fault_kinds import FaultError
-from motord_hal.sim.line import TURNAROUND_PART
+from motord_hal.sim.rs485.line import TURNAROUND_PART
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)
 FRAME = build_request(POSITIONS)

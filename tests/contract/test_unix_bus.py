@@ -10,7 +10,7 @@ import can
 import pytest
 
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.sim.unix_bus import UnixBus
+from motord_hal.sim.can.unix_bus import UnixBus
 
 VISITS = 2000
 ROUNDS = 200

@@ -24,10 +24,10 @@ from scripted_gateway import GATEWAYS, ScriptedGateway, peer_on
 from scripted_slave import Bytes, ScriptedSlave, Unit
 from test_modbus_line import registers_of, spec_of
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
 from motord_hal.drives.load import find_profile
+from motord_hal.fieldbus.ports import DriveState, JointSpec, LineState
 from motord_hal.modbus.codec import Request, build_exception, seal
-from motord_hal.ports import DriveState, JointSpec, LineState
 
 MEDIA = ("asyncio", *GATEWAYS)
 PROFILES = ("zlac8015d", "duty-register", "speed-register", "bld-305s")

@@ -17,7 +17,7 @@ from mutate import mutated
 from tests.sim.daemon_stage import Stage, running
 
 from motord.client import Client, ClientError
-from motord.rpc import LINE_BYTES_MAX
+from motord.local_socket.server import LINE_BYTES_MAX
 
 LINES = 60
 """Of one connection, which a line too long ends before."""

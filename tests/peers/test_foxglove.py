@@ -16,7 +16,7 @@ from tests.peers.foxglove_wire import MESSAGE_DATA, wired
 from tests.peers.mosquitto import free_port
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
-from motord.bus.topics import TOPICS
+from motord.bus.messages.topics import TOPICS
 
 MODULES = ROOT / "build/node/node_modules"
 OWN_CLIENT = MODULES / "@foxglove/ws-protocol"

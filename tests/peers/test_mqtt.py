@@ -16,7 +16,7 @@ from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, wit
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 
-from motord.bus.topics import TOPICS
+from motord.bus.messages.topics import TOPICS
 
 pytestmark = needs_mosquitto
 LEASE_S = 1.0

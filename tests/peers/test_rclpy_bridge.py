@@ -9,7 +9,7 @@ import pytest
 from tests.peers.rclpy_stage import BEST_EFFORT, LEASE_S, bridge, bridged
 from tests.sim.daemon_stage import wait_until
 
-from motord.bus.inputs.desk import TRIGGERS
+from motord.bus.commands.gate import TRIGGERS
 from motord.client import ClientError
 
 Trigger = pytest.importorskip("std_srvs.srv").Trigger

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from tests.peers.ros2_stage import DOMAIN
 
-from motord.bus.ros2.node import Node
+from motord.bus.ros2.dds.node import Node
 
 DEADLINE_S = 30.0
 STRING = "std_msgs/msg/String"

@@ -16,8 +16,8 @@ import zenoh.ext
 from tests.peers.zenoh_router import endpoint, free_port, router
 
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.zenoh_names import Attachment, gid
-from motord.bus.ros2.zenoh_node import Router, ZenohNode
+from motord.bus.ros2.zenoh.names import Attachment, gid
+from motord.bus.ros2.zenoh.node import Router, ZenohNode
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
 STORE.register(rosbags.get_types_from_msg("bool success\nstring message\n", "peer/msg/Answer"))

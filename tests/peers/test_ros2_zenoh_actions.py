@@ -11,7 +11,7 @@ from tests.peers.test_ros2_zenoh import ask, attached
 from tests.peers.test_ros2_zenoh_robot import armed, robot
 from tests.sim.daemon_stage import wait_until
 
-from motord.bus.ros2.types import type_hash
+from motord.bus.ros2.types.table import type_hash
 
 __all__ = ["robot"]  # a stage of this file's own
 

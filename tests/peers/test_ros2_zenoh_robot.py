@@ -10,7 +10,7 @@ from tests.peers.test_ros2_zenoh import REQUEST, STORE, ask, attached, peer
 from tests.peers.zenoh_router import endpoint, free_port, started
 from tests.sim.daemon_stage import running, wait_until
 
-from motord.bus.ros2.types import type_hash
+from motord.bus.ros2.types.table import type_hash
 
 TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"

@@ -8,7 +8,7 @@ import pytest
 from tests.peers.test_ros2_zenoh import Tokens, peer, running, until
 from tests.peers.zenoh_router import free_port, router
 
-from motord.bus.ros2.zenoh_node import Router, ZenohNode
+from motord.bus.ros2.zenoh.node import Router, ZenohNode
 
 pytestmark = pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
 

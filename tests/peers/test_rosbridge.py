@@ -18,8 +18,8 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from motord.bus import rosbridge
-from motord.bus.station import Station
+from motord.bus.rosbridge import adapter as rosbridge
+from motord.bus.runtime import Runtime
 from motord.client import Refused
 from motord.config import RosbridgeInput, load_robot
 
@@ -134,8 +134,8 @@ async def test_strangers_who_say_nothing_make_room_for_who_has_the_token(tmp_pat
     monkeypatch.setattr(rosbridge, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
     port, count = free_port(), 3 * rosbridge.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
-    station = Station(load_robot(DEMO), tmp_path / "no.sock")
-    adapter = rosbridge.RosbridgeAdapter("web", section, station)
+    runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
+    adapter = rosbridge.RosbridgeAdapter("web", section, runtime)
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
         serving = tasks.create_task(adapter.run())
         async with connect_again(f"ws://127.0.0.1:{port}/?token={TOKEN}", None) as client:

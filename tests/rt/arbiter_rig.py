@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from _motord_rt import ffi, lib
 
-from motord.commands import RELEASE, datagram
+from motord.api.commands import RELEASE, datagram
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
 
-from motord import rt
-from motord_hal.rt import now_ns
+from motord.realtime import loop as rt
+from motord_hal.realtime.exchange import now_ns
 
 MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # asm-generic/mman-common.h
 

@@ -5,8 +5,8 @@ import math
 import time
 from collections.abc import Callable
 
-from motord import rt
-from motord_hal.rt import Exchange, now_ns
+from motord.realtime import loop as rt
+from motord_hal.realtime.exchange import Exchange, now_ns
 
 PATIENCE_S = 30.0
 FOREVER_S = 1e4  # a timeout that a busy machine does not reach

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from motord.commands import Refusal, datagram
+from motord.api.commands import Refusal, datagram
 
 MS = 1_000_000
 START_NS = 5_000_000_000

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from motord_hal.ascii.dialect import TextDialect
 from motord_hal.ascii.text import Text
 from motord_hal.drives.load import find_profile
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.mcu.frames import FRAME_BYTES_MAX, Frame, FrameError, build, parse
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import JointSpec, LineSpec, TextSpec, TextWheel
-from motord_hal.rt_engine import board_text
-from motord_hal.rt_engine.board_table import board_table, layout_of
+from motord_hal.rt_engine.boards import text as board_text
+from motord_hal.rt_engine.boards.table import board_table, layout_of
 
 PAYLOADS = st.binary(max_size=FRAME_BYTES_MAX - 10)
 WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.08)}

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from small_base import core_config, settings, until
 
-from motord import rt
-from motord.bus.station import Station
+from motord.bus.runtime import Runtime
 from motord.client import ClientError
 from motord.config import load_robot
-from motord.doors import open_stop_socket
+from motord.local_socket.command_sockets import open_stop_socket
+from motord.realtime import loop as rt
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 30.0
@@ -40,10 +40,10 @@ def no_descriptor_left():
 
 
 @contextlib.asynccontextmanager
-async def running(station):
+async def running(runtime):
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(station.run())
-        while station.view is None:
+        task = tasks.create_task(runtime.run())
+        while runtime.view is None:
             await asyncio.sleep(0.01)
         yield
         task.cancel()
@@ -68,31 +68,31 @@ def looped(robot, path):
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
 async def test_without_a_descriptor_the_robot_is_stopped_all_the_same(robot, tmp_path, method):
     path = tmp_path / "robot.sock"
-    station = Station(robot, path)
+    runtime = Runtime(robot, path)
     with looped(robot, path) as loop:
-        async with running(station):
+        async with running(runtime):
             with no_descriptor_left():
-                state = (await station.call(method))["state"]
+                state = (await runtime.call(method))["state"]
                 with pytest.raises(ClientError, match="Too many open files"):
-                    await station.call("arm")
+                    await runtime.call("arm")
             assert getattr(loop.stop_requests(), method) == 1
             assert state == ("estop" if method == "estop" else "off")
 
 
 async def test_a_daemon_that_was_started_again_is_stopped_by_the_same_socket(robot, tmp_path):
     path = tmp_path / "robot.sock"
-    station = Station(robot, path)
+    runtime = Runtime(robot, path)
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(station.run())
+        task = tasks.create_task(runtime.run())
         for _ in range(2):
             with looped(robot, path) as loop:
-                while not await station._stops.send("estop"):
+                while not await runtime._stops.send("estop"):
                     await asyncio.sleep(0.01)
                 until(lambda loop=loop: loop.stop_requests().estop)
         task.cancel()
 
 
 async def test_nobody_there_is_said_as_for_every_call(robot, tmp_path):
-    station = Station(robot, tmp_path / "none.sock")
+    runtime = Runtime(robot, tmp_path / "none.sock")
     with pytest.raises(ClientError, match="No such file"):
-        await station.call("estop")
+        await runtime.call("estop")

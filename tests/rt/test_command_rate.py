@@ -4,7 +4,7 @@
 import pytest
 from _motord_rt import ffi, lib
 
-from motord.commands import RELEASE, Refusal, datagram
+from motord.api.commands import RELEASE, Refusal, datagram
 
 MS = 1_000_000
 TOKEN = b"T" * 16

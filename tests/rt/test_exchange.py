@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mailboxes through the line's door: newest wins, nothing is lost, nothing is mixed up."""
+"""The mailboxes through the lines' interface: newest wins, nothing is lost, nothing is mixed up."""
 
 import math
 import struct
@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.rt import JOINTS_MAX, LINES_MAX, Exchange, JointSetpoint, Setpoints, now_ns
+from motord_hal.realtime.exchange import (
+    JOINTS_MAX,
+    LINES_MAX,
+    Exchange,
+    JointSetpoint,
+    Setpoints,
+    now_ns,
+)
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 stamps = st.integers(min_value=-(2**63), max_value=2**63 - 1)

@@ -8,9 +8,9 @@ import sys
 import pytest
 from _motord_rt import ffi, lib
 
-from motord_hal.engine.line import fresh
-from motord_hal.ports import SETPOINT_TIMEOUT_S
-from motord_hal.rt import now_ns
+from motord_hal.fieldbus.line import fresh
+from motord_hal.fieldbus.ports import SETPOINT_TIMEOUT_S
+from motord_hal.realtime.exchange import now_ns
 
 NOW_NS = 10_000_000_000
 TIMEOUT_NS = round(SETPOINT_TIMEOUT_S * 1e9)
@@ -76,8 +76,8 @@ int clock_gettime(clockid_t clock, struct timespec *out)
 """In the C library's place: CLOCK_MONOTONIC has stood still for `slept_s`."""
 PROGRAM = """
 import ctypes
-from motord_hal.engine.line import fresh
-from motord_hal.rt import now_ns
+from motord_hal.fieldbus.line import fresh
+from motord_hal.realtime.exchange import now_ns
 slept_s = ctypes.c_long.in_dll(ctypes.CDLL(None), "slept_s")
 before_ns = now_ns()
 assert fresh(before_ns, 0.1)

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from small_base import arm, hear_wheels, settings, until
 from small_base import core_config as small_config
 
-from motord import rt
-from motord.commands import Refusal, datagram, joint_datagram
-from motord_hal.rt import now_ns
+from motord.api.commands import Refusal, datagram, joint_datagram
+from motord.realtime import loop as rt
+from motord_hal.realtime.exchange import now_ns
 
 MS = 1_000_000
 START_NS = 5_000_000_000

@@ -10,9 +10,9 @@ import pytest
 import zstandard
 from _motord_rt import ffi, lib
 
-from motord.bus.journal import Journal
-from motord.page_file import JOURNAL, PageFile
-from motord.rt_replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
+from motord.api.page_file import JOURNAL, PageFile
+from motord.bus.messages.journal import Journal
+from motord.realtime.replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
 
 
 class Writer:

@@ -4,9 +4,9 @@
 import pytest
 from small_base import FOREVER_S, LIMITS, arm, core_config, settings, until
 
-from motord import rt
-from motord.commands import Refusal
-from motord.leases import LEASE_MAX_S, LEASE_MIN_S, Leases, NoLease
+from motord.api.commands import Refusal
+from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Leases, NoLease
+from motord.realtime import loop as rt
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 from _motord_rt import ffi, lib
 from small_base import LIMITS, PATIENCE_S, arm, core_config, hear_wheels, lease_of, settings, until
 
-from motord import rt
-from motord.commands import Refusal
-from motord_hal.rt import LINES_MAX, Exchange
+from motord.api.commands import Refusal
+from motord.realtime import loop as rt
+from motord_hal.realtime.exchange import LINES_MAX, Exchange
 
 LATENESS, STEP, COMMAND = rt.HistogramKind
 

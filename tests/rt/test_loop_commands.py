@@ -9,8 +9,8 @@ import pytest
 from _motord_rt import lib
 from small_base import LIMITS, arm, core_config, hear_wheels, lease_of, settings, until
 
-from motord import rt
-from motord.commands import Refusal
+from motord.api.commands import Refusal
+from motord.realtime import loop as rt
 
 LATENESS = rt.HistogramKind.LATENESS
 

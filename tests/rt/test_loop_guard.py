@@ -9,8 +9,8 @@ import os
 import pytest
 from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
 
-from motord import rt
-from motord_hal.rt import Exchange
+from motord.realtime import loop as rt
+from motord_hal.realtime.exchange import Exchange
 
 MS = 1_000_000
 GPIO_V2_LINE_SET_VALUES_IOCTL = 0xC010B40F

@@ -17,8 +17,9 @@ import pytest
 from _motord_rt import ffi, lib
 from small_base import core_config, settings, until
 
-from motord import grants, rt
-from motord.page_file import SHARED, PageInUse, own_page
+from motord.api.page_file import SHARED, PageInUse, own_page
+from motord.realtime import loop as rt
+from motord.realtime import permissions as grants
 
 CHILD = Path(__file__).parent / "loop_child.py"
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h

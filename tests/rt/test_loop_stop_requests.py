@@ -11,9 +11,9 @@ import struct
 import pytest
 from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
 
-from motord import rt
-from motord.rt_types import StopRequests
-from motord.stop_request import MAGIC, VERSION, datagram
+from motord.api.stop_request import MAGIC, VERSION, datagram
+from motord.realtime import loop as rt
+from motord.realtime.types import StopRequests
 
 SPEED_M_S = 0.5
 

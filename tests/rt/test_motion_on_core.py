@@ -9,8 +9,8 @@ from core_rig import Rig, core_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motord.motion import Bounds, End, Goal, Motion, planned
-from motord.rt import _snapshot
+from motord.api.motion import Bounds, End, Goal, Motion, planned
+from motord.realtime.loop import _snapshot
 
 LEASE, STALE_S, LOOK_TICKS = 3, 0.25, 20
 TICKS_MAX = 200_000

@@ -6,14 +6,15 @@ from dataclasses import replace
 import pytest
 from small_base import core_config, hear_wheels, settings, until
 
-from motord import procedures, rt
+from motord.base.sdnotify import Notifier
 from motord.config import load_robot
-from motord.machine import Event, State
-from motord.operation import Operation, process_name
-from motord.rpc import Refused
-from motord.sdnotify import Notifier
-from motord_hal.paths import config_dir
-from motord_hal.ports import EventKind, LineEvent, LineState
+from motord.control.machine import Event, State
+from motord.control.operation import Operation, process_name
+from motord.daemon import procedures
+from motord.local_socket.server import Refused
+from motord.realtime import loop as rt
+from motord_hal.base.paths import config_dir
+from motord_hal.fieldbus.ports import EventKind, LineEvent, LineState
 
 OFF = "left (unit 1) is not enabled any more: set up again, disarmed"
 OVER_CURRENT = "left: fault: over-current"

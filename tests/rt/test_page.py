@@ -13,7 +13,7 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.page_file import SHARED, PageFile
+from motord.api.page_file import SHARED, PageFile
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE_BYTES = ffi.sizeof("robot_state")

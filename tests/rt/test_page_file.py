@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from motord import page_file
-from motord.page_file import PageFile, PageInUse, find_page
+from motord.api import page_file
+from motord.api.page_file import PageFile, PageInUse, find_page
 
 PAGE_BYTES = 16384
 HOLDER = """
 import sys
 from pathlib import Path
-from motord import page_file
+from motord.api import page_file
 page_file.SHARED = Path(sys.argv[1])
 held = page_file.PageFile.open("robot")
 print("held", flush=True)

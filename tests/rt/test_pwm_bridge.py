@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord_hal.drives.load import find_profile, list_profiles
-from motord_hal.rt_pwm import MODES
+from motord_hal.realtime.pwm import MODES
 
 NOW_NS = 10_000_000_000
 TIMEOUT_NS = 100_000_000

@@ -12,14 +12,14 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord import rt
-from motord.snapshot import (
+from motord.api.snapshot import (
     SNAPSHOT_VERSION,
     DoubtSnapshot,
     ImuSnapshot,
     JointSnapshot,
     Snapshot,
 )
+from motord.realtime import loop as rt
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -165,7 +165,7 @@ def test_every_bit_of_the_core_has_its_word(flags, prefix):
 
 
 def test_the_second_process_reads_snapshots_without_the_c_core():
-    program = "import sys, motord.snapshot; sys.exit('_motord_rt' in sys.modules)"
+    program = "import sys, motord.api.snapshot; sys.exit('_motord_rt' in sys.modules)"
     subprocess.run(
         [sys.executable, "-c", program],
         check=True,

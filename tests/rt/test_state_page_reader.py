@@ -11,9 +11,10 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord import rt, state_page
-from motord.page_file import own_page
-from motord.state_page import NoPage, StatePage
+from motord.api import state_page
+from motord.api.page_file import own_page
+from motord.api.state_page import NoPage, StatePage
+from motord.realtime import loop as rt
 
 
 @pytest.fixture

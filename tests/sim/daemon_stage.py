@@ -12,8 +12,8 @@ import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
+from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
-from motord.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
 

@@ -5,8 +5,8 @@ import socket
 import sys
 import time
 
+from motord.api.commands import datagram
 from motord.client import Client
-from motord.commands import datagram
 
 if __name__ == "__main__":
     with Client(sys.argv[1]) as robot, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:

@@ -13,8 +13,8 @@ import pathlib
 
 
 class Planted:
-    def __init__(self, name, section, station):
-        self._source = station.source(name)
+    def __init__(self, name, section, runtime):
+        self._source = runtime.source(name)
         self._order = pathlib.Path(section.options["order_file"])
         self._leaking, self._kept = False, []
 

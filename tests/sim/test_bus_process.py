@@ -130,7 +130,7 @@ TROUBLED = """
 import asyncio, os, threading, time
 
 class Adapter:
-    def __init__(self, name, section, station):
+    def __init__(self, name, section, runtime):
         self.options = section.options
 
     async def run(self):
@@ -202,7 +202,7 @@ def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what, said):
 
 FAILING = """
 class Adapter:
-    def __init__(self, name, section, station):
+    def __init__(self, name, section, runtime):
         self.lives = 0
 
     async def run(self):

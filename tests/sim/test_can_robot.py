@@ -7,7 +7,7 @@ import pytest
 
 from motord.config import load_robot
 from motord.tools.demo import run_demo
-from motord_hal.paths import config_dir
+from motord_hal.base.paths import config_dir
 
 PATIENT_S = "5.0"
 """For every time-out: a busy machine that stalls the simulator proves nothing."""

@@ -9,7 +9,7 @@ import pytest
 from daemon_stage import ROOT
 
 from motord.config import load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.tools.demo_words import Source, worth
 
 ROBOTS = sorted(path.stem for path in (ROOT / "config/robots").glob("*.toml"))

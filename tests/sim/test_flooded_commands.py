@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daemon_stage import running, wait_until
 
-from motord.bus.link import Source
+from motord.bus.commands.link import Source
 
 COMMANDS = 100
 EVERY_S = 0.02

@@ -19,12 +19,12 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.rt import Loop, LoopSettings
-from motord.tools.latency import LatencyError, LatencyOptions, run_latency
-from motord.tools.latency_load import BURNER
-from motord.tools.latency_other_end import PEER
-from motord.tools.latency_report import FIGURES
-from motord.tools.latency_rig import core_config
+from motord.realtime.loop import Loop, LoopSettings
+from motord.tools.latency.load import BURNER
+from motord.tools.latency.measure import LatencyError, LatencyOptions, run_latency
+from motord.tools.latency.other_end import PEER
+from motord.tools.latency.report import FIGURES
+from motord.tools.latency.rig import core_config
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'daemon'}:{ROOT / 'hal'}:{ROOT}"}

@@ -11,8 +11,8 @@ import sys
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
+from motord.api.motion import Goal
 from motord.client import ClientError, MoveFailed
-from motord.motion import Goal
 
 SETTINGS = (
     "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",

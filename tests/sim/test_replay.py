@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from motord.page_file import own_page
+from motord.api.page_file import own_page
 
 JOURNAL = "/core_journal"
 

@@ -11,9 +11,9 @@ import sys
 import pytest
 from daemon_stage import ROBOT, ROOT, running, wait_until
 
+from motord.api.commands import RELEASE, datagram
 from motord.client import ClientError, Refused
-from motord.commands import RELEASE, datagram
-from motord_hal.rt import now_ns
+from motord_hal.realtime.exchange import now_ns
 
 INPUTS = """
 [input.autopilot]

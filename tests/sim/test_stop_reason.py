@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.sim.daemon_stage import running, wait_until
 
-from motord.stop_request import send
+from motord.api.stop_request import send
 
 NAME = Path("/proc/self/comm").read_text(encoding="utf-8").strip()
 

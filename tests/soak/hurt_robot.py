@@ -23,8 +23,8 @@ from typing import Any
 from fault_mix import BATCH_S, SERIAL_KINDS, batches
 from said import Said
 
+from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
-from motord.page_file import own_page
 from motord.tools.simulator import start_simulator
 from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl

@@ -2,8 +2,8 @@
 """The daemon, and beside it a thread that notes which counts the core is given.
 
 The mailboxes of the exchange are peeked at, not taken from: the slot that their reader holds, as
-csrc/mailbox.h and csrc/exchange.h lay it out. Whatever is read wrongly is no count of any drive, so
-a mistake here cannot hide one there. Each new one is a line in the file TAP_FILE:
+csrc/base/mailbox.h and csrc/loop/exchange.h lay it out. Whatever is read wrongly is no count of any
+drive, so a mistake here cannot hide one there. Each new one is a line in the file TAP_FILE:
 
     JOINT STAMP_NS COUNT EPOCH
 """

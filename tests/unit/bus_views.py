@@ -4,9 +4,9 @@
 import dataclasses
 import math
 
-from motord.bus.messages import Body
-from motord.bus.topics import View
-from motord.snapshot import GYRO_STATES, ImuSnapshot, JointSnapshot, Snapshot
+from motord.api.snapshot import GYRO_STATES, ImuSnapshot, JointSnapshot, Snapshot
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.topics import View
 
 MS = 1_000_000
 BODY = Body(robot="r2", joints=("left", "right"))

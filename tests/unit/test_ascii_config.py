@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
-from motord_hal.lines import engine_of
+from motord_hal.fieldbus.open_line import engine_of
 
 TEXT = (Path(__file__).resolve().parents[2] / "config/robots/arduino-text.toml").read_text("utf-8")
 TEMPLATE = r'template = "{left:d},{right:d}\n"'

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from motord_hal.ascii.text import LINE_BYTES_MAX, Lines, Text
 from motord_hal.ascii.twist import twist_of, wheels_of
-from motord_hal.ports import TextSpec, TextWheel
+from motord_hal.fieldbus.ports import TextSpec, TextWheel
 
 BOTH = ("left", "right")
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord import rt
-from motord.assembly import base_limits, core_config, line_specs, loop_settings, profiles_of
 from motord.config import Limits, load_robot
 from motord.config.schema import robot_schema
+from motord.control.assembly import base_limits, core_config, line_specs, loop_settings, profiles_of
+from motord.realtime import loop as rt
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 

@@ -8,11 +8,11 @@ from bus_views import BODY, LOOP, joint, view
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.battery import BatteryLevel, BatteryWatch, Measure, of_drives
-from motord.bus import messages
-from motord.bus.publish.metrics import exposition
+from motord.bus.messages import from_snapshot as messages
+from motord.bus.prometheus.metrics import exposition
 from motord.config import DrivesBattery
-from motord.machine import Event, Facts, Refusal, State, step
+from motord.control.battery import BatteryLevel, BatteryWatch, Measure, of_drives
+from motord.control.machine import Event, Facts, Refusal, State, step
 
 S = 1_000_000_000
 NORMAL, WARNING, CRITICAL = BatteryLevel.NORMAL, BatteryLevel.WARNING, BatteryLevel.CRITICAL

@@ -13,7 +13,7 @@ WRAP_US = 1 << 32
 
 
 class ClockInC:
-    """csrc/board_clock.c."""
+    """csrc/fieldbus/board/board_clock.c."""
 
     def __init__(self):
         self._clock = ffi.new("board_clock *")

@@ -6,8 +6,8 @@ import math
 import pytest
 from tests.unit.bus_views import joint, view
 
-from motord.bus.calibration import REST_S, Calibration, measure
-from motord.motion import End
+from motord.api.motion import End
+from motord.bus.messages.calibration import REST_S, Calibration, measure
 
 STALE_S = 0.25
 

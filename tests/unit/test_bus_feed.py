@@ -14,17 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.unit.bus_views import BODY, LOOP, view
 
-from motord.bus import link
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, find
+from motord.bus.commands import link
+from motord.bus.commands.link import Source, call
 from motord.bus.feed import Feed
-from motord.bus.json_form import decode, encode, plain
-from motord.bus.link import Source, call
+from motord.bus.messages.json_form import decode, encode, plain
+from motord.bus.messages.topics import TOPICS
+from motord.bus.runtime import Runtime
 from motord.bus.secret import Token, read_secret
-from motord.bus.station import Station
-from motord.bus.topics import TOPICS
 from motord.client import ClientError, Refused
 from motord.config import load_robot
-from motord.config.bus_sections import ALL_TOPICS
+from motord.config.sections.bus import ALL_TOPICS
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
@@ -161,7 +161,7 @@ def test_an_adapter_that_cannot_be_had_is_said_and_the_others_are_made(tmp_path,
     )
     path = tmp_path / "robot.toml"
     path.write_text(text, encoding="utf-8")
-    adapters = Station(load_robot(path), tmp_path / "no.sock")._adapters()
+    adapters = Runtime(load_robot(path), tmp_path / "no.sock")._adapters()
     assert [type(adapter).__name__ for adapter in adapters.values()] == ["PrometheusServer"]
     assert "publish.smoke is off" in caplog.text
     assert "input.fleet is off" in caplog.text

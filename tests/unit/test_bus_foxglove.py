@@ -11,8 +11,8 @@ from types import SimpleNamespace
 from foxglove import Channel, Context
 from tests.peers.tokens import TOKEN, token_file
 
-from motord.bus.foxglove_clients import Commands
-from motord.bus.station import Station
+from motord.bus.foxglove.clients import Commands
+from motord.bus.runtime import Runtime
 from motord.config import FoxgloveInput, load_robot
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
@@ -23,16 +23,16 @@ HEAD = struct.Struct("<IHH16sQqIIdd")
 
 
 async def test_a_message_that_waited_for_the_event_loop_is_as_old_as_that(tmp_path):
-    station = Station(load_robot(DEMO), tmp_path / "no.sock")
+    runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
     section = FoxgloveInput(kind="foxglove", token_file=str(token_file(tmp_path)), stamped=False)
     looks = Channel("/robot_description", context=Context(), message_encoding="json"), b"{}"
-    commands = Commands("fox", section, station, looks)
+    commands = Commands("fox", section, runtime, looks)
     client = SimpleNamespace(id=1)
     channel = SimpleNamespace(id=2, topic="/cmd_vel", encoding="json")
     twist = f'{{"token": "{TOKEN}", "linear": {{"x": 0.2}}, "angular": {{"z": 0}}}}'
     heard, told = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with heard, told:
-        source = station.sources["fox"]
+        source = runtime.sources["fox"]
         source._token, source._sender = bytes(16), told
         heard.setblocking(False)  # noqa: FBT003  # socket's
         async with asyncio.TaskGroup() as tasks:

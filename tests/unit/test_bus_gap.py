@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from motord.bus.inputs import gap as gap_module
-from motord.bus.inputs.desk import ANY_TIME, METHODS, Desk, NotTaken
-from motord.bus.inputs.gap import Gap
-from motord.bus.mover import Mover, NotNow
-from motord.bus.station import Station
-from motord.bus.tunable import Tunable
+from motord.api.motion import Goal
+from motord.bus.commands import gap as gap_module
+from motord.bus.commands.gap import Gap
+from motord.bus.commands.gate import ANY_TIME, METHODS, CommandGate, NotTaken
+from motord.bus.commands.mover import Mover, NotNow
+from motord.bus.parameters import Tunable
+from motord.bus.runtime import Runtime
 from motord.client import ClientError
 from motord.config import Ros2Input, load_robot
-from motord.motion import Goal
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 LONGEST_S = 0.5
@@ -68,73 +68,73 @@ async def test_a_command_without_a_time_that_may_have_waited_is_refused(
     message, method, monkeypatch
 ):
     section = Ros2Input(kind="ros2", stamped=False, lease_s=LONGEST_S)
-    station = Station(load_robot(DEMO), Path("no.sock"))
-    desk = Desk("net", section, station)
-    async with watched(desk._gap):
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    gate = CommandGate("net", section, runtime)
+    async with watched(gate._gap):
         with pytest.raises(NotTaken, match="there is no lease"):  # it would be passed on
-            getattr(desk, method)(message)
+            getattr(gate, method)(message)
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
-            getattr(desk, method)(message)
+            getattr(gate, method)(message)
         monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
-        await over(desk._gap)
+        await over(gate._gap)
         with pytest.raises(NotTaken, match="there is no lease"):
-            getattr(desk, method)(message)
+            getattr(gate, method)(message)
 
 
 async def test_one_that_says_its_time_is_judged_by_that():
     section = Ros2Input(kind="ros2", lease_s=LONGEST_S)
-    desk = Desk("net", section, Station(load_robot(DEMO), Path("no.sock")))
-    async with watched(desk._gap):
+    gate = CommandGate("net", section, Runtime(load_robot(DEMO), Path("no.sock")))
+    async with watched(gate._gap):
         stand_still()
         sec, rest = divmod(time.time(), 1.0)
         stamp = {"sec": int(sec), "nanosec": int(rest * 1e9)}
         with pytest.raises(NotTaken, match="there is no lease"):
-            desk.drive({"header": {"stamp": stamp}, "twist": TWIST})
+            gate.drive({"header": {"stamp": stamp}, "twist": TWIST})
 
 
 @pytest.fixture
-def desk():
+def gate():
     """Stamped: calls have no stamp all the same."""
-    station = Station(load_robot(DEMO), Path("no.sock"))
-    return Desk("net", Ros2Input(kind="ros2", lease_s=0.1), station)
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    return CommandGate("net", Ros2Input(kind="ros2", lease_s=0.1), runtime)
 
 
 @pytest.mark.parametrize("method", sorted({*METHODS, *ANY_TIME}))
-async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(desk, method):
+async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, method):
     obeyed = method in ("stop", "estop", "disarm", "status", "params.list")
-    async with watched(desk.gap):
+    async with watched(gate.gap):
         stand_still()
         with pytest.raises((NotTaken, ClientError)) as told:
-            await desk.ask(method)
+            await gate.ask(method)
     assert ("No such file" in str(told.value)) == obeyed
     assert ("stood still" in str(told.value)) != obeyed
-    assert desk.source.refused == (not obeyed)
+    assert gate.source.refused == (not obeyed)
 
 
-async def test_an_arm_is_obeyed_again_when_what_waited_is_through(desk, monkeypatch):
-    async with watched(desk.gap):
+async def test_an_arm_is_obeyed_again_when_what_waited_is_through(gate, monkeypatch):
+    async with watched(gate.gap):
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
-            await desk.act("arm")
+            await gate.act("arm")
         monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
-        await over(desk.gap)
+        await over(gate.gap)
         with pytest.raises(NotTaken, match="No such file"):
-            await desk.act("arm")
+            await gate.act("arm")
 
 
-async def test_a_change_of_limits_that_may_have_waited_is_refused(desk):
-    tunable = Tunable(load_robot(DEMO), desk.ask)
-    async with watched(desk.gap):
+async def test_a_change_of_limits_that_may_have_waited_is_refused(gate):
+    tunable = Tunable(load_robot(DEMO), gate.ask)
+    async with watched(gate.gap):
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
             await tunable.change({"limits.linear_m_s": 1.0})
 
 
-async def test_a_goal_that_may_have_waited_is_refused(desk):
-    station = Station(load_robot(DEMO), Path("no.sock"))
-    mover = Mover(station, desk.source, desk.gap, lease_s=0.1)
-    async with watched(desk.gap):
+async def test_a_goal_that_may_have_waited_is_refused(gate):
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
+    async with watched(gate.gap):
         with pytest.raises(NotNow, match="No such file"):  # it would be planned
             await mover.plan(Goal(axis="linear", way_u=1.0))
         stand_still()

@@ -8,7 +8,7 @@ import pytest
 from tests.sim.planted import offered
 
 from motord.bus import guard
-from motord.bus.station import Station
+from motord.bus.runtime import Runtime
 from motord.config import load_robot
 
 DEADLINE_S = 30.0
@@ -109,6 +109,6 @@ def test_one_that_cannot_be_made_is_off_and_the_others_are_there(
     monkeypatch.syspath_prepend(tmp_path)
     settings = ("publish.bad.kind=other", f"publish.bad.adapter=bad_{what}",
                 "publish.prom.kind=prometheus")  # fmt: skip
-    station = Station(load_robot(DEMO, settings), tmp_path / "no.sock")
-    assert list(station._adapters()) == ["publish.prom"]
+    runtime = Runtime(load_robot(DEMO, settings), tmp_path / "no.sock")
+    assert list(runtime._adapters()) == ["publish.prom"]
     assert "publish.bad is off" in caplog.text

@@ -6,8 +6,8 @@ import contextlib
 
 import pytest
 
+from motord.bus.commands.gate import NotTaken
 from motord.bus.inbox import Crossing, Inbox
-from motord.bus.inputs.desk import NotTaken
 
 DEADLINE_S = 20.0
 

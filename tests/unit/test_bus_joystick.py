@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 
-from motord.bus.inputs.stick import EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, Codes, Stick
+from motord.bus.joystick.axes import EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, Codes, Stick
 from motord.config import JoystickInput
 
 evdev = pytest.importorskip("evdev")

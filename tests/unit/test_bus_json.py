@@ -7,9 +7,9 @@ import random
 import pytest
 from tests.unit.bus_views import BODY, any_body, any_view, joint, view
 
-from motord.bus import json_direct, json_form
-from motord.bus.ros2 import direct
-from motord.bus.topics import TOPICS
+from motord.bus.messages import json_direct, json_form
+from motord.bus.messages.topics import TOPICS
+from motord.bus.ros2.types import direct
 
 OFFSET_NS = 1_700_000_000_000_000_000
 ROUNDS = 150

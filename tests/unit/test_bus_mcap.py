@@ -18,15 +18,15 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from tests.unit.bus_views import LOOP, MS, view
 
-from motord.bus.publish.mcap import McapRecorder
-from motord.bus.publish.mcap_files import Entry, Folder
-from motord.bus.publish.mcap_waiting import ENTRY_BYTES, Waiting
-from motord.bus.ros2.direct import encoder
-from motord.bus.station import Station
-from motord.bus.topics import TOPICS
+from motord.bus.mcap.files import Entry, Folder
+from motord.bus.mcap.recorder import McapRecorder
+from motord.bus.mcap.waiting import ENTRY_BYTES, Waiting
+from motord.bus.messages.topics import TOPICS
+from motord.bus.ros2.types.direct import encoder
+from motord.bus.runtime import Runtime
 from motord.config import McapPublish, load_robot
-from motord.config.bus_sections import SLOW
-from motord.config.recording_rules import MESSAGE_BYTES
+from motord.config.rules.recording import MESSAGE_BYTES
+from motord.config.sections.bus import SLOW
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
@@ -37,9 +37,9 @@ class Stage:
 
     def __init__(self, folder, **settings):
         section = McapPublish(kind="mcap", folder=str(folder), rate_hz=1000.0, **settings)
-        self.station = Station(load_robot(DEMO), folder / "no.sock")
-        self.recorder = McapRecorder("tape", section, self.station)
-        self.feed = self.station.feeds["tape"]
+        self.runtime = Runtime(load_robot(DEMO), folder / "no.sock")
+        self.recorder = McapRecorder("tape", section, self.runtime)
+        self.feed = self.runtime.feeds["tape"]
         self.folder = folder
 
     def files(self):
@@ -49,8 +49,8 @@ class Stage:
         """Feed it until the condition holds."""
         async with asyncio.timeout(DEADLINE_S):
             while not condition():
-                self.station.view = view(time.monotonic_ns() // MS, status, **changes)
-                self.feed.offer(self.station.view)
+                self.runtime.view = view(time.monotonic_ns() // MS, status, **changes)
+                self.feed.offer(self.runtime.view)
                 await asyncio.sleep(0.005)
 
 
@@ -134,7 +134,7 @@ def small_disk(tmp_path):
 async def test_a_disk_that_fills_up_while_recording_does_not_end_the_recorder(
     small_disk, caplog, monkeypatch
 ):
-    monkeypatch.setattr("motord.bus.publish.mcap.AGAIN_S", 0.1)
+    monkeypatch.setattr("motord.bus.mcap.recorder.AGAIN_S", 0.1)
     caplog.set_level("INFO")
     ballast = small_disk / "ballast"
     async with recording(small_disk) as stage:
@@ -275,7 +275,7 @@ async def test_a_process_that_ends_while_the_robot_is_armed_saves_what_led_to_it
 async def test_a_daemon_that_is_lost_while_armed_leaves_a_file(tmp_path):
     async with recording(tmp_path, **FAULT) as stage:
         await stage.until(lambda: stage.recorder._armed, armed=True)
-        stage.station.view = None
+        stage.runtime.view = None
         async with asyncio.timeout(DEADLINE_S):
             while not stage.files() or stage.recorder._recording:
                 await asyncio.sleep(0.01)
@@ -340,7 +340,7 @@ def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_pa
     sizes = [
         ENTRY_BYTES + len(made)
         for topic in TOPICS.values()
-        if topic.name not in SLOW and (made := encoder(topic, stage.station.body)(shown, 0))
+        if topic.name not in SLOW and (made := encoder(topic, stage.runtime.body)(shown, 0))
     ]
     assert len(sizes) >= 4
     assert max(sizes) <= MESSAGE_BYTES

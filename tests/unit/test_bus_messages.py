@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.bus import messages
-from motord.bus.message_types import Level, Time
-from motord.bus.messages import Body, Commander
-from motord.machine import State
-from motord.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
+from motord.bus.messages import from_snapshot as messages
+from motord.bus.messages.from_snapshot import Body, Commander
+from motord.bus.messages.types import Level, Time
+from motord.control.machine import State
 
 BODY = Body(robot="r2", joints=("left", "right"))
 OFFSET_NS = 1_700_000_000_000_000_000

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 from tests.unit.bus_views import BODY, LOOP, joint, view
 
-from motord.bus.messages import Body
-from motord.bus.publish.metrics import STALE_S, exposition
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.prometheus.metrics import STALE_S, exposition
 
 STATUS = {
     "loop": LOOP | {"lateness_us": {"p50": 1.0, "p99": 20.0, "p99_9": 30.0, "max": 40.0}},

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.unit.bus_views import joint, view
 
-from motord.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, Wish, planned
+from motord.api.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, Wish, planned
 
 LEASE, STALE_S, STEP_MS = 7, 0.25, 20
 BOUNDS = Bounds(velocity_u_s=0.5, acceleration_u_s2=0.5, deceleration_u_s2=0.8, jerk_u_s3=math.inf)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the C receiver makes of a TwistStamped, and what the desk makes of it: the same."""
+"""What the C receiver makes of a TwistStamped, and what the command gate makes of it: the same."""
 
 import math
 import socket
@@ -12,12 +12,12 @@ import pytest
 from _motord_bus import ffi, lib
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from tests.unit.test_bus_desk import desk
+from tests.unit.test_command_gate import gate
 
-from motord.bus.inputs.desk import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTaken
-from motord.bus.link import Source
-from motord.bus.ros2.cdr import decode, encode
+from motord.bus.commands.gate import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTaken
+from motord.bus.commands.link import Source
 from motord.bus.ros2.commands import _as_mapping
+from motord.bus.ros2.types.cdr import decode, encode
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 TOKENS = b"a" * 16, b"b" * 16
@@ -25,7 +25,7 @@ TOKENS = b"a" * 16, b"b" * 16
 
 @pytest.fixture(scope="module")
 def stamped(tmp_path_factory):
-    return desk(tmp_path_factory)
+    return gate(tmp_path_factory)
 
 
 def parsed(raw):
@@ -102,14 +102,14 @@ EDGES_S = (0.0, 0.3, OLD_S, 2 * OLD_S, -FUTURE_S, math.nextafter(-FUTURE_S, -1.0
 def test_the_age_of_a_stamp_is_the_desks(stamped, said_s):
     out = ffi.new("double *")
     code = lib.stamp_age(said_s, WALL_S, out)
-    with patch("motord.bus.inputs.desk.time.time", return_value=WALL_S):
-        why, desks_s = "", 0.0
+    with patch("motord.bus.commands.gate.time.time", return_value=WALL_S):
+        why, gates_s = "", 0.0
         try:
-            desks_s = stamped._age_s(said_s)
+            gates_s = stamped._age_s(said_s)
         except NotTaken as refused:
             why = str(refused)
     assert SAID.get(code, "") == why
-    assert code != 0 or out[0] == desks_s
+    assert code != 0 or out[0] == gates_s
 
 
 def test_a_message_of_python_is_what_the_desk_is_told(stamped):

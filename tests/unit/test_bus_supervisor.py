@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from motord import bus_supervisor
-from motord.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
 from motord.config import load_robot
+from motord.daemon import bus_supervisor
+from motord.daemon.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 DEADLINE_S = 30.0

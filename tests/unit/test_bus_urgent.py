@@ -4,8 +4,8 @@
 import asyncio
 import contextlib
 
-from motord.bus.inputs.urgent import Urgent
-from motord.local_rpc import REFUSED, ClientError, Refused
+from motord.api.local_rpc import REFUSED, ClientError, Refused
+from motord.bus.commands.urgent import Urgent
 
 DEADLINE_S = 30.0
 

@@ -7,20 +7,20 @@ from dataclasses import replace
 import pytest
 
 from motord.config import load_robot
-from motord.config.can_rules import bus_load
 from motord.config.problems import ConfigError
-from motord.config.wheels import profile_of
+from motord.config.rules.can import bus_load
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
+from motord_hal.base.errors import HalError, ProfileError
+from motord_hal.base.paths import config_dir
 from motord_hal.can.address import bus_arguments
 from motord_hal.can.codec import build, parse
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.can_profile import signals_of
 from motord_hal.drives.load import find_profile, load_profile
-from motord_hal.errors import HalError, ProfileError
-from motord_hal.lines import open_line
-from motord_hal.paths import config_dir
-from motord_hal.ports import JointSpec
-from motord_hal.rt import Exchange, JointSetpoint
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.realtime.exchange import Exchange, JointSetpoint
 
 CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"

@@ -8,11 +8,11 @@ import pytest
 
 from motord.config import load_robot
 from motord.config.problems import ConfigError
+from motord_hal.base.errors import ProfileError
+from motord_hal.base.paths import config_dir
 from motord_hal.can.codec import build, parse
 from motord_hal.drives.can_profile import Sender, signals_of
 from motord_hal.drives.load import find_profile, load_profile
-from motord_hal.errors import ProfileError
-from motord_hal.paths import config_dir
 
 FOLDER = config_dir() / "drives"
 PROFILE = (FOLDER / "dbc-example.toml").read_text(encoding="utf-8")

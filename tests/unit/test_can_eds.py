@@ -6,9 +6,9 @@ import tomllib
 
 import pytest
 
+from motord_hal.base.errors import ProfileError
+from motord_hal.base.paths import config_dir
 from motord_hal.drives.load import load_profile
-from motord_hal.errors import ProfileError
-from motord_hal.paths import config_dir
 
 PROFILE = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
 TYPES = {"i8": 2, "i16": 3, "i32": 4, "u8": 5, "u16": 6, "u32": 7}

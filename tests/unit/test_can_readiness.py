@@ -7,10 +7,10 @@ from collections import Counter
 
 import pytest
 
+from motord_hal.base.errors import PortError
 from motord_hal.can import interface
 from motord_hal.can.interface import BusOffWatch, make_ready
 from motord_hal.can.netlink import BUS_OFF, can_state, state_in, state_request
-from motord_hal.errors import PortError
 
 ERROR_ACTIVE = 0
 CLASSIC_MTU, FD_MTU = 16, 72

@@ -12,8 +12,8 @@ import pytest
 
 from motord import client as client_module
 from motord.client import Client, ClientError, Refused, find_socket, socket_folders
-from motord.rpc import Method, listening, serve
-from motord.rpc import Refused as ServerRefused
+from motord.local_socket.server import Method, listening, serve
+from motord.local_socket.server import Refused as ServerRefused
 
 
 def refuse(caller, params):

@@ -5,7 +5,7 @@ import asyncio
 
 import pytest
 
-from motord_hal.clock import within
+from motord_hal.base.clock import within
 
 
 async def cancelled(cleaning_up):

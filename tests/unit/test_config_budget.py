@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
-from motord.config.wire import budget, cycle_limit_hz, helps
+from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
-from motord_hal.ports import DirectionKind, DirectionSpec, Echo
+from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, Echo
 
 DEMO = (Path(__file__).resolve().parents[2] / "config/robots/demo.toml").read_text("utf-8")
 SERIAL = 'kind = "modbus-rtu"\nport = "/dev/ttyUSB0"\nbaudrate = 115200\nengine = "auto"\n'

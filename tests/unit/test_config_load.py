@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 DEMO = (ROBOTS / "demo.toml").read_text(encoding="utf-8") + '[publish.console]\nkind = "stdout"\n'

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.wheels import profile_of
-from motord.config.wire import cycle_limit_hz
+from motord.config.rules.wire import cycle_limit_hz
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"

@@ -4,7 +4,7 @@
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord_hal.paths import config_dir
+from motord_hal.base.paths import config_dir
 
 DEMO = (config_dir() / "robots/demo.toml").read_text(encoding="utf-8")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import Register, RegisterType
-from motord_hal.engine.parameter import kept_back, raw_to_write, readable
+from motord_hal.fieldbus.parameter import kept_back, raw_to_write, readable
 
 GAIN = Register(
     name="gain", address=0x3000, type=RegisterType.U16, scale=0.5, unit="rpm", access="rw",

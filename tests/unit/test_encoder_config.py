@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from motord import assembly
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
+from motord.control import assembly
 from motord.tools.unit import devices
+from motord_hal.fieldbus.ports import BoardEncoder, CounterEncoder, EdgesEncoder
 from motord_hal.gpio.chip import FLAG_FALLING, FLAG_RISING, pack_request
-from motord_hal.ports import BoardEncoder, CounterEncoder, EdgesEncoder
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi4-encoders.toml").read_text("utf-8")
 GPIO = 'kind = "gpio"'

@@ -19,8 +19,8 @@ from motord_hal.modbus.codec import (
 )
 from motord_hal.sim.fault_kinds import KINDS, FaultError, parse_fault
 from motord_hal.sim.faults import FaultScript
-from motord_hal.sim.framing import DdsmFraming, ModbusFraming
-from motord_hal.sim.noise import disturb
+from motord_hal.sim.rs485.framing import DdsmFraming, ModbusFraming
+from motord_hal.sim.rs485.noise import disturb
 
 READ = Request(1, Function.READ_HOLDING, 0x100, 3)
 REPLY = build_reply(READ, (1, 2, 3))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
 from motord_hal.gpio.chip import FLAG_FALLING, FLAG_RISING, Chip, _only_chip, _only_line
 from motord_hal.gpio.lines import Pull, Wanted, _request_of
 

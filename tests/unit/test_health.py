@@ -4,7 +4,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.health import Health, Heart
+from motord.control.health import Health, Heart
 
 S = 1_000_000_000
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from motord import assembly
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
-from motord.rt import Loop, LoopSettings
+from motord.control import assembly
+from motord.realtime.loop import Loop, LoopSettings
 from motord_hal.ascii.dialect import TextDialect
-from motord_hal.ports import Mounting
-from motord_hal.sim.content import NamedContent
+from motord_hal.fieldbus.ports import Mounting
+from motord_hal.sim.boards.text_talk import TextTalk
 from motord_hal.sim.gyro import SimulatedGyro
 from motord_hal.sim.plant import Contact, Plant, Wheel, WheelModel
-from motord_hal.sim.text_talk import TextTalk
+from motord_hal.sim.rs485.content import NamedContent
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/esp32-imu.toml").read_text("utf-8")
 OF_LINE = 'source = "line"\nline = "board"\n'

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.tools.latency_compare import ReportUnusable, compare, read_report
+from motord.tools.latency.compare import ReportUnusable, compare, read_report
 
 
 def spread(p50, p99, p99_9, worst):

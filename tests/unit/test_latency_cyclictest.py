@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from motord.tools.latency_cyclictest import CyclictestError, beside, command, parse
+from motord.tools.latency.cyclictest import CyclictestError, beside, command, parse
 
 DEADLINE_S = 30.0
 RECORDED = """\

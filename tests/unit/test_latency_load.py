@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from motord.tools.latency_load import BURNER, IO_PROCESSES, load
+from motord.tools.latency.load import BURNER, IO_PROCESSES, load
 
 DEADLINE_S = 30.0
 COUNTS = {"cpu": len(os.sched_getaffinity(0)), "io": IO_PROCESSES}
@@ -19,7 +19,7 @@ COUNTS = {"cpu": len(os.sched_getaffinity(0)), "io": IO_PROCESSES}
 
 PARENT = """
 import time
-from motord.tools.latency_load import load
+from motord.tools.latency.load import load
 with load("cpu"):
     print("on", flush=True)
     time.sleep(60)

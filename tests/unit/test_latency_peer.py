@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from motord.tools.latency_peer import CODES, COMMAND, Peer
+from motord.tools.latency.peer import CODES, COMMAND, Peer
 
 DEADLINE_S = 30.0
 

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.tools.latency_plot import PlotMissing, coarse, plot, require_matplotlib
-from motord.tools.latency_report import NOTHING, Bar, LatencyReport, Spread, Window
+from motord.tools.latency.plot import PlotMissing, coarse, plot, require_matplotlib
+from motord.tools.latency.report import NOTHING, Bar, LatencyReport, Spread, Window
 
 image = pytest.importorskip("matplotlib.image")
 

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.tools.latency_machine import (
+from motord.tools.latency.machine import (
     CpuTimes,
     cpu_model,
     is_preempt_rt,
     is_virtual,
     machine_facts,
 )
-from motord.tools.latency_peer import Tally
-from motord.tools.latency_report import NOTHING, Spread, latency_class
-from motord.tools.latency_rig import Arrivals
+from motord.tools.latency.peer import Tally
+from motord.tools.latency.report import NOTHING, Spread, latency_class
+from motord.tools.latency.rig import Arrivals
 
 values_ns = st.lists(st.integers(min_value=0, max_value=2**50), min_size=1, max_size=300)
 

@@ -13,7 +13,7 @@ import pytest
 PROGRAM = """
 import logging, os, sys
 from pathlib import Path
-from motord import log
+from motord.base import log
 info = os.fstat(2)
 stream = f"{info.st_dev}:{info.st_ino}" if sys.argv[2] == "same" else "1:1"
 log.set_up({"JOURNAL_STREAM": stream}, Path(sys.argv[1]))
@@ -68,7 +68,7 @@ def test_a_journal_that_is_away_stops_nobody(journal):
 
 TWO_LINES = """
 import logging, os, sys, time
-from motord import log
+from motord.base import log
 log.set_up({})
 logger = logging.getLogger("x")
 logger.warning("lost")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.machine import TABLE, Event, Facts, Refusal, State, step
+from motord.control.machine import TABLE, Event, Facts, Refusal, State, step
 
 GOOD = Facts()
 BAD = {

@@ -3,7 +3,7 @@
 
 import pytest
 
-from motord_hal.pinmux import freeing_step, mux_owner, not_muxed, pwm_owner, pwm_step
+from motord_hal.gpio.pinmux import freeing_step, mux_owner, not_muxed, pwm_owner, pwm_step
 
 PI5 = "raspberrypi,5-model-b\0brcm,bcm2712\0"
 PI4 = "raspberrypi,4-model-b\0brcm,bcm2711\0"

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord_hal.base.errors import ProfileError
+from motord_hal.base.paths import config_dir
 from motord_hal.drives.load import find_profile, list_profiles, load_profile
 from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 from motord_hal.drives.toml_table import line_index
-from motord_hal.errors import ProfileError
-from motord_hal.paths import config_dir
 
 SHIPPED = sorted(list_profiles())
 ZLAC = (config_dir() / "drives" / "zlac8015d.toml").read_text(encoding="utf-8")

@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord.api.snapshot import JointSnapshot, Snapshot
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples, encode
 from motord.bus.publish.stdout import StdoutPublisher
 from motord.bus.publish.udp import UdpPublisher
 from motord.config import StdoutPublish, UdpPublish
-from motord.snapshot import JointSnapshot, Snapshot
 
 DEADLINE_S = 20.0
 STDOUT = StdoutPublish(kind="stdout")

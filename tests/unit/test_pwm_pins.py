@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
+from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.drives.load import find_profile, load_profile
-from motord_hal.errors import PortError, ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 from motord_hal.gpio.chip import Chip
 from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
-from motord_hal.pinmux import freeing_step, pwm_step
-from motord_hal.ports import JointSpec, LineSpec, PinsSpec
+from motord_hal.gpio.pinmux import freeing_step, pwm_step
 from motord_hal.pwm.pins import open_pins, places_of, split_for_rest
 from motord_hal.pwm.sysfs import _why, find_chip, open_channel
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.retry import Backoff
+from motord_hal.base.retry import Backoff
 
 
 @given(st.floats(1e-6, 10), st.floats(1, 1000), st.integers(1, 60))

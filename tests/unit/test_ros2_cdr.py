@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.unit.ros2_values import any_message, same
 
-from motord.bus.ros2.cdr import HEADER, decode, encode
-from motord.bus.ros2.types import TYPES, definition
+from motord.bus.ros2.types.cdr import HEADER, decode, encode
+from motord.bus.ros2.types.table import TYPES, definition
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 ROUNDS = 20
@@ -37,7 +37,7 @@ def as_rosbags(store, name, value):
 
 
 def as_cyclone(name, value):
-    from motord.bus.ros2.cyclone_types import cyclone_type
+    from motord.bus.ros2.dds.cyclone_types import cyclone_type
 
     made = {}
     for field in TYPES[name]:

@@ -7,10 +7,10 @@ import random
 import pytest
 from tests.unit.bus_views import LOOP, any_body, any_view, joint, view
 
-from motord.bus import json_direct
-from motord.bus.messages import Body
-from motord.bus.ros2 import cdr, direct
-from motord.bus.topics import TOPICS, View
+from motord.bus.messages import json_direct
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.topics import TOPICS, View
+from motord.bus.ros2.types import cdr, direct
 
 OFFSET_NS = 1_700_000_000_000_000_000
 OFFSETS_NS = (OFFSET_NS, OFFSET_NS, OFFSET_NS - 1, -1)

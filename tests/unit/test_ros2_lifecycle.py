@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from motord.bus.inputs.desk import Desk
+from motord.api.snapshot import STATES
+from motord.bus.commands.gate import CommandGate
 from motord.bus.ros2.lifecycle import Lifecycle
-from motord.bus.station import Station
+from motord.bus.runtime import Runtime
 from motord.client import ClientError
 from motord.config import Ros2Input, load_robot
-from motord.machine import Event, Facts, Refusal, State, step
-from motord.snapshot import STATES
+from motord.control.machine import Event, Facts, Refusal, State, step
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
@@ -23,12 +23,12 @@ class Managed:
     """A node, and the state machine that it shows."""
 
     def __init__(self, state=State.IDLE):
-        self.station = Station(load_robot(DEMO), Path("no.sock"))
-        self.station.call = self._call
+        self.runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+        self.runtime.call = self._call
         self.asked, self.events, self._served = [], [], {}
         self.become(state)
-        desk = Desk("ros2", Ros2Input(kind="ros2", lease_s=5.0), self.station)
-        self.lifecycle = Lifecycle(self.station, desk)
+        gate = CommandGate("ros2", Ros2Input(kind="ros2", lease_s=5.0), self.runtime)
+        self.lifecycle = Lifecycle(self.runtime, gate)
         self.lifecycle.serve(self)
 
     def serve(self, name, _, answer):
@@ -39,7 +39,7 @@ class Managed:
 
     def become(self, state):
         self.state = state
-        self.station.view = SimpleNamespace(
+        self.runtime.view = SimpleNamespace(
             snapshot=SimpleNamespace(machine_state=STATES.index(state.value))
         )
 
@@ -159,7 +159,7 @@ async def test_a_shutdown_that_is_refused_is_none():
     async def refuse(_):
         raise ClientError("the drive does not answer")
 
-    node.station.call = refuse
+    node.runtime.call = refuse
     assert not await node.change(7)
     assert await node.label() == "active"
 
@@ -182,7 +182,7 @@ async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
         node.become(State.FAULT)
         return {"state": answer}
 
-    node.station.call = fail
+    node.runtime.call = fail
     assert not await node.change(7)
     assert await node.label() == "errorprocessing"
 
@@ -195,7 +195,7 @@ async def test_the_state_is_the_new_one_when_the_answer_comes():
         later(0.05, node.become, State.ARMED)
         return {"state": "armed"}
 
-    node.station.call = slow
+    node.runtime.call = slow
     assert await node.change(ACTIVATE)
     assert await node.label() == "active"
 

@@ -144,7 +144,7 @@ def test_a_domain_is_reached_in_one_way():
 
 @pytest.mark.parametrize("kind", ["publish.one.kind=ros2", "publish.one.kind=foxglove"])
 def test_a_robot_without_imu_offers_none_on_any_bus(kind):
-    from motord.bus.station import of_this_robot
+    from motord.bus.runtime import of_this_robot
 
     made = robot(kind)
     assert "imu" not in of_this_robot(made.publish["one"], made).topics

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.bus.message_types import Time
+from motord.bus.messages.types import Time
 from motord.bus.ros2.static_frames import static_transforms
 from motord.bus.ros2.urdf import urdf
 from motord.config import load_robot

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from motord.bus.ros2.cdr import decode, encode
-from motord.bus.ros2.type_descriptions import SERVICE, serve_types
-from motord.bus.ros2.types import TYPES, type_hash
+from motord.bus.ros2.types.cdr import decode, encode
+from motord.bus.ros2.types.descriptions import SERVICE, serve_types
+from motord.bus.ros2.types.table import TYPES, type_hash
 
 
 class Served:

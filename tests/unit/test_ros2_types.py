@@ -3,9 +3,9 @@
 
 import pytest
 
-from motord.bus.ros2 import types
-from motord.bus.ros2.types import TYPES, definition, type_hash
-from motord.bus.topics import TOPICS
+from motord.bus.messages.topics import TOPICS
+from motord.bus.ros2.types import table as types
+from motord.bus.ros2.types.table import TYPES, definition, type_hash
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 

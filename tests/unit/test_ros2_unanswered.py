@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clients on a middleware that does not read our answers are named."""
 
-from motord.bus.ros2.unanswered import NAMED_WITHIN_S, Unanswered, answered, middleware
-from motord.sparing import AGAIN_S
+from motord.base.rate_limited_log import AGAIN_S
+from motord.bus.ros2.dds.unanswered import NAMED_WITHIN_S, Unanswered, answered, middleware
 
 FAST, RTI, CYCLONE = b"\x01\x0f", b"\x01\x01", b"\x01\x10"
 ARM, STOP = "/motord/arm", "/motord/stop"

@@ -4,9 +4,9 @@ those of its design document."""
 
 import pytest
 
-from motord.bus.ros2 import types
-from motord.bus.ros2.types import Field, type_hash
-from motord.bus.ros2.zenoh_names import (
+from motord.bus.ros2.types import table as types
+from motord.bus.ros2.types.table import Field, type_hash
+from motord.bus.ros2.zenoh.names import (
     PUBLISHER,
     Attachment,
     NodeNames,

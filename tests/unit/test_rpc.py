@@ -18,10 +18,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motord import rpc
 from motord.client import Client, ClientError
-from motord.params import Params, number
-from motord.rpc import Method, Refused, SocketInUse, listening, serve, socket_path
+from motord.local_socket import server as rpc
+from motord.local_socket.params import Params, number
+from motord.local_socket.server import Method, Refused, SocketInUse, listening, serve, socket_path
 
 DEADLINE_S = 20.0
 

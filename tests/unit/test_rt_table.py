@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord_hal.drives.load import find_profile, list_profiles
+from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
 from motord_hal.modbus.codec import (
     Function,
     build_request,
@@ -18,11 +19,10 @@ from motord_hal.modbus.codec import (
     seal,
 )
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import Echo, JointSpec, LineSpec
-from motord_hal.rt import JointSetpoint
-from motord_hal.rt_engine.modbus_frames import ModbusFrames
-from motord_hal.rt_engine.table import drive_table, line_table
-from motord_hal.rt_table import FieldKind, Form
+from motord_hal.realtime.exchange import JointSetpoint
+from motord_hal.realtime.table import FieldKind, Form
+from motord_hal.rt_engine.rs485.modbus_frames import ModbusFrames
+from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
 MODBUS = [name for name in list_profiles() if find_profile(name).protocol == "modbus-rtu"]
 NUMBERS = st.one_of(

@@ -6,14 +6,14 @@ import math
 
 import pytest
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.ddsm.codec import Command, build_reply, build_request, pick
 from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import Channel, Register, RegisterType, Step
-from motord_hal.errors import ProfileError
-from motord_hal.ports import JointSpec, LineSpec
-from motord_hal.rt_engine.protocols import frames_of
-from motord_hal.rt_engine.table import drive_table, line_table
-from motord_hal.rt_table import FieldKind, Form, Seal
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.realtime.table import FieldKind, Form, Seal
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
 RPM = 2 * math.pi / 60
 

@@ -4,13 +4,13 @@
 import pytest
 
 from motord_hal.drives.load import find_profile
-from motord_hal.lines import engine_of
-from motord_hal.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.open_line import engine_of
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.realtime.line import check_table
+from motord_hal.realtime.table import FieldKind, Form, Seal
 from motord_hal.roboclaw import codec
-from motord_hal.rt_engine.protocols import frames_of
-from motord_hal.rt_engine.table import line_table
-from motord_hal.rt_line import check_table
-from motord_hal.rt_table import FieldKind, Form, Seal
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.table import line_table
 
 
 def spec_of(*channels, unit=128):

@@ -7,7 +7,7 @@ import uuid
 
 import pytest
 
-from motord.sdnotify import Notifier
+from motord.base.sdnotify import Notifier
 
 
 @pytest.fixture(params=["a path", "an abstract name"])

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, LineSpec
 from motord_hal.gpio.chip import _LINE_INFO, _LINE_REQUEST, pack_request
-from motord_hal.ports import DirectionKind, DirectionSpec, LineSpec
 from motord_hal.serial.counters import Counters, Traffic, quiet_hint, read_counters
 from motord_hal.serial.direction import kept_problem, pack_rs485
 from motord_hal.serial.gpio import request_line

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli.unit import unit
-from motord_hal.paths import config_dir
+from motord_hal.base.paths import config_dir
 
 ROBOTS = config_dir() / "robots"
 

@@ -17,7 +17,7 @@ DEADLINE_S = 120.0
 SEEN = """
 import json, sys
 from pathlib import Path
-from motord import validation
+from motord.base import validation
 
 def seen(value):
     if type(value).__module__.startswith("motord.config") and hasattr(value, "model_fields_set"):
@@ -105,7 +105,7 @@ def test_the_ranges_of_numbers_are_the_same_without_pydantic():
     lines = """
 validation.HERE = sys.argv[1] == "here"
 from motord.config import Limits
-from motord.config.section import numbers_of
+from motord.config.sections.section import numbers_of
 print(json.dumps({name: repr(one) for name, one in numbers_of(Limits).items()}))
 """
     assert program(lines, "here") == program(lines, "plain")

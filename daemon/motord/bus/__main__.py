@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from motord import validation
+from motord.base import validation
 from motord.bus.confine import confine
 
 

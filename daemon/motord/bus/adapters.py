@@ -12,23 +12,23 @@ from typing import Any, Protocol
 # Tables of strings: a robot loads only the buses that it has.
 PUBLISHERS = MappingProxyType(
     {
-        "foxglove": "motord.bus.foxglove:FoxgloveAdapter",
-        "mcap": "motord.bus.publish.mcap:McapRecorder",
-        "mqtt": "motord.bus.publish.mqtt:MqttPublisher",
+        "foxglove": "motord.bus.foxglove.adapter:FoxgloveAdapter",
+        "mcap": "motord.bus.mcap.recorder:McapRecorder",
+        "mqtt": "motord.bus.mqtt.publisher:MqttPublisher",
         "ros2": "motord.bus.ros2.publisher:Ros2Publisher",
         "ros2-zenoh": "motord.bus.ros2.publisher:Ros2Publisher",
-        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
-        "prometheus": "motord.bus.publish.prometheus:PrometheusServer",
+        "rosbridge": "motord.bus.rosbridge.adapter:RosbridgeAdapter",
+        "prometheus": "motord.bus.prometheus.server:PrometheusServer",
     }
 )
 INPUTS = MappingProxyType(
     {
-        "foxglove": "motord.bus.foxglove:FoxgloveAdapter",
-        "joystick": "motord.bus.inputs.joystick:Joystick",
-        "mqtt": "motord.bus.inputs.mqtt:MqttCommands",
+        "foxglove": "motord.bus.foxglove.adapter:FoxgloveAdapter",
+        "joystick": "motord.bus.joystick.device:Joystick",
+        "mqtt": "motord.bus.mqtt.commands:MqttCommands",
         "ros2": "motord.bus.ros2.commands:Ros2Commands",
         "ros2-zenoh": "motord.bus.ros2.commands:Ros2Commands",
-        "rosbridge": "motord.bus.rosbridge:RosbridgeAdapter",
+        "rosbridge": "motord.bus.rosbridge.adapter:RosbridgeAdapter",
     }
 )
 PUBLISHER_POINTS = "motord.publishers"
@@ -37,7 +37,7 @@ INPUT_POINTS = "motord.inputs"
 
 
 class Adapter(Protocol):
-    """Made of the section's name, the section and the Station. What it does not take in time of its
+    """Made of the section's name, the section and the Runtime. What it does not take in time of its
     feed is lost."""
 
     async def run(self) -> None:

@@ -9,8 +9,8 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from motord.bus.messages import Body
-from motord.bus.topics import TOPICS, Topic, View, wall_offset_ns
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.topics import TOPICS, Topic, View, wall_offset_ns
 
 Make = Callable[[View, int], Any]
 """From a view and the wall clock's offset to what a bus takes; None: it cannot be said. Raises

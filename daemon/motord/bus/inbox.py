@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
 
-from motord.bus.inputs.desk import NotTaken
+from motord.bus.commands.gate import NotTaken
 
 ASKED_MAX = 1024
 """Questions that wait to be begun."""

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import click
 
-from motord import log
-from motord.bus.station import Station
+from motord.base import log
+from motord.bus.runtime import Runtime
 from motord.client import ClientError, find_socket
 from motord.config import ConfigError, Robot, load_robot
 
@@ -81,16 +81,16 @@ def _own_output() -> int:
 
 async def _run(robot: Robot, path: Path, beats: int | None) -> None:
     """`beats`: where to say that it lives, if the daemon wants to know."""
-    station, end = Station(robot, path), asyncio.Event()
+    runtime, end = Runtime(robot, path), asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
     if beats is not None:
         loop.add_reader(sys.stdin.fileno(), _until_closed, sys.stdin.fileno(), end)
     async with asyncio.TaskGroup() as tasks:
-        work = [tasks.create_task(station.run())]
+        work = [tasks.create_task(runtime.run())]
         if beats is not None:
-            work.append(tasks.create_task(_beat(station, beats)))
+            work.append(tasks.create_task(_beat(runtime, beats)))
         await end.wait()
         for task in work:
             task.cancel()
@@ -102,11 +102,11 @@ def _until_closed(fd: int, end: asyncio.Event) -> None:
         end.set()
 
 
-async def _beat(station: Station, fd: int) -> None:
+async def _beat(runtime: Runtime, fd: int) -> None:
     """A line of figures a second: who reads none for long takes this process for hung."""
     os.set_blocking(fd, False)  # a pipe of our own
     while True:
-        line = json.dumps(station.figures(), separators=(",", ":")).encode() + b"\n"
+        line = json.dumps(runtime.figures(), separators=(",", ":")).encode() + b"\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(fd, line)
         await asyncio.sleep(BEAT_EVERY_S)

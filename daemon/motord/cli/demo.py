@@ -22,7 +22,7 @@ from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
 from motord.tools.demo import DemoError, Result, Stage, run_demo
 from motord.tools.demo_words import error_words, held_up_words, overrun_words
-from motord_hal.paths import config_dir
+from motord_hal.base.paths import config_dir
 from motord_hal.sim.control import ControlError
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
-from motord.tools.latency_compare import Comparison, ReportUnusable, compare, read_report
-from motord.tools.latency_load import LOADS
-from motord.tools.latency_plot import PlotMissing, plot, require_matplotlib
-from motord.tools.latency_report import FIGURES, LatencyReport
+from motord.tools.latency.compare import Comparison, ReportUnusable, compare, read_report
+from motord.tools.latency.load import LOADS
+from motord.tools.latency.plot import PlotMissing, plot, require_matplotlib
+from motord.tools.latency.report import FIGURES, LatencyReport
 
 QUIET_PERIOD_S = 5.0
 """Between two lines of progress where stderr is no terminal."""
@@ -99,8 +99,8 @@ def latency(
     if pair:
         show_comparison(pair, as_json=as_json)
         return
-    from motord.tools.latency import LatencyError, LatencyOptions, Progress, run_latency
-    from motord.tools.latency_load import LoadError
+    from motord.tools.latency.load import LoadError
+    from motord.tools.latency.measure import LatencyError, LatencyOptions, Progress, run_latency
 
     check_picture(picture)
     options = LatencyOptions(

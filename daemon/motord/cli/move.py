@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord move` and `motord turn`: a way that is given, by the odometry (motord.moving)."""
+"""`motord move` and `motord turn`: a way that is given, by the odometry (motord.api.moving)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
+from motord.api.motion import Goal, Motion
+from motord.api.moving import Moved, MoveFailed
+from motord.api.snapshot import Snapshot
 from motord.cli.common import FINITE, POSITIVE, Exit, Failure, json_option, print_json
 from motord.cli.talk import interruptible, status_of_refusal, talking
 from motord.client import Client
-from motord.motion import Goal, Motion
-from motord.moving import Moved, MoveFailed
-from motord.snapshot import Snapshot
 
 OWNER = "motord-move"
 _UNITS = {"linear": "m", "angular": "rad"}

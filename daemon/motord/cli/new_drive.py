@@ -11,9 +11,9 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure
-from motord_hal import bounded
+from motord_hal.base import bounded
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.load import load_profile
-from motord_hal.errors import ProfileError
 
 QUESTIONS: tuple[tuple[str, str, str | int], ...] = (
     ("title", "Maker and model", "My drive"),

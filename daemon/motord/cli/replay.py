@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motord.base.extras import how_to_install
 from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json, set_option
-from motord.extras import how_to_install
 
 if TYPE_CHECKING:
-    from motord.rt_replay import ReplayedCore, ReplayPage
+    from motord.realtime.replay import ReplayedCore, ReplayPage
     from motord.tools.replay import Outcome
 
 BUS_ENDS_WITHIN_S = 5.0
@@ -106,8 +106,8 @@ class _Player:
 @contextlib.contextmanager
 def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
     """A state page in the name of that robot, and the process that brings it to the buses."""
-    from motord.page_file import PageInUse
-    from motord.rt_replay import ReplayPage
+    from motord.api.page_file import PageInUse
+    from motord.realtime.replay import ReplayPage
 
     robot = load_or_exit(robot_file, overrides)
     options = [part for option in overrides for part in ("--set", option)]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from motord import log
-from motord.app import run as run_daemon
+from motord.api.page_file import own_page
+from motord.base import log
 from motord.cli.common import (
     Exit,
     Failure,
@@ -21,10 +21,10 @@ from motord.cli.common import (
     robot_argument,
     set_option,
 )
-from motord.page_file import own_page
-from motord.rpc import SocketInUse
-from motord.rt import ConfigRefused, PageInUse
-from motord_hal.errors import PortError, ProfileError
+from motord.daemon.app import run as run_daemon
+from motord.local_socket.server import SocketInUse
+from motord.realtime.loop import ConfigRefused, PageInUse
+from motord_hal.base.errors import PortError, ProfileError
 
 _log = logging.getLogger(__name__)
 

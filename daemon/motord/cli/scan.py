@@ -69,7 +69,7 @@ def scan(
              motord scan /dev/ttyAMA0 --directions --unit 1 --baudrate 115200
     """
     from motord.tools.scan import USUAL
-    from motord_hal.errors import PortError
+    from motord_hal.base.errors import PortError
 
     settings = list(dict.fromkeys((baudrate or rate, parity or mark) for rate, mark in USUAL))
     try:
@@ -128,7 +128,7 @@ def _try_directions(
 ) -> None:
     from motord.tools.scan import ASKED
     from motord.tools.scan import directions as tried
-    from motord_hal.ports import DirectionKind, DirectionSpec
+    from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec
 
     if len(units) != 1:
         raise click.UsageError("--directions asks one unit: give it with --unit")

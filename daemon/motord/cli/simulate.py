@@ -27,11 +27,11 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import Joint, Robot
-from motord.config.wheels import profile_of
+from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
-from motord_hal.sim.pin_line import channels_of
+from motord_hal.sim.pins.line import channels_of
 from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import SPIN_S, run, set_pace
 

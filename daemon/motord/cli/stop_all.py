@@ -20,11 +20,11 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import ConfigError, Robot, load_robot
-from motord.running_file import find, forget
+from motord.daemon.running_file import find, forget
 from motord.tools.stop_all import DaemonRuns, Halted
 from motord.tools.stop_all import stop_all as stop_everything
-from motord_hal import bounded
-from motord_hal.errors import ProfileError
+from motord_hal.base import bounded
+from motord_hal.base.errors import ProfileError
 
 WITHIN_S = 5.0
 

@@ -16,12 +16,12 @@ from typing import Any
 
 import click
 
+from motord.api.halting import halt
+from motord.api.local_rpc import WrongParams
 from motord.cli.common import FINITE, Exit, Failure, json_option, print_json
 from motord.cli.status_text import show_status
 from motord.client import Client, ClientError, Refused, find_socket, find_sockets
-from motord.halting import halt
-from motord.local_rpc import WrongParams
-from motord_hal import bounded
+from motord_hal.base import bounded
 
 SEND_PERIOD_S = 0.05
 WHY_WITHIN_S = 1.0

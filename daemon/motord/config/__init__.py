@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file: `load_robot` reads one, and says every problem at once with its line."""
 
-from motord.config.battery_section import Battery, DrivesBattery, InaBattery
-from motord.config.bus_sections import (
+from motord.config.problems import ConfigError, Problem
+from motord.config.robot_file import load_robot
+from motord.config.sections.battery import Battery, DrivesBattery, InaBattery
+from motord.config.sections.bus import (
     BusInput,
     BusPublish,
     FoxgloveInput,
@@ -35,9 +37,9 @@ from motord.config.bus_sections import (
     ZenohNode,
     ZenohPublish,
 )
-from motord.config.imu_section import ChipImu, Imu, LineImu
-from motord.config.line_sections import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
-from motord.config.model import (
+from motord.config.sections.imu import ChipImu, Imu, LineImu
+from motord.config.sections.line import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
+from motord.config.sections.model import (
     Base,
     DifferentialBase,
     Joint,
@@ -50,8 +52,6 @@ from motord.config.model import (
     SkidBase,
     SocketInput,
 )
-from motord.config.problems import ConfigError, Problem
-from motord.config.robot_file import load_robot
 
 __all__ = [
     "load_robot",

@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from motord.config.bus_sections import HOST, ROUTER
 from motord.config.problems import candidates, nearest
-from motord.config.quantities import conversion
 from motord.config.schema import Node, allowed, choices, describe, robot_schema
+from motord.config.sections.bus import HOST, ROUTER
+from motord.config.sections.quantities import conversion
 from motord.config.toml_lines import Path
 
 # Kinds and keys that motord plans and does not have; * is any name.

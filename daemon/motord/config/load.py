@@ -10,14 +10,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from motord.config.checks import findings
 from motord.config.explain import Complaint, explain, mended, touched
 from motord.config.finding import Finding
-from motord.config.model import Robot
 from motord.config.problems import ConfigError, Problem, dotted
+from motord.config.rules.checks import findings
+from motord.config.sections.model import Robot
 from motord.config.syntax import explain_syntax
 from motord.config.toml_lines import Path, line_of, lines_of
-from motord_hal import bounded
+from motord_hal.base import bounded
 
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 

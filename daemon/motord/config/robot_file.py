@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from motord import validation
-from motord.config.model import Robot
+from motord.base import validation
 from motord.config.problems import ConfigError
+from motord.config.sections.model import Robot
 
 
 def load_robot(

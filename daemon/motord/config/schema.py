@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from motord.config.model import Robot
+from motord.config.sections.model import Robot
 from motord.config.toml_lines import Path
 
 Node = Mapping[str, Any]

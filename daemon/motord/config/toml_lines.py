@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tomllib
 
-from motord_hal.bounded import TOKEN
+from motord_hal.base.bounded import TOKEN
 
 Path = tuple[str | int, ...]
 """Keys, and indices in arrays, from the top: ("joint", "left", "unit")."""

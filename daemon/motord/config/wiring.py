@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motord.config.imu_section import LineImu
-from motord.config.line_sections import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
-from motord.config.model import Joint, Robot
-from motord.config.wheels import Profiles, rad_per_count
+from motord.config.sections.imu import LineImu
+from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
+from motord.config.sections.model import Joint, Robot
+from motord.config.sections.wheels import Profiles, rad_per_count
 from motord_hal.drives.profile import DriveProfile, Gap
-from motord_hal.ports import (
+from motord_hal.fieldbus.ports import (
     BoardEncoder,
     CounterEncoder,
     DirectionKind,

@@ -17,15 +17,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from motord.api.state_page import NoPage, StatePage
 from motord.bus.adapters import Adapter
-from motord.bus.inputs.desk import NotTaken
-from motord.bus.link import Ask, Source, call
+from motord.bus.commands.gate import NotTaken
+from motord.bus.commands.link import Ask, Source, call
+from motord.bus.parameters import Tunable
 from motord.bus.ros2.commands import Ros2Commands
 from motord.bus.ros2.nodes import Node
-from motord.bus.station import Station
-from motord.bus.tunable import Tunable
+from motord.bus.runtime import Runtime
 from motord.client import ClientError, find_socket
-from motord.state_page import NoPage, StatePage
 
 if TYPE_CHECKING:
     from motord.config import Robot, Ros2Input
@@ -60,11 +60,11 @@ async def serve(wishes: Wishes, node: Node) -> None:
     _log.info("%s: robot %s", path, told["robot"])
     robot = _robot(told)
     section = SimpleNamespace(stamped=wishes.stamped, lease_s=_input(told, wishes.input)["lease_s"])
-    station = BridgeStation(robot, path, told, wishes.limits)
+    runtime = BridgeStation(robot, path, told, wishes.limits)
     # It asks the section for no more than that.
-    commands = Ros2Commands(wishes.input, cast("Ros2Input", section), station, node)
+    commands = Ros2Commands(wishes.input, cast("Ros2Input", section), runtime, node)
     async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(station.run())
+        tasks.create_task(runtime.run())
         tasks.create_task(commands.run())
 
 
@@ -102,7 +102,7 @@ def _robot(told: Mapping[str, Any]) -> Robot:
     return cast("Robot", made)
 
 
-class BridgeStation(Station):
+class BridgeStation(Runtime):
     """Of a robot whose file is not here."""
 
     def __init__(
@@ -112,7 +112,7 @@ class BridgeStation(Station):
         self._told, self._limits = told, limits
 
     def source(self, name: str) -> Source:
-        """As Station.source."""
+        """As Runtime.source."""
         self.sources[name] = BridgeSource(self.path, name, self.robot, self._told, self._limits)
         return self.sources[name]
 

@@ -29,13 +29,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.gate import NotTaken
 from motord.bus.inbox import Crossing, Inbox
-from motord.bus.inputs.desk import NotTaken
-from motord.bus.ros2.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
-from motord.sparing import Sparing
+from motord.bus.ros2.types.cdr import decode, encode
 
 ANSWER_WITHIN_S = 30.0
 """Of a call; the daemon's own deadlines are shorter."""
@@ -211,7 +211,7 @@ class Publisher:
 
     def __init__(self, made: Any, kind: str) -> None:
         self._made, self._kind = made, kind
-        self._voice = Sparing(_log)
+        self._voice = RateLimitedLog(_log)
 
     def publish(self, message: Any) -> None:
         """Never waits; what is not taken is lost."""
@@ -279,7 +279,7 @@ class _Ear:
         take: Callable[[SimpleNamespace, float, str], None],
     ) -> None:
         self._node, self._name, self._kind, self._take = node, name, kind, take
-        self._delays, self._voice = Delays(), Sparing(_log)
+        self._delays, self._voice = Delays(), RateLimitedLog(_log)
         self._names: dict[bytes, str] = {}
         self._named_s = -NAMES_EVERY_S
 

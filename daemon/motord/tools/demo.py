@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
 from motord.config import Robot
-from motord.config.imu_section import ChipImu
-from motord.config.wheels import counter_bits, profile_of, velocity_range_rad_s
-from motord.page_file import own_page
+from motord.config.sections.imu import ChipImu
+from motord.config.sections.wheels import counter_bits, profile_of, velocity_range_rad_s
 from motord.tools.course import COURSE, CURVES, Course, Pose, Score, command_at, score
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator

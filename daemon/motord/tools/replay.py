@@ -12,7 +12,7 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from motord.rt_replay import (
+from motord.realtime.replay import (
     CHECKPOINT_BYTES,
     LAYOUT_VERSION,
     RECORD_BYTES,

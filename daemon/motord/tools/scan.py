@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.drives.load import list_profiles, load_profile
 from motord_hal.drives.profile import DriveProfile, Register
-from motord_hal.errors import PortError, ProfileError
+from motord_hal.fieldbus.ports import DirectionSpec, LineSpec
 from motord_hal.modbus.codec import (
     FrameError,
     Function,
@@ -30,7 +31,6 @@ from motord_hal.modbus.codec import (
     reply_bytes,
     silent_interval_s,
 )
-from motord_hal.ports import DirectionSpec, LineSpec
 from motord_hal.serial.port import OpenPort, SettingRefused, open_port
 
 USUAL = (

@@ -6,13 +6,13 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 
-from motord.assembly import line_specs, profiles_of
 from motord.client import ClientError, find_socket
 from motord.config import Robot
-from motord_hal.clock import within
-from motord_hal.errors import HalError
-from motord_hal.lines import halt_line
-from motord_hal.ports import LineSpec
+from motord.control.assembly import line_specs, profiles_of
+from motord_hal.base.clock import within
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.ports import LineSpec
 
 
 class DaemonRuns(Exception):

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 
 from motord.config import Robot
-from motord.config.encoder_section import BoardEncoder, GpioEncoder, KernelEncoder
-from motord.config.line_sections import CanLine, PwmLine, SerialLine
+from motord.config.sections.encoder import BoardEncoder, GpioEncoder, KernelEncoder
+from motord.config.sections.line import CanLine, PwmLine, SerialLine
 
 _ALWAYS = "/dev/cpu_dma_latency"
 _GROUPS = re.compile(r"/dev/(ttyUSB|ttyACM|ttyAMA|ttyTHS|ttyS)\d+")

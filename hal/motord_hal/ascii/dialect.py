@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 
 from motord_hal.ascii.text import Lines, Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
-from motord_hal.errors import ProfileError
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec
 from motord_hal.mcu.dialect import Said
 from motord_hal.mcu.frames import BoardImu
-from motord_hal.ports import JointSpec, LineSpec, TextSpec
 
 COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
 GYRO_Z = "gyro_z_rad_s"

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from motord_hal.ascii.dialect import TextDialect
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu.halt import halt_board
-from motord_hal.ports import LineSpec
 
 
 async def halt_line(spec: LineSpec) -> list[str]:

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from motord_hal.ascii.dialect import TextDialect
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu.dialect import Dialect
 from motord_hal.mcu.line import McuLine
-from motord_hal.ports import LineSpec
 
 
 class AsciiLine(McuLine):

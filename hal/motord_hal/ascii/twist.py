@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from motord_hal.ports import TextSpec
+from motord_hal.fieldbus.ports import TextSpec
 
 LINEAR, ANGULAR = "v", "w"
 

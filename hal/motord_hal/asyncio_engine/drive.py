@@ -11,15 +11,15 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import HalError, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import FaultWatch, Say
-from motord_hal.engine.job import Job
-from motord_hal.engine.line import PRESENT
-from motord_hal.engine.plan import Plan, Reading
-from motord_hal.errors import HalError, NoReply
-from motord_hal.ports import DriveState, EventKind, JointSpec
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.faults import FaultWatch, Say
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.line import PRESENT
+from motord_hal.fieldbus.plan import Plan, Reading
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.realtime.exchange import Exchange
 
 STOPPING_WITHIN_S = 1.0
 """After a quick stop the power stays on until the wheel is at rest, so long at most."""

@@ -15,15 +15,15 @@ from typing import TypeVar
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.asyncio_engine.tally import CycleTally
-from motord_hal.clock import now_s, sleep_until_s, within
+from motord_hal.base.clock import now_s, sleep_until_s, within
+from motord_hal.base.errors import NoReply, PortError
 from motord_hal.drives.profile import Step
-from motord_hal.engine.job import Job, clear_steps
-from motord_hal.engine.line import DriveLine, fresh
-from motord_hal.engine.parameter import readable, write_steps
-from motord_hal.engine.plan import REST, Plan, Wanted
-from motord_hal.errors import NoReply, PortError
-from motord_hal.ports import DriveState, LineSpec, Listener
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.job import Job, clear_steps
+from motord_hal.fieldbus.line import DriveLine, fresh
+from motord_hal.fieldbus.parameter import readable, write_steps
+from motord_hal.fieldbus.plan import REST, Plan, Wanted
+from motord_hal.fieldbus.ports import DriveState, LineSpec, Listener
+from motord_hal.realtime.exchange import Exchange
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35

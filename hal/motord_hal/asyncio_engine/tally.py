@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from motord_hal.clock import now_s
-from motord_hal.ports import RoundTrips
+from motord_hal.base.clock import now_s
+from motord_hal.fieldbus.ports import RoundTrips
 
 CYCLES_KEPT = 64
 ROUND_TRIPS_KEPT = 2000

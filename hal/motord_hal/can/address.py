@@ -7,8 +7,8 @@ from typing import Any
 
 import can
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.can.adapters import FD_ADAPTERS, why_unfit
-from motord_hal.errors import ProfileError
 
 
 def split_address(address: str) -> tuple[str, str]:

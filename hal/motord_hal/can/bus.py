@@ -18,13 +18,13 @@ from typing import Any
 
 import can
 
+from motord_hal.base.clock import now_ns, now_s, within
+from motord_hal.base.errors import PortError
 from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
 from motord_hal.can.unix_client import UnixClient
-from motord_hal.clock import now_ns, now_s, within
-from motord_hal.errors import PortError
 
 OPEN_WITHIN_S = 5.0
 """Serial and USB adapters take a while."""

@@ -13,19 +13,19 @@ from motord_hal.asyncio_engine.drive import (
     STOPPING_WITHIN_S,
     AsyncioDrive,
 )
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import DriveFault, HalError, NoReply, Refused
+from motord_hal.base.retry import Backoff
 from motord_hal.can.job_step import StepRunner, merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
-from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import Say
-from motord_hal.engine.job import Job, configure_steps
-from motord_hal.engine.line import PRESENT
-from motord_hal.engine.plan import Wanted
-from motord_hal.errors import DriveFault, HalError, NoReply, Refused
-from motord_hal.ports import DriveState, LineSpec
-from motord_hal.retry import Backoff
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.job import Job, configure_steps
+from motord_hal.fieldbus.line import PRESENT
+from motord_hal.fieldbus.plan import Wanted
+from motord_hal.fieldbus.ports import DriveState, LineSpec
+from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0

@@ -11,15 +11,15 @@ from collections.abc import Mapping
 
 import can
 
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import HalError, NoReply, Refused
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import CanPlan
-from motord_hal.clock import now_s
 from motord_hal.drives.can_objects import ABORT_CODE
 from motord_hal.drives.can_profile import Frame
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import HalError, NoReply, Refused
-from motord_hal.halt import halt_unit
-from motord_hal.ports import LineSpec
+from motord_hal.fieldbus.halt import halt_unit
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.fieldbus.units import joints_by_unit
 
 SEND_WITHIN_S = 0.1
 """A queue that is full for longer is one that nobody empties."""

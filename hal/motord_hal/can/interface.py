@@ -8,10 +8,10 @@ import asyncio
 from collections import Counter
 from pathlib import Path
 
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import PortError
 from motord_hal.can.address import split_address
 from motord_hal.can.netlink import BUS_OFF, can_state, restart
-from motord_hal.clock import now_s
-from motord_hal.errors import PortError
 
 NET = Path("/sys/class/net")
 IFF_UP = 0x1

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import DriveFault, NoReply, Refused
 from motord_hal.can.plan import CanPlan
-from motord_hal.clock import now_s
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
-from motord_hal.engine.job import Job
-from motord_hal.errors import DriveFault, NoReply, Refused
+from motord_hal.fieldbus.job import Job
 
 READ_WITHIN_S = 1.0
 """For a wait that says no time: one value is read."""

@@ -13,16 +13,16 @@ from collections.abc import Sequence
 import can
 
 from motord_hal.asyncio_engine.line import STOPPING_CYCLE_S, AsyncioLine
+from motord_hal.base.clock import now_s
 from motord_hal.can.bus import CanBus, hears_own
 from motord_hal.can.drive import CanDrive
 from motord_hal.can.motion_gate import MotionGate
 from motord_hal.can.plan import CanPlan, Sent
-from motord_hal.clock import now_s
-from motord_hal.engine.job import Job
-from motord_hal.engine.plan import Wanted
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.ports import EventKind, LineSpec, LineStats, Listener
-from motord_hal.rt import Exchange
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.plan import Wanted
+from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.realtime.exchange import Exchange
 
 STEADY_S = 1.0
 """A bus that has worked for so long is reopened at once when it fails again."""

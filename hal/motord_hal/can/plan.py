@@ -8,13 +8,13 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.can.codec import build, frame_time_s, parse
 from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
 from motord_hal.drives.profile import DriveProfile, Register, Step
-from motord_hal.engine.parameter import readable
-from motord_hal.engine.plan import Plan, Reading
-from motord_hal.errors import ProfileError
-from motord_hal.ports import JointSpec
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.plan import Plan, Reading
+from motord_hal.fieldbus.ports import JointSpec
 
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from motord_hal import bounded
+from motord_hal.base import bounded
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.toml_table import Problems, Table
-from motord_hal.errors import ProfileError
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable

@@ -15,7 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from motord_hal import bounded
+from motord_hal.base import bounded
+from motord_hal.base.errors import ProfileError
+from motord_hal.base.paths import config_dir
 from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_dbc import with_dbc
 from motord_hal.drives.can_eds import with_eds
@@ -36,8 +38,6 @@ from motord_hal.drives.profile import (
     Watchdog,
 )
 from motord_hal.drives.toml_table import Problems, Table, did_you_mean
-from motord_hal.errors import ProfileError
-from motord_hal.paths import config_dir
 
 SCHEMA = 1
 PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm")

@@ -11,8 +11,10 @@ import asyncio
 import struct
 from collections.abc import Callable, Mapping
 
-from motord_hal.clock import now_ns, now_s
-from motord_hal.errors import PortError
+from motord_hal.base.clock import now_ns, now_s
+from motord_hal.base.errors import PortError
+from motord_hal.base.retry import Backoff
+from motord_hal.fieldbus.ports import BoardEncoder, EventKind, LineSpec
 from motord_hal.mcu.frames import (
     FEEDBACK_HEAD_BYTES,
     FEEDBACK_MOTOR_BYTES,
@@ -26,9 +28,7 @@ from motord_hal.mcu.frames import (
 )
 from motord_hal.mcu.link import Stream
 from motord_hal.mcu.stamps import NS_PER_US, BoardClock
-from motord_hal.ports import BoardEncoder, EventKind, LineSpec
-from motord_hal.retry import Backoff
-from motord_hal.rt_pwm import EncoderConfig, EncoderKind
+from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
 
 FEEDBACK_S = 0.01
 ASK_EVERY_S = 0.05

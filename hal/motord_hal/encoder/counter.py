@@ -12,9 +12,9 @@ import errno
 import os
 from pathlib import Path
 
-from motord_hal.errors import PortError
-from motord_hal.ports import CounterEncoder
-from motord_hal.rt_pwm import EncoderConfig, EncoderKind
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import CounterEncoder
+from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
 
 DEVICES = Path("/sys/bus/counter/devices")
 FUNCTION = "quadrature x4"

@@ -9,11 +9,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import EdgesEncoder
 from motord_hal.gpio.chip import why
 from motord_hal.gpio.lines import Pull, Wanted, levels_of, request_all_edges
-from motord_hal.ports import EdgesEncoder
-from motord_hal.rt_pwm import EncoderConfig, EncoderKind
+from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
 
 EVENTS_KEPT = 1024
 """The kernel's most for 64 lines: 5 ms between two looks at 200,000 edges a second."""

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
 
 LINES_MAX = 64
 """Of one request."""

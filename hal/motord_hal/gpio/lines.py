@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
 from motord_hal.gpio.chip import (
     FLAG_FALLING,
     FLAG_PULL_DOWN,
@@ -22,7 +22,7 @@ from motord_hal.gpio.chip import (
     read_levels,
     why,
 )
-from motord_hal.pinmux import freeing_step, mux_owner
+from motord_hal.gpio.pinmux import freeing_step, mux_owner
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ import struct
 from pathlib import Path
 from typing import Protocol, Self
 
-from motord_hal.errors import BadReply, HalError, NoReply, PortError
+from motord_hal.base.errors import BadReply, HalError, NoReply, PortError
 
 _I2C_SLAVE = 0x0703
 _I2C_SMBUS = 0x0720

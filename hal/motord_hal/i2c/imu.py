@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from motord_hal.errors import BadReply
+from motord_hal.base.errors import BadReply
 from motord_hal.i2c.bus import ByteRegisters
 
 STANDARD_GRAVITY_M_S2 = 9.80665

@@ -8,12 +8,12 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from motord_hal.clock import now_ns
-from motord_hal.errors import BadReply, NoReply
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import BadReply, NoReply
+from motord_hal.fieldbus.ports import Mounting
 from motord_hal.i2c.bus import ByteRegisters
 from motord_hal.i2c.imu import ImuChip
-from motord_hal.ports import Mounting
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 LATE_NS = 20_000_000
 """A transfer takes some 0.5 ms; nobody knows when what came after so long was true."""

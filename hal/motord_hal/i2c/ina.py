@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from motord_hal.errors import BadReply
+from motord_hal.base.errors import BadReply
 from motord_hal.i2c.bus import Registers
 
 

@@ -10,17 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
-from motord_hal.clock import now_ns, now_s
+from motord_hal.base.clock import now_ns, now_s
+from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import Say
-from motord_hal.engine.job import Job, configure_steps, watchdog_time_s
-from motord_hal.engine.line import PRESENT
-from motord_hal.engine.plan import Wanted
-from motord_hal.errors import DriveFault, HalError, NoReply
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.job import Job, configure_steps, watchdog_time_s
+from motord_hal.fieldbus.line import PRESENT
+from motord_hal.fieldbus.plan import Wanted
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.mcu.dialect import Said
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineSpec
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 QUIET_ALLOWANCE_S = 0.12
 """On top of the feedback that may be lost: the event loop, or an adapter, may be late."""

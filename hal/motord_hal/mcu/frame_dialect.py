@@ -7,8 +7,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import DriveProfile
-from motord_hal.errors import ProfileError
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu.dialect import Said
 from motord_hal.mcu.frames import (
     Frame,
@@ -27,7 +28,6 @@ from motord_hal.mcu.frames import (
 )
 from motord_hal.mcu.pace import period_s
 from motord_hal.mcu.stamps import NS_PER_US, BoardClock
-from motord_hal.ports import LineSpec
 
 SEQUENCES_KEPT = 256
 HELD_TOLERANCE_S = 0.002

@@ -6,15 +6,15 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 
-from motord_hal.clock import now_ns, now_s
+from motord_hal.base.clock import now_ns, now_s
 from motord_hal.drives.profile import Step
-from motord_hal.halt import STOPPING_WITHIN_S
+from motord_hal.fieldbus.halt import STOPPING_WITHIN_S
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu.dialect import Dialect, Said
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.mcu.pace import period_s
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.ports import LineSpec
 
 OFF_WITHIN_S = 0.3
 

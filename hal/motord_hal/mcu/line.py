@@ -14,19 +14,19 @@ from collections.abc import Sequence
 
 from motord_hal.asyncio_engine.line import LOOK_EVERY_S, AsyncioLine
 from motord_hal.asyncio_engine.tally import RoundTripTally
-from motord_hal.clock import now_ns
-from motord_hal.engine.job import Job
-from motord_hal.engine.parameter import readable
-from motord_hal.engine.plan import REST
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import NoReply, ProfileError
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import NoReply, ProfileError
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.plan import REST
+from motord_hal.fieldbus.ports import DriveState, EventKind, LineSpec, LineStats, Listener
+from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.mcu.board import Board
 from motord_hal.mcu.dialect import Dialect, Said
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.mcu.pace import period_s, wire_limit_hz
-from motord_hal.ports import DriveState, EventKind, LineSpec, LineStats, Listener
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 
 class McuLine(AsyncioLine[Board]):

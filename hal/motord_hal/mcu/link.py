@@ -9,8 +9,8 @@ import os
 import termios
 from collections.abc import Callable
 
-from motord_hal.errors import PortError
-from motord_hal.ports import LineSpec
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.serial.port import OpenPort, open_port
 
 READ_BYTES = 4096

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import frame_time_s
-from motord_hal.ports import LineSpec
 
 WIRE_SHARE_MAX = 0.9
 """The clocks of both ends differ: a wire that is full would fall behind more and more."""

@@ -10,9 +10,9 @@ SAMPLES_KEPT = 32
 boards have) makes stamps older by 0.5 % of the time of so many frames, never newer."""
 CATCH_UP_NS = 240_000_000
 """When the least delay falls, stamps step back. Counts of a longer way than the time since the
-stamp before allows would be refused as a jump (csrc/odometry.c, 1.5 times the highest speed), and
-the way would be lost: so a frame is no news, for so long at most, until its stamp is on by three
-quarters of what the board says."""
+stamp before allows would be refused as a jump (csrc/core/odometry.c, 1.5 times the highest speed),
+and the way would be lost: so a frame is no news, for so long at most, until its stamp is on by
+three quarters of what the board says."""
 _WRAP_US = 1 << 32
 NS_PER_US = 1000
 

@@ -8,19 +8,19 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import BadReply, DriveFault, HalError, NoReply, Refused
+from motord_hal.base.retry import Backoff
 from motord_hal.drives.profile import Step
-from motord_hal.engine.faults import Say
-from motord_hal.engine.job import Job, configure_steps, kept_steps, watchdog_time_s
-from motord_hal.engine.plan import Wanted
-from motord_hal.errors import BadReply, DriveFault, HalError, NoReply, Refused
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.job import Job, configure_steps, kept_steps, watchdog_time_s
+from motord_hal.fieldbus.plan import Wanted
+from motord_hal.fieldbus.ports import DriveState, EventKind, LineSpec
 from motord_hal.modbus.codec import Request
 from motord_hal.modbus.guard import Answer
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
-from motord_hal.ports import DriveState, EventKind, LineSpec
-from motord_hal.retry import Backoff
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0

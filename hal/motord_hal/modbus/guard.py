@@ -32,8 +32,9 @@ from pymodbus.framer import FramerBase, FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
 from serial import Serial, SerialException
 
-from motord_hal.clock import now_s, sleep_until_s, within
-from motord_hal.errors import BadReply, NoReply, PortError, Refused
+from motord_hal.base.clock import now_s, sleep_until_s, within
+from motord_hal.base.errors import BadReply, NoReply, PortError, Refused
+from motord_hal.fieldbus.ports import Echo
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
     EXCEPTION_BYTES,
@@ -49,7 +50,6 @@ from motord_hal.modbus.codec import (
     reply_bytes,
     silent_interval_s,
 )
-from motord_hal.ports import Echo
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.sysfs import device_file
 

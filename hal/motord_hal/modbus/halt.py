@@ -6,12 +6,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.halt import halt_unit
+from motord_hal.fieldbus.halt import halt_unit
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.plan import DrivePlan, ReadRange
 from motord_hal.modbus.tcp_guard import GatewayClient
-from motord_hal.ports import LineSpec
 
 
 class _Unit:

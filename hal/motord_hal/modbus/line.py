@@ -12,17 +12,17 @@ from collections.abc import Sequence
 from functools import partial
 
 from motord_hal.asyncio_engine.line import AsyncioLine
-from motord_hal.clock import now_s
-from motord_hal.engine.job import Job
-from motord_hal.engine.units import joints_by_unit
-from motord_hal.errors import HalError
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.ports import DirectionKind, DriveState, LineSpec, LineStats, Listener
+from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.modbus.drive import Drive
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import DirectionKind, DriveState, LineSpec, LineStats, Listener
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 SLOT_ALLOWANCE_S = 0.1
 """On top of the slowest cycle: lost replies of this drive or of its neighbours."""

@@ -7,7 +7,7 @@ import math
 from collections import Counter
 
 from motord_hal.asyncio_engine.tally import RoundTripTally
-from motord_hal.errors import BadReply, NoReply, PortError, Refused
+from motord_hal.base.errors import BadReply, NoReply, PortError, Refused
 from motord_hal.modbus.codec import Request
 from motord_hal.modbus.guard import Answer, GuardedClient
 

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from motord_hal.drives.profile import DriveProfile, Register, Step
-from motord_hal.engine.job import kept_registers
-from motord_hal.engine.plan import REST, Plan, Reading, Wanted, of_kind
+from motord_hal.fieldbus.job import kept_registers
+from motord_hal.fieldbus.plan import REST, Plan, Reading, Wanted, of_kind
+from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
     READ_WRITE_WRITE_REGISTERS_MAX,
@@ -19,7 +20,6 @@ from motord_hal.modbus.codec import (
     build_request,
     reply_bytes,
 )
-from motord_hal.ports import JointSpec
 
 EXTRA_EVERY_CYCLES = 4
 """Current, voltage, temperature and the like: one range of them every so many cycles."""

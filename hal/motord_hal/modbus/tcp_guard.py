@@ -24,8 +24,9 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import ModbusPDU
 
-from motord_hal.clock import now_s, sleep_until_s, within
-from motord_hal.errors import NoReply, PortError, Refused
+from motord_hal.base.clock import now_s, sleep_until_s, within
+from motord_hal.base.errors import NoReply, PortError, Refused
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import BROADCAST_UNIT, Request, seal
 from motord_hal.modbus.guard import (
     Answer,
@@ -35,7 +36,6 @@ from motord_hal.modbus.guard import (
     keeping_cancellation,
 )
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import LineSpec
 
 CONNECT_WITHIN_S = 2.0
 NETWORK_ALLOWANCE_S = 0.05

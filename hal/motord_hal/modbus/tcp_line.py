@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.line import ModbusRtuLine
 from motord_hal.modbus.tcp_guard import GatewayClient
-from motord_hal.ports import LineSpec
 
 
 class GatewayLine(ModbusRtuLine):

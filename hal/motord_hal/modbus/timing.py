@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from motord_hal.drives.profile import DriveProfile, Gap
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import SILENT_CHARACTERS, character_bits, silent_interval_s
-from motord_hal.ports import LineSpec
 
 
 def line_gap_s(spec: LineSpec) -> float:

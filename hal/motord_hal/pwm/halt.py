@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from motord_hal.ports import LineSpec
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.pwm.pins import rest_pins
 
 

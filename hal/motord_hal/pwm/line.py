@@ -8,12 +8,12 @@ import asyncio
 import os
 from collections.abc import Iterator
 
-from motord_hal.clock import now_s, within
+from motord_hal.base.clock import now_s, within
+from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.encoder.board import CountingBoard
-from motord_hal.engine.line import LineTask
-from motord_hal.errors import DriveFault, HalError, NoReply, PortError
-from motord_hal.ports import (
+from motord_hal.fieldbus.line import LineTask
+from motord_hal.fieldbus.ports import (
     BoardEncoder,
     DriveState,
     EventKind,
@@ -23,8 +23,15 @@ from motord_hal.ports import (
     Listener,
 )
 from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
-from motord_hal.rt import Exchange
-from motord_hal.rt_pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Demoted, Wish
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.pwm import (
+    BridgeConfig,
+    BridgeJoint,
+    BridgeReport,
+    BridgeThread,
+    Demoted,
+    Wish,
+)
 
 STOPPING_S = 0.3
 """A quick stop brakes for so long, then the power goes off."""

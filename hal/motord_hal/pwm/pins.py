@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.drives.profile import BRIDGE_MODES, Bridge
 from motord_hal.encoder.board import told_encoder
 from motord_hal.encoder.counter import open_counter
 from motord_hal.encoder.edges import open_edges
-from motord_hal.errors import PortError, ProfileError
+from motord_hal.fieldbus.ports import BoardEncoder, CounterEncoder, JointSpec, LineSpec
 from motord_hal.gpio.lines import Wanted, request_inputs, request_outputs
-from motord_hal.pinmux import not_muxed, pwm_step
-from motord_hal.ports import BoardEncoder, CounterEncoder, JointSpec, LineSpec
+from motord_hal.gpio.pinmux import not_muxed, pwm_step
 from motord_hal.pwm.sysfs import (
     Channel,
     ChipAbsent,
@@ -28,7 +28,7 @@ from motord_hal.pwm.sysfs import (
     made_in_software,
     open_channel,
 )
-from motord_hal.rt_pwm import EncoderConfig, Pin
+from motord_hal.realtime.pwm import EncoderConfig, Pin
 
 FAULT = "fault"
 """The pin of a bridge that tells a fault: an input."""

@@ -17,9 +17,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from motord_hal.clock import now_s
-from motord_hal.errors import PortError
-from motord_hal.pinmux import freeing_step, pwm_owner
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import PortError
+from motord_hal.gpio.pinmux import freeing_step, pwm_owner
 from motord_hal.pwm.claim import claim
 
 CLASS = Path("/sys/class/pwm")

@@ -12,8 +12,9 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from motord_hal.clock import now_s, sleep_until_s, within
-from motord_hal.errors import BadReply, NoReply, PortError
+from motord_hal.base.clock import now_s, sleep_until_s, within
+from motord_hal.base.errors import BadReply, NoReply, PortError
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.mcu.link import Stream
 from motord_hal.modbus.codec import Request
 from motord_hal.modbus.guard import (
@@ -22,7 +23,6 @@ from motord_hal.modbus.guard import (
     Answer,
     GuardedClient,
 )
-from motord_hal.ports import LineSpec
 from motord_hal.roboclaw import codec
 
 

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.halt import halt_units
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import LineSpec
 from motord_hal.roboclaw.client import RoboclawClient
 
 

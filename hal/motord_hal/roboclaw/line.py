@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from motord_hal.errors import ProfileError
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.ports import DriveState, LineSpec
 from motord_hal.modbus.guard import GuardedClient
 from motord_hal.modbus.line import ModbusRtuLine
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import DriveState, LineSpec
 from motord_hal.roboclaw.client import RoboclawClient
 
 

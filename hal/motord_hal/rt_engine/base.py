@@ -12,13 +12,13 @@ import contextlib
 from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
-from motord_hal.clock import within
-from motord_hal.engine.line import DriveLine
-from motord_hal.engine.parameter import write_steps
-from motord_hal.errors import HalError, PortError
-from motord_hal.ports import LineSpec, Listener
-from motord_hal.rt_engine.drive import DriveSays, RtDrive
-from motord_hal.rt_engine.news import News
+from motord_hal.base.clock import within
+from motord_hal.base.errors import HalError, PortError
+from motord_hal.fieldbus.line import DriveLine
+from motord_hal.fieldbus.parameter import write_steps
+from motord_hal.fieldbus.ports import LineSpec, Listener
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.drive import DriveSays, RtDrive
 
 SHUTDOWN_WITHIN_S = 0.6
 """The thread itself needs 0.5 s at most."""

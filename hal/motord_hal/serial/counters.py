@@ -11,7 +11,7 @@ import struct
 from collections import deque
 from dataclasses import dataclass
 
-from motord_hal.clock import now_s
+from motord_hal.base.clock import now_s
 
 LOOK_EVERY_S = 0.2
 LOOKS_KEPT = 10

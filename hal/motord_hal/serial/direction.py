@@ -10,8 +10,8 @@ import fcntl
 import math
 import struct
 
-from motord_hal.errors import PortError
-from motord_hal.ports import DirectionSpec
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import DirectionSpec
 
 _TIOCGRS485 = 0x542E
 _TIOCSRS485 = 0x542F

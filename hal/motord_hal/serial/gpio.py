@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from motord_hal.fieldbus.ports import DirectionSpec
 from motord_hal.gpio.lines import Wanted, request_outputs
-from motord_hal.ports import DirectionSpec
 
 
 def request_line(spec: DirectionSpec, name: str, dev: Path = Path("/dev")) -> int:

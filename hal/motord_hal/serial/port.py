@@ -10,8 +10,8 @@ import os
 import termios
 from dataclasses import dataclass
 
-from motord_hal.errors import PortError
-from motord_hal.ports import DirectionKind, LineSpec
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import DirectionKind, LineSpec
 from motord_hal.serial.direction import set_kernel_direction
 from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer

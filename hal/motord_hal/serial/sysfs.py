@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
 
 USB_PREFIX = "usb:"
 _SYS = Path("/sys")

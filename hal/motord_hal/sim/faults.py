@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, parse_fault
-from motord_hal.sim.framing import Rewriting
+from motord_hal.sim.rs485.framing import Rewriting
 
 MOTOR_DEFECTS = ("frozen-counter", "turned-encoder", "false-velocity", "blocked", "runaway")
 

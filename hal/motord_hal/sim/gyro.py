@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import random
 
+from motord_hal.fieldbus.ports import Mounting
 from motord_hal.mcu.frames import BoardImu
-from motord_hal.ports import Mounting
 from motord_hal.sim.plant import Plant
 
 NOISE_RAD_S_SQRT_S = math.radians(0.005)

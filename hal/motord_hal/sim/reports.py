@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.sim.axis import Motor
-from motord_hal.sim.registers import Registers, raw_of
+from motord_hal.sim.rs485.registers import Registers, raw_of
 
 SUPPLY_V = 24.0
 """Of drives whose profile gives no default for the bus voltage."""

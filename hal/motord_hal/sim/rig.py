@@ -18,31 +18,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from motord_hal.drives.profile import DriveProfile
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.ports import JointSpec, LineSpec
 from motord_hal.sim.axis import Axis
-from motord_hal.sim.board_line import SimulatedBoard
-from motord_hal.sim.bridge import SimulatedBridge
-from motord_hal.sim.cia402 import Cia402Drive, speaks_cia402
-from motord_hal.sim.drive import SimulatedDrive
+from motord_hal.sim.boards.frame_talk import FrameTalk
+from motord_hal.sim.boards.line import SimulatedBoard
+from motord_hal.sim.boards.text_talk import TextTalk
+from motord_hal.sim.can.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
-from motord_hal.sim.frame_talk import FrameTalk
-from motord_hal.sim.gateway import GatewayPort
 from motord_hal.sim.gyro import SimulatedGyro
-from motord_hal.sim.line import SimulatedLine
-from motord_hal.sim.pin_folder import PinFolder
-from motord_hal.sim.pin_line import SimulatedPins, channels_of
+from motord_hal.sim.pins.bridge import SimulatedBridge
+from motord_hal.sim.pins.folder import PinFolder
+from motord_hal.sim.pins.line import SimulatedPins, channels_of
 from motord_hal.sim.plant import SUBSTEP_S, Contact, Plant, Wheel, WheelModel
-from motord_hal.sim.port import Port, PtyPort
+from motord_hal.sim.rs485.drive import SimulatedDrive
+from motord_hal.sim.rs485.gateway import GatewayPort
+from motord_hal.sim.rs485.line import SimulatedLine
+from motord_hal.sim.rs485.port import Port, PtyPort
+from motord_hal.sim.rs485.tcp import RawTcpPort
+from motord_hal.sim.rs485.wire import Clock
 from motord_hal.sim.server import ControlServer
-from motord_hal.sim.tcp import RawTcpPort
-from motord_hal.sim.text_talk import TextTalk
-from motord_hal.sim.wire import Clock
 
 if TYPE_CHECKING:
-    from motord_hal.sim.can_line import SimulatedCanLine
+    from motord_hal.sim.can.line import SimulatedCanLine
 
 AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | SimulatedCanLine"
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
@@ -213,8 +213,8 @@ class Rig:
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive]
     ) -> SimulatedCanLine:
         # python-can is there only where a robot has a CAN bus
-        from motord_hal.sim.can_line import SimulatedCanLine
-        from motord_hal.sim.can_port import BusSettings, CanPort, free_address
+        from motord_hal.sim.can.line import SimulatedCanLine
+        from motord_hal.sim.can.port import BusSettings, CanPort, free_address
 
         settings = BusSettings(line.baudrate, line.data_baudrate)
         port = CanPort(self.spec.can or free_address(), settings)

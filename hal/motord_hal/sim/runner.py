@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from motord_hal.sim.rig import Rig
-from motord_hal.sim.wire import Clock
+from motord_hal.sim.rs485.wire import Clock
 
 WAIT_MAX_S = 0.02
 """Longest sleep: bounds how much physics has to be caught up at once."""

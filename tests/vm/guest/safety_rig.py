@@ -12,9 +12,9 @@ from pathlib import Path
 
 from pin_rig import CONFIG, wait_until
 
-from motord import rt
+from motord.realtime import loop as rt
 from motord_hal.gpio.lines import Pull, Wanted, request_edges, request_outputs
-from motord_hal.rt import Exchange, now_ns
+from motord_hal.realtime.exchange import Exchange, now_ns
 
 LABEL, CONTACT, PUMP = "motord-safety", "ESTOP", "PUMP"
 NAMES = (CONTACT, PUMP)

@@ -22,7 +22,7 @@ from shell import output
 from test_can_line import spec_of
 
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import DriveState, EventKind, JointSpec, LineState
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineState
 
 TURN = 2 * math.pi
 NODE = 5

@@ -15,8 +15,8 @@ from pin_rig import LABEL, PWM, pins
 from test_gpio_pwm import places, spec_of
 
 from motord_hal.drives.load import find_profile
+from motord_hal.fieldbus.ports import EdgesEncoder, EventKind, JointSpec, LineState
 from motord_hal.gpio.lines import Wanted, request_outputs
-from motord_hal.ports import EdgesEncoder, EventKind, JointSpec, LineState
 
 A, B = "PIN8", "PIN9"
 DRIVE = "bts7960"

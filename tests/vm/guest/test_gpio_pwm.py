@@ -17,11 +17,10 @@ from pin_rig import LABEL, LINES, PWM, pins, wait_until
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
 from loop_side import GENEROUS_S, running, until
 
+from motord_hal.base.errors import DriveFault, HalError, PortError
 from motord_hal.drives.load import find_profile, list_profiles
-from motord_hal.errors import DriveFault, HalError, PortError
-from motord_hal.gpio.lines import Wanted, request_outputs
-from motord_hal.lines import halt_line
-from motord_hal.ports import (
+from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
@@ -29,6 +28,7 @@ from motord_hal.ports import (
     LineState,
     PinsSpec,
 )
+from motord_hal.gpio.lines import Wanted, request_outputs
 
 BRIDGES = [name for name in list_profiles() if find_profile(name).bridge]
 FAILING = Path("/sys/module/pwm_sim/parameters/fail")

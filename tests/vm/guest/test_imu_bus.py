@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from shell import wait_until
 
-from motord_hal.errors import BadReply
+from motord_hal.base.errors import BadReply
+from motord_hal.fieldbus.ports import Mounting
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.imu_reader import ImuReader, ImuSpec
-from motord_hal.ports import Mounting
-from motord_hal.rt import Exchange
+from motord_hal.realtime.exchange import Exchange
 
 ADDRESS = 0x68
 ROW = 0x3B

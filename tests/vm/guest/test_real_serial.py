@@ -11,8 +11,8 @@ from shell import wait_until
 from stage import daemon, granted
 
 from motord.tools.scan import spec_of
-from motord_hal.errors import PortError
-from motord_hal.ports import DirectionKind, DirectionSpec
+from motord_hal.base.errors import PortError
+from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec
 from motord_hal.serial.counters import read_counters
 from motord_hal.serial.latency import ask_low_latency
 from motord_hal.serial.port import open_exclusively, open_port

@@ -9,7 +9,7 @@ from gpio_chip import gpio_chip
 from pin_rig import wait_until
 from safety_rig import CONTACT, LABEL, PUMP, chip, looped, reset
 
-from motord_hal.errors import PortError
+from motord_hal.base.errors import PortError
 from motord_hal.gpio.lines import Pull, Wanted, request_edges
 
 pytestmark = pytest.mark.timeout(300)

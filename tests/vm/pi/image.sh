@@ -62,8 +62,9 @@ os.chdir(sys.argv[1])
 from build_ffi import ffi
 ffi.emit_c_code(sys.argv[2])
 CODE
-    aarch64-linux-gnu-gcc -std=c11 -O2 -ffp-contract=off -D_GNU_SOURCE -fPIC -shared -I "$project/csrc" \
-        -I include -I include/python3.11 "$1" "$project"/csrc/*.c -lm -o "$2"
+    aarch64-linux-gnu-gcc -std=c11 -O2 -ffp-contract=off -D_GNU_SOURCE -fPIC -shared \
+        $(find "$project/csrc" -type d -printf '-I %p ') -I include -I include/python3.11 "$1" \
+        $(find "$project/csrc" -name '*.c' -not -path '*/bus/*') -lm -o "$2"
 }
 
 add_project() {

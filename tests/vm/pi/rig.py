@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from motord_hal.drives.load import find_profile
-from motord_hal.ports import JointSpec, LineSpec, PinsSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 
 CHANNELS = Path("/sys/class/pwm/pwmchip0")
 GPIO = Path("/sys/kernel/debug/gpio")

@@ -10,9 +10,9 @@ import pytest
 from loop_side import GENEROUS_S, running, until
 from rig import BRIDGE, NEAR, are, level, spec_of
 
-from motord_hal.errors import HalError
-from motord_hal.lines import halt_line
-from motord_hal.ports import EventKind
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.ports import EventKind
 
 
 async def reaches(line, condition, what):

@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
-from motord.snapshot import Snapshot
+from motord.api.snapshot import Snapshot
 
 
 class Samples:

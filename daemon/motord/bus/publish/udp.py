@@ -7,9 +7,9 @@ import asyncio
 import logging
 import socket
 
+from motord.api.deadline import within
 from motord.bus.publish.samples import Samples
 from motord.config import UdpPublish
-from motord.deadline import within
 
 RESOLVE_WITHIN_S = 5.0
 RESOLVE_AGAIN_S = 5.0

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from types import SimpleNamespace
 
+from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
-from motord.sparing import Sparing
 
 GOALS_KEPT = 16
 """With their results; more are forgotten, the oldest first."""
@@ -94,7 +94,7 @@ class ActionServer:
         self._accept, self._nothing, self._turn = accept, nothing, turn
         self._goals: dict[bytes, _Goal] = {}
         self._next: asyncio.Queue[_Goal] = asyncio.Queue(1)
-        self._voices: dict[str, Sparing] = {}
+        self._voices: dict[str, RateLimitedLog] = {}
 
     def serve(self, node: Node) -> None:
         """Be there. Raises DdsError."""
@@ -172,7 +172,7 @@ class ActionServer:
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
         """The answer has no word for it: the log has, sparing with each reason by itself."""
         reason = _NUMBER.sub("", why)
-        voice = self._voices.setdefault(reason, Sparing(_log))
+        voice = self._voices.setdefault(reason, RateLimitedLog(_log))
         voice.say(f"action {self._name}: refused: {why}")
         return answer
 

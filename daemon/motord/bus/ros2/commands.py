@@ -19,9 +19,9 @@ from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.desk import COMMANDS, TRIGGERS, URGENT, Desk, NotTaken
-from motord.bus.inputs.urgent import Urgent
-from motord.bus.mover import Mover
+from motord.bus.commands.gate import COMMANDS, TRIGGERS, URGENT, CommandGate, NotTaken
+from motord.bus.commands.mover import Mover
+from motord.bus.commands.urgent import Urgent
 from motord.bus.ros2.lifecycle import Lifecycle
 from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import Node, node_of
@@ -30,8 +30,8 @@ from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import Contest, asker
 
 if TYPE_CHECKING:
-    from motord.bus.ros2.receiver import Twists
-    from motord.bus.station import Station
+    from motord.bus.ros2.dds.receiver import Twists
+    from motord.bus.runtime import Runtime
     from motord.config import Ros2Input, ZenohInput
 
 NEWEST = Quality(depth=1, reliable=False)
@@ -49,20 +49,20 @@ class Ros2Commands:
         self,
         name: str,
         section: Ros2Input | ZenohInput,
-        station: Station,
+        runtime: Runtime,
         node: Node | None = None,
     ) -> None:
         """`node`: one that is there already, instead of the section's. Raises DdsError."""
         self._name = name
-        self._desk = Desk(name, section, station)
-        self._node = node or node_of(station, section)
+        self._gate = CommandGate(name, section, runtime)
+        self._node = node or node_of(runtime, section)
         self._stamped = section.stamped
         self._contests = {
             topic: Contest(f"input.{name}: {self._node.full(topic)}", section.lease_s)
             for topic in COMMANDS
         }
-        self._desk.source.rivals = self._rivals
-        self._urgent = {method: Urgent(name, method, station.call) for method in URGENT}
+        self._gate.source.rivals = self._rivals
+        self._urgent = {method: Urgent(name, method, runtime.call) for method in URGENT}
         self._twists = self._receiver(section) if node is None else None
         if self._twists is None:
             kind = "TwistStamped" if section.stamped else "Twist"
@@ -76,17 +76,17 @@ class Ros2Commands:
         for method, urgent in self._urgent.items():
             for quality in (URGENT_RELIABLE, NEWEST):
                 self._node.subscribe(f"~/{method}", "std_msgs/msg/String", _asking(urgent), quality)
-        Parameters(station.robot, self._desk.ask).serve(self._node)
-        self._lifecycle = Lifecycle(station, self._desk)
+        Parameters(runtime.robot, self._gate.ask).serve(self._node)
+        self._lifecycle = Lifecycle(runtime, self._gate)
         self._lifecycle.serve(self._node)
-        self._mover = Mover(station, self._desk.source, self._desk.gap, section.lease_s)
-        self._moves = Moves(station, self._mover)
+        self._mover = Mover(runtime, self._gate.source, self._gate.gap, section.lease_s)
+        self._moves = Moves(runtime, self._mover)
         self._moves.serve(self._node)
 
     async def run(self) -> None:
         """As Adapter.run."""
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._desk.source.run())
+            tasks.create_task(self._gate.source.run())
             tasks.create_task(self._node.run())
             tasks.create_task(self._lifecycle.run())
             for run in self._moves.runs():
@@ -102,7 +102,7 @@ class Ros2Commands:
 
         if not isinstance(section, Ros2Input) or not section.stamped:
             return None
-        from motord.bus.ros2 import node, receiver
+        from motord.bus.ros2.dds import node, receiver
 
         over, made = self._node, receiver.library()
         if made is None or not isinstance(over, node.Node):
@@ -112,14 +112,14 @@ class Ros2Commands:
         def taken(writer: int, command: tuple[float, float], now_s: float) -> None:
             sender = over.writer_of(reader, writer)
             self._mover.driven(now_s)
-            self._desk.name_absurd(*command, sender)
+            self._gate.name_absurd(*command, sender)
             self._contests["cmd_vel"].heard(sender, command, now_s)
 
-        return receiver.Twists(made, reader, self._desk, taken)
+        return receiver.Twists(made, reader, self._gate, taken)
 
     def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
-        with contextlib.suppress(NotTaken):  # said by the desk
-            self._desk.drive(_as_mapping(message), waited_s, sender)
+        with contextlib.suppress(NotTaken):  # said by the command gate
+            self._gate.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
             self._contests["cmd_vel"].heard(sender, (twist.linear.x, twist.angular.z))
@@ -129,7 +129,7 @@ class Ros2Commands:
             command = _as_mapping(message)
             if not self._stamped:
                 del command["header"]
-            self._desk.drive_joints(command, waited_s)
+            self._gate.drive_joints(command, waited_s)
             self._mover.driven()
             self._contests["joint_commands"].heard(sender, tuple(message.velocity))
 
@@ -149,7 +149,7 @@ class Ros2Commands:
 
     async def _acted(self, method: str) -> SimpleNamespace:
         try:
-            result = await self._desk.act(method, asker.get())
+            result = await self._gate.act(method, asker.get())
         except NotTaken as error:
             return SimpleNamespace(success=False, message=str(error))
         return SimpleNamespace(success=True, message=result["state"])
@@ -163,7 +163,7 @@ def _asking(urgent: Urgent) -> Callable[[SimpleNamespace, float, str], None]:
 
 
 def _as_mapping(value: Any) -> Any:
-    """A decoded message as the desk wants it."""
+    """A decoded message as the command gate wants it."""
     if isinstance(value, SimpleNamespace):
         return {key: _as_mapping(item) for key, item in vars(value).items()}
     return value

@@ -17,14 +17,14 @@ import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.bus.inputs.desk import Desk, NotTaken
-from motord.bus.messages import state_name
+from motord.api.deadline import within
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.gate import CommandGate, NotTaken
+from motord.bus.messages.from_snapshot import state_name
 from motord.bus.ros2.nodes import Node
-from motord.deadline import within
-from motord.sparing import Sparing
 
 if TYPE_CHECKING:
-    from motord.bus.station import Station
+    from motord.bus.runtime import Runtime
 
 # lifecycle_msgs/msg/State and Transition
 UNKNOWN = (0, "unknown")
@@ -69,10 +69,10 @@ _log = logging.getLogger(__name__)
 
 
 class Lifecycle:
-    def __init__(self, station: Station, desk: Desk) -> None:
-        self._station = station
-        self._desk = desk
-        self._voice = Sparing(_log)
+    def __init__(self, runtime: Runtime, gate: CommandGate) -> None:
+        self._runtime = runtime
+        self._gate = gate
+        self._voice = RateLimitedLog(_log)
         self._held: tuple[int, str] | None = None
         """UNCONFIGURED or FINALIZED, as the node was asked to be; None: as the machine is."""
         self._told = UNKNOWN
@@ -104,7 +104,7 @@ class Lifecycle:
     def _now(self) -> tuple[int, str]:
         if self._held == FINALIZED:
             return FINALIZED
-        view = self._station.view
+        view = self._runtime.view
         if view is None:
             return UNKNOWN
         machine = _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
@@ -144,7 +144,7 @@ class Lifecycle:
         if method is None:
             return self._hold(goal)
         reached = _DISARMED if goal == FINALIZED else (goal,)
-        answer = await self._desk.act(method)
+        answer = await self._gate.act(method)
         if _OF_MACHINE.get(answer["state"]) not in reached:
             return False
         with contextlib.suppress(TimeoutError):

@@ -10,16 +10,16 @@ from collections.abc import Callable, Coroutine
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.bus.calibration import Calibration, Found, Measure, measure
-from motord.bus.mover import Mover, NotNow
+from motord.api.motion import End, Goal, Motion, Plan, Wish
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
+from motord.bus.commands.mover import Mover, NotNow
+from motord.bus.messages.calibration import Calibration, Found, Measure, measure
 from motord.bus.ros2.actions import ActionServer, Refused, Status, Tell, Turn, Work
 from motord.bus.ros2.nodes import Node
-from motord.motion import End, Goal, Motion, Plan, Wish
-from motord.snapshot import Snapshot
-from motord.state_page import NoPage, StatePage
 
 if TYPE_CHECKING:
-    from motord.bus.station import Station
+    from motord.bus.runtime import Runtime
 
 LOOK_EVERY_S = 0.05
 _ENDS = {
@@ -37,8 +37,8 @@ _CALIBRATE_NOTHING = SimpleNamespace(
 class Moves:
     """Of one input. What moves the robot takes turns; who only watches is not in its way."""
 
-    def __init__(self, station: Station, mover: Mover) -> None:
-        self._station = station
+    def __init__(self, runtime: Runtime, mover: Mover) -> None:
+        self._runtime = runtime
         self._mover = mover
         moving, watching = Turn(), Turn()
         package = "motord_msgs/action"
@@ -114,7 +114,7 @@ class Moves:
 
         async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
             try:
-                with self._station.page() as page:
+                with self._runtime.page() as page:
                     return await self._watch(asked, page, tell, cancel)
             except NoPage as error:
                 return Status.ABORTED, _with(_CALIBRATE_NOTHING, message=str(error))
@@ -145,7 +145,7 @@ class Moves:
 
     def _calibrated(self, asked: Measure, watched: Calibration, found: Found) -> SimpleNamespace:
         """The robot file's own values where they are not what was asked for."""
-        base = self._station.robot.base
+        base = self._runtime.robot.base
         radius_m, track_m = base.wheel_radius_m, base.track_m
         if found.end is End.SUCCEEDED:
             if asked.quantity == "wheel_radius":

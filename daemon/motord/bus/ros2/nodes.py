@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.type_descriptions import TypedNode, serve_types
+from motord.bus.ros2.types.descriptions import TypedNode, serve_types
 
 if TYPE_CHECKING:
-    from motord.bus.station import Station
+    from motord.bus.runtime import Runtime
     from motord.config import Ros2Node, ZenohNode
 
 
@@ -72,39 +72,39 @@ class _OwnNode(Node, TypedNode, Protocol):
 
 
 _Key = tuple[type, str, str, int]
-_nodes: WeakKeyDictionary[Station, dict[_Key, _OwnNode]] = WeakKeyDictionary()
+_nodes: WeakKeyDictionary[Runtime, dict[_Key, _OwnNode]] = WeakKeyDictionary()
 
 
-def node_of(station: Station, section: Ros2Node | ZenohNode) -> Node:
+def node_of(runtime: Runtime, section: Ros2Node | ZenohNode) -> Node:
     """Made when first asked for. Raises DdsError, ValueError for a router that cannot be, and
     ImportError where the middleware's package is missing."""
-    nodes = _nodes.setdefault(station, {})
+    nodes = _nodes.setdefault(runtime, {})
     from motord.config import Ros2Node, ZenohNode  # not needed where the node is made elsewhere
 
     over = ZenohNode if isinstance(section, ZenohNode) else Ros2Node
     key = (over, section.node_name, section.namespace, section.domain_id)
     fresh = key not in nodes
     if fresh:
-        nodes[key] = _made(station, section)
+        nodes[key] = _made(runtime, section)
     nodes[key].remap.update(section.remap)
     if fresh:
         serve_types(nodes[key])
     return nodes[key]
 
 
-def _made(station: Station, section: Ros2Node | ZenohNode) -> _OwnNode:
+def _made(runtime: Runtime, section: Ros2Node | ZenohNode) -> _OwnNode:
     """A robot loads only the middleware that it has."""
     names = (section.node_name, section.namespace, section.domain_id)
     from motord.config import Ros2Node
 
     if isinstance(section, Ros2Node):
-        from motord.bus.ros2 import node
+        from motord.bus.ros2.dds import node
 
         return node.Node(*names, section.discovery, section.interface, section.distribution)
-    from motord.bus.ros2 import zenoh_node
+    from motord.bus.ros2.zenoh import node as zenoh_node
 
     def path(name: str | None) -> str | None:
-        return None if name is None else str(station.beside_robot_file(name))
+        return None if name is None else str(runtime.beside_robot_file(name))
 
     router = zenoh_node.Router(
         endpoint=section.router,

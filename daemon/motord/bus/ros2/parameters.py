@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from motord.bus.inputs.desk import NotTaken
+from motord.bus.commands.gate import NotTaken
+from motord.bus.parameters import Call, Tunable, value_of
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
-from motord.bus.tunable import Call, Tunable, value_of
 
 if TYPE_CHECKING:
     from motord.config import Robot

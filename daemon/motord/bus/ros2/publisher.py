@@ -10,19 +10,19 @@ import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.bus.messages import wall_time
-from motord.bus.ros2.direct import encoder
+from motord.bus.messages.from_snapshot import wall_time
+from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.names import full_name
 from motord.bus.ros2.nodes import Teller, node_of
 from motord.bus.ros2.quality import offered
 from motord.bus.ros2.rosout import LOG, ROSOUT, Rosout
 from motord.bus.ros2.static_frames import STATIC, static_transforms
+from motord.bus.ros2.types.direct import encoder
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, urdf
-from motord.bus.topics import TOPICS
 from motord.config import Ros2Publish, RosTopics, ZenohPublish
 
 if TYPE_CHECKING:
-    from motord.bus.station import Station
+    from motord.bus.runtime import Runtime
 
 URDF_BYTES_MAX = 1 << 20
 _ABSOLUTE = ("tf", STATIC)
@@ -40,13 +40,13 @@ def robot_topic(topic: str, section: RosTopics) -> str:
 
 
 class Ros2Publisher:
-    def __init__(self, name: str, section: Ros2Publish | ZenohPublish, station: Station) -> None:
+    def __init__(self, name: str, section: Ros2Publish | ZenohPublish, runtime: Runtime) -> None:
         """Raises DdsError, and OSError and ValueError for a description that cannot be read."""
-        self._description = _description(section, station)
-        self._node = node_of(station, section)
+        self._description = _description(section, runtime)
+        self._node = node_of(runtime, section)
         self._prefix = section.prefix_of_frames()
-        body = station.body.with_frames(self._prefix)
-        self._feed = station.feed(name, section.rates_hz(), encoder, body)
+        body = runtime.body.with_frames(self._prefix)
+        self._feed = runtime.feed(name, section.rates_hz(), encoder, body)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
                 robot_topic(topic, section), TOPICS[topic].type_name, offered(topic)
@@ -56,7 +56,7 @@ class Ros2Publisher:
         self._describing = self._node.publisher(DESCRIPTION, STRING, offered(DESCRIPTION))
         log = self._node.publisher(ROSOUT, LOG, offered(ROSOUT))
         self._rosout = Rosout(full_name(section.namespace, section.node_name, "~/")[:-1], log)
-        self._station = station
+        self._runtime = runtime
         self._static: Teller | None = None
         if "tf" in section.topics:
             self._static = self._node.publisher(
@@ -79,7 +79,7 @@ class Ros2Publisher:
     async def _log(self) -> None:
         with self._rosout.listening():
             while True:
-                view = self._station.view
+                view = self._runtime.view
                 self._rosout.look(view.why() if view is not None else ())
                 await asyncio.sleep(_LOOK_EVERY_S)
 
@@ -95,10 +95,10 @@ class Ros2Publisher:
             self._static.publish(frames)
 
 
-def _description(section: RosTopics, station: Station) -> str:
+def _description(section: RosTopics, runtime: Runtime) -> str:
     if section.urdf_file is None:
-        return urdf(station.robot)
-    path = station.beside_robot_file(section.urdf_file)
+        return urdf(runtime.robot)
+    path = runtime.beside_robot_file(section.urdf_file)
     if path.stat().st_size > URDF_BYTES_MAX:
         raise ValueError(f"{path}: more than {URDF_BYTES_MAX} bytes are no robot description")
     return path.read_text(encoding="utf-8")

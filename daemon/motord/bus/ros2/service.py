@@ -18,15 +18,15 @@ from typing import Any
 
 from cyclonedds.core import DDSException
 
+from motord.api.deadline import within
+from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.ros2 import names
-from motord.bus.ros2.cdr import HEADER, decode, encode
-from motord.bus.ros2.dds import Participant
-from motord.bus.ros2.discovered import client_of
+from motord.bus.ros2.dds.discovered import client_of
+from motord.bus.ros2.dds.participant import Participant
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import asker
-from motord.bus.ros2.types import type_hash
-from motord.deadline import within
-from motord.sparing import Sparing
+from motord.bus.ros2.types.cdr import HEADER, decode, encode
+from motord.bus.ros2.types.table import type_hash
 
 WAITING_MAX = 32
 """Requests; more are not answered."""
@@ -57,7 +57,7 @@ class Service:
         self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
         self._answer = answer
         self._name = name
-        self._voice = Sparing(_log)
+        self._voice = RateLimitedLog(_log)
         self._waiting: asyncio.Queue[tuple[bytes, SimpleNamespace, int]] = asyncio.Queue(
             WAITING_MAX
         )

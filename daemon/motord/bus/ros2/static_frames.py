@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
-from motord.bus.message_types import (
+from motord.bus.messages.types import (
     Header,
     Quaternion,
     TFMessage,

@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One motion over a given way, by the odometry: how fast to go now, and when and why it ends.
+
+Pure: the state comes in as snapshots, the time as an argument, and what comes out is a wish. The
+core limits and ramps it like any other; a motion that is not asked on lapses with its lease.
+`u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+from motord.api.snapshot import Snapshot
+
+Axis = Literal["linear", "angular"]
+LAG_S = 0.15
+"""From a wish to the odometry that shows it, at most: the line's cycle, the drive and the page."""
+COMMANDS_WITHIN_S = 1.0
+"""A lease that is not in command by then will not be."""
+RESTS_WITHIN_S = 5.0
+"""Of the goal's end, beside the ramp itself."""
+LOOK_WITHIN_S = 0.9
+STUCK_S = 3.0
+"""Without a step nearer for so long, beside what its acceleration takes: something holds it."""
+TURN_RATE_MAX_RAD_S = math.pi
+"""So that the base does not turn by half a turn between two looks: which way would not be known."""
+CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
+"""A base that rests beside the goal, because somebody was late, goes the rest of it, also back:
+so often, and by so many tolerances at most."""
+STOPS_EVERY_S = 0.1
+"""So often the daemon is asked whether a stop came, beside what the state page says."""
+UNSTOPPED_WITHIN_S = 1.0
+"""At rest: the daemon has said by then that no stop came, or nothing is corrected."""
+WAY_MAX_U = 1000.0
+TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
+"""Where a goal names none."""
+TIMEOUT_MAX_S = 3600.0
+_NS = 1e-9
+
+
+class End(Enum):
+    """How it ended."""
+
+    SUCCEEDED = "succeeded"
+    CANCELED = "canceled"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """An axis's limits, as the robot file and `params.set` have them. All positive."""
+
+    velocity_u_s: float
+    acceleration_u_s2: float
+    deceleration_u_s2: float
+    jerk_u_s3: float
+    """Infinity: no limit."""
+
+    def approach_u_s(self, way_u: float) -> float:
+        """The speed from which it comes to rest within that way: v lag + v d / (2 j) + v² / (2 d),
+        a uniform deceleration that begins late by the lag and rises by the jerk."""
+        late_s = LAG_S + self.deceleration_u_s2 / (2.0 * self.jerk_u_s3)
+        root_s = math.sqrt(late_s * late_s + 2.0 * max(way_u, 0.0) / self.deceleration_u_s2)
+        return self.deceleration_u_s2 * (root_s - late_s)
+
+    def duration_s(self, way_u: float, velocity_u_s: float) -> float:
+        """Of a trapezoid over that way, somewhat more."""
+        ramps_s = velocity_u_s / self.acceleration_u_s2 + velocity_u_s / self.deceleration_u_s2
+        jerks_s = (self.acceleration_u_s2 + self.deceleration_u_s2) / self.jerk_u_s3
+        return abs(way_u) / velocity_u_s + ramps_s + jerks_s
+
+
+_KEYS = {
+    "linear": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
+    "angular": ("rad_s", "rad_s2", "deceleration_rad_s2", "rad_s3"),
+}
+
+
+def limit_names(axis: Axis) -> tuple[str, ...]:
+    """The parameters of that axis, in the order of Bounds."""
+    return tuple(f"limits.{axis}_{key}" for key in _KEYS[axis])
+
+
+def bounds_of(axis: Axis, told: Mapping[str, float | None]) -> Bounds:
+    """From `params.get`, where null is no limit."""
+    values = (told[name] for name in limit_names(axis))
+    velocity, acceleration, deceleration, jerk = (
+        math.inf if value is None else value for value in values
+    )
+    return Bounds(
+        velocity_u_s=velocity,
+        acceleration_u_s2=acceleration,
+        deceleration_u_s2=deceleration,
+        jerk_u_s3=jerk,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Goal:
+    """What is asked for; 0 where the robot's own value is meant."""
+
+    axis: Axis
+    way_u: float
+    """Its sign is the direction."""
+    velocity_u_s: float = 0.0
+    tolerance_u: float = 0.0
+    timeout_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A goal that can be."""
+
+    axis: Axis
+    way_u: float
+    velocity_u_s: float
+    tolerance_u: float
+    timeout_s: float
+    bounds: Bounds
+
+
+def planned(goal: Goal, bounds: Bounds) -> Plan:
+    """Raises ValueError, in words, for a goal that cannot be."""
+    numbers = (goal.way_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
+    if not 0.0 < abs(goal.way_u) <= WAY_MAX_U:
+        raise ValueError(f"{goal.way_u:g} is no distance to go (not 0, at most {WAY_MAX_U:g})")
+    if min(goal.velocity_u_s, goal.tolerance_u, goal.timeout_s) < 0.0:
+        raise ValueError("speed, tolerance and time-out are not negative; the way has the sign")
+    if goal.timeout_s > TIMEOUT_MAX_S:
+        raise ValueError(
+            f"a time-out of {goal.timeout_s:g} s is too long (at most {TIMEOUT_MAX_S:g} s)"
+        )
+    velocity_u_s = min(goal.velocity_u_s or bounds.velocity_u_s, bounds.velocity_u_s)
+    if goal.axis == "angular":
+        velocity_u_s = min(velocity_u_s, TURN_RATE_MAX_RAD_S)
+    tolerance_u = goal.tolerance_u or TOLERANCE_U[goal.axis]
+    least_s = bounds.duration_s(goal.way_u, velocity_u_s)
+    return Plan(
+        axis=goal.axis,
+        way_u=goal.way_u,
+        velocity_u_s=velocity_u_s,
+        tolerance_u=tolerance_u,
+        timeout_s=goal.timeout_s or 2.0 * least_s + RESTS_WITHIN_S,
+        bounds=bounds,
+    )
+
+
+def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
+    """Why the odometry says nothing that one may go by. None: it does."""
+    if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
+        return "the loop says nothing any more"
+    if any(joint.stale for joint in snapshot.joints):
+        return "the odometry is stale: a wheel is not heard"
+    if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
+        return "the odometry is stale"
+    pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad, snapshot.odometry_stamp_ns)
+    return None if all(map(math.isfinite, pose)) else "the odometry is no number"
+
+
+def obstacle(snapshot: Snapshot) -> str | None:
+    """Why nothing may move now."""
+    if snapshot.faults:
+        return f"a fault is latched: {', '.join(snapshot.faults)}"
+    if not snapshot.armed:
+        return "it is not armed"
+    if "stop_requested" in snapshot.reasons:
+        return "a stop was asked for"
+    return None
+
+
+class Travel:
+    """The way since a beginning, with its sign: distance along the heading, and angle."""
+
+    def __init__(self, start: Snapshot) -> None:
+        self._last = start
+        self.distance_m = 0.0
+        self.angle_rad = 0.0
+
+    def add(self, snapshot: Snapshot) -> str | None:
+        """Why the way is not known any more. None: it is."""
+        if snapshot.odometry_epoch != self._last.odometry_epoch:
+            return "the odometry was reset"
+        if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
+            return f"it was not looked at for {LOOK_WITHIN_S:g} s"
+        turn_rad = math.remainder(snapshot.heading_rad - self._last.heading_rad, math.tau)
+        middle_rad = self._last.heading_rad + turn_rad / 2.0
+        dx_m, dy_m = snapshot.x_m - self._last.x_m, snapshot.y_m - self._last.y_m
+        self.distance_m += dx_m * math.cos(middle_rad) + dy_m * math.sin(middle_rad)
+        self.angle_rad += turn_rad
+        self._last = snapshot
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What to command now; with `end`, that and no more."""
+
+    linear_m_s: float = 0.0
+    angular_rad_s: float = 0.0
+    end: End | None = None
+    why: str = ""
+
+
+class Motion:
+    """One goal under way. `step` again and again, with the newest snapshot."""
+
+    def __init__(
+        self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
+    ) -> None:
+        """`lease`: the number under which the wishes are sent. `stale_s`: what is older says
+        nothing. `stops`: how many the daemon had counted before."""
+        self.plan = plan
+        self.travel = Travel(start)
+        self._lease, self._stale_s = lease, stale_s
+        self._start_ns = now_ns
+        self._stops, self._stopped, self._unstopped_ns = stops, False, now_ns
+        self._rest_ns: int | None = None
+        self._commanding = False
+        self._ending: tuple[End, str] | None = None
+        self._ending_ns = 0
+        self._near_u, self._near_ns = abs(plan.way_u), now_ns
+        self._forward = 1.0
+        self._corrections = 0
+
+    @property
+    def way_u(self) -> float:
+        """Done so far, with its sign."""
+        return self.travel.distance_m if self.plan.axis == "linear" else self.travel.angle_rad
+
+    @property
+    def remaining_u(self) -> float:
+        """To go; negative behind the goal."""
+        return math.copysign(1.0, self.plan.way_u) * (self.plan.way_u - self.way_u)
+
+    def cancel(self, now_ns: int) -> None:
+        """Come to rest, and end there."""
+        self._end(End.CANCELED, "canceled", now_ns)
+
+    def counted(self, stops: int, asked_ns: int) -> None:
+        """How many stops the daemon has counted, when it was asked then. On the state page a stop
+        is only seen until the robot rests: one that was short is over before the next look."""
+        if stops != self._stops:
+            self._stopped = True
+        else:
+            self._unstopped_ns = asked_ns
+
+    def step(self, snapshot: Snapshot, now_ns: int) -> Wish:
+        """The wish that follows from what is known now."""
+        why = self._trouble(snapshot, now_ns)
+        if why is not None:
+            return Wish(end=End.ABORTED, why=why)
+        if (now_ns - self._start_ns) * _NS > self.plan.timeout_s:
+            self._end(End.ABORTED, f"it took longer than {self.plan.timeout_s:.1f} s", now_ns)
+        if self.remaining_u * self._forward <= self.plan.tolerance_u / 2.0:
+            self._end(End.SUCCEEDED, "", now_ns)
+        if self._ending is None and self._stuck(now_ns):
+            self._end(End.ABORTED, "it is stuck", now_ns)
+        if self._ending is None:
+            return self._onward()
+        return self._come_to_rest(snapshot, now_ns)
+
+    def _trouble(self, snapshot: Snapshot, now_ns: int) -> str | None:
+        """What ends it at once."""
+        why = problem(snapshot, now_ns, self._stale_s) or obstacle(snapshot)
+        if self._stopped:
+            why = why or "a stop was asked for"
+        why = why or self.travel.add(snapshot)
+        if why is not None:
+            return why
+        if snapshot.owner == self._lease:
+            self._commanding = True
+        elif self._commanding:
+            return "another source commands" if snapshot.owner else "its commands did not get there"
+        elif (now_ns - self._start_ns) * _NS > COMMANDS_WITHIN_S:
+            return "another source commands" if snapshot.owner else "nobody takes its commands"
+        return None
+
+    def _end(self, how: End, why: str, now_ns: int) -> None:
+        """The first reason counts."""
+        if self._ending is None:
+            self._ending, self._ending_ns = (how, why), now_ns
+
+    def _stuck(self, now_ns: int) -> bool:
+        """A step is a quarter of what it creeps in that time, or of the tolerance."""
+        plan, bounds = self.plan, self.plan.bounds
+        step_u = min(plan.tolerance_u, self._creep_u_s() * STUCK_S) / 4.0
+        if abs(self.remaining_u) <= self._near_u - step_u:
+            self._near_u, self._near_ns = abs(self.remaining_u), now_ns
+        starts_s = plan.velocity_u_s / bounds.acceleration_u_s2
+        starts_s += bounds.acceleration_u_s2 / bounds.jerk_u_s3
+        return (now_ns - self._near_ns) * _NS > STUCK_S + starts_s
+
+    def _creep_u_s(self) -> float:
+        """Stops within half of the tolerance."""
+        creep_u_s = self.plan.bounds.approach_u_s(self.plan.tolerance_u / 2.0)
+        return min(creep_u_s, self.plan.velocity_u_s)
+
+    def _onward(self) -> Wish:
+        """Not slower than what gets there."""
+        plan = self.plan
+        speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
+        speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.way_u)
+        return self._along(speed_u_s * self._forward)
+
+    def _along(self, speed_u_s: float) -> Wish:
+        return Wish(speed_u_s, 0.0) if self.plan.axis == "linear" else Wish(0.0, speed_u_s)
+
+    def _come_to_rest(self, snapshot: Snapshot, now_ns: int) -> Wish:
+        assert self._ending is not None
+        how, why = self._ending
+        if not snapshot.at_rest:
+            self._rest_ns = None
+            if (now_ns - self._ending_ns) * _NS > RESTS_WITHIN_S + self._ramp_s():
+                return Wish(end=End.ABORTED, why="it does not come to rest")
+            return Wish()
+        self._rest_ns = now_ns if self._rest_ns is None else self._rest_ns
+        if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
+            unstopped = self._unstopped_ns > self._rest_ns
+            if not unstopped and (now_ns - self._rest_ns) * _NS <= UNSTOPPED_WITHIN_S:
+                return Wish()  # who knows what brought it to rest
+            if unstopped and self._corrected(now_ns):
+                return Wish()
+            how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"
+        return Wish(end=how, why=why)
+
+    def _corrected(self, now_ns: int) -> bool:
+        """It goes on, towards the goal from where it is."""
+        near_u = CORRECTION_TOLERANCES * self.plan.tolerance_u
+        if abs(self.remaining_u) > near_u or self._corrections == CORRECTIONS_MAX:
+            return False
+        self._corrections += 1
+        self._near_u, self._near_ns = abs(self.remaining_u), now_ns
+        self._forward = math.copysign(1.0, self.remaining_u)
+        self._ending = self._rest_ns = None
+        return True
+
+    def _ramp_s(self) -> float:
+        bounds = self.plan.bounds
+        jerk_s = bounds.deceleration_u_s2 / bounds.jerk_u_s3
+        return bounds.velocity_u_s / bounds.deceleration_u_s2 + jerk_s

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`move` and `turn` as a procedure: a distance or an angle, by the odometry (motord.api.motion).
+
+The procedure yields what it needs, a call of the daemon or a pause, and its driver sends back the
+answer: `motord.client` blocks for it, `motord.aio` awaits it. The command is that program's own:
+when it ends, or hangs, its lease lapses and the robot stops.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from motord.api.local_rpc import ClientError, Refused
+from motord.api.motion import (
+    STOPS_EVERY_S,
+    End,
+    Goal,
+    Motion,
+    Wish,
+    bounds_of,
+    limit_names,
+    obstacle,
+    planned,
+    problem,
+)
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
+
+LOOK_EVERY_S = 0.02
+STALE_S = 0.5
+_LATCHED = ("fault", "estop")
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """Call this method of the daemon and send its result back, or throw its ClientError."""
+
+    method: str
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Come back then."""
+
+    until_s: float
+    """CLOCK_MONOTONIC."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moved:
+    """How a move or a turn ended, and how far it went."""
+
+    end: End
+    why: str
+    """Empty where it succeeded."""
+    distance_m: float
+    angle_rad: float
+    duration_s: float
+
+
+class MoveFailed(ClientError):
+    """A move or a turn did not begin, or did not arrive; the message says why."""
+
+    def __init__(self, why: str, *, moved: Moved | None = None, latched: bool = False) -> None:
+        super().__init__(why)
+        self.moved = moved
+        """How far it went; None: it did not begin."""
+        self.latched = latched
+        """A fault or an emergency stop is latched."""
+
+
+Watch: TypeAlias = Callable[[Motion, Snapshot], object]
+Canceled: TypeAlias = Callable[[], bool]
+Procedure: TypeAlias = Generator[Call | Pause, Any, Moved]
+
+
+def unwatched(_motion: Motion, _newest: Snapshot) -> None:
+    """A Watch that does nothing."""
+
+
+def never_canceled() -> bool:
+    """A motion that goes on to its end."""
+    return False
+
+
+def goal_of(
+    axis: str, way_u: float, velocity_u_s: float | None, tolerance_u: float | None,
+    timeout_s: float | None,
+) -> Goal:  # fmt: skip
+    """None: the robot's own value. Raises ValueError for a 0, which would mean the same."""
+    given = (("speed", velocity_u_s), ("tolerance", tolerance_u), ("time-out", timeout_s))
+    for name, value in given:
+        if value is not None and not value > 0.0:
+            raise ValueError(f"the {name} has to be more than 0, not {value:g}")
+    return Goal(
+        axis="linear" if axis == "linear" else "angular",
+        way_u=way_u,
+        velocity_u_s=velocity_u_s or 0.0,
+        tolerance_u=tolerance_u or 0.0,
+        timeout_s=timeout_s or 0.0,
+    )
+
+
+def procedure(
+    goal: Goal,
+    *,
+    owner: Mapping[str, str],
+    daemon_uid: int | None = None,
+    watch: Watch = unwatched,
+    canceled: Canceled = never_canceled,
+) -> Procedure:
+    """Carry out a goal. `owner`: that of the lease as a parameter of `drive`, none for the usual
+    one; the driver releases it in the end. `daemon_uid`: the user whose state page is read.
+    `watch` is called at each look; when `canceled` is true the robot comes to rest and the motion
+    ends. Raises ValueError for a goal that cannot be, MoveFailed and ClientError.
+    """
+    limits = yield Call("params.get", {"names": limit_names(goal.axis)})
+    plan = planned(goal, bounds_of(goal.axis, limits))
+    begin_s = time.monotonic()
+    before = yield Call("status")
+    try:
+        with StatePage.open(before["robot"], owner=daemon_uid) as page:
+            start = _start(page)
+            lease = yield from _lease(owner)
+            motion = Motion(
+                plan,
+                start,
+                time.monotonic_ns(),
+                lease=lease,
+                stale_s=STALE_S,
+                stops=before["stops"],
+            )
+            wish = yield from _follow(motion, start, page, owner, watch, canceled)
+    except NoPage as error:
+        raise MoveFailed(str(error)) from error
+    assert wish.end is not None  # _follow returns nothing else
+    moved = Moved(
+        end=wish.end,
+        why=wish.why,
+        distance_m=motion.travel.distance_m,
+        angle_rad=motion.travel.angle_rad,
+        duration_s=time.monotonic() - begin_s,
+    )
+    if moved.end is not End.SUCCEEDED:
+        state = (yield Call("status"))["state"]
+        raise MoveFailed(moved.why, moved=moved, latched=state in _LATCHED)
+    return moved
+
+
+def _start(page: StatePage) -> Snapshot:
+    """Where it begins. Raises MoveFailed where it may not."""
+    start = page.read()
+    if start is None:
+        raise MoveFailed("there is no state yet")
+    why = problem(start, time.monotonic_ns(), STALE_S) or obstacle(start)
+    if why is not None:
+        raise MoveFailed(why, latched=bool(start.faults))
+    return start
+
+
+def _lease(owner: Mapping[str, str]) -> Generator[Call | Pause, Any, int]:
+    """The number of ours, with a command of zero. Raises MoveFailed where another's counts."""
+    answer = yield Call("drive", {"linear_m_s": 0.0, "angular_rad_s": 0.0, **owner})
+    if not answer["in_command"]:
+        raise MoveFailed(f"{answer['owner']} is in command")
+    return int(answer["number"])
+
+
+def _follow(
+    motion: Motion,
+    newest: Snapshot,
+    page: StatePage,
+    owner: Mapping[str, str],
+    watch: Watch,
+    canceled: Canceled,
+) -> Generator[Call | Pause, Any, Wish]:
+    due_s = count_s = time.monotonic()
+    while True:
+        if time.monotonic() >= count_s:
+            asked_ns, count_s = time.monotonic_ns(), time.monotonic() + STOPS_EVERY_S
+            motion.counted((yield Call("status"))["stops"], asked_ns)
+        newest = page.read() or newest
+        if canceled():
+            motion.cancel(time.monotonic_ns())
+        wish = motion.step(newest, time.monotonic_ns())
+        command = {"linear_m_s": wish.linear_m_s, "angular_rad_s": wish.angular_rad_s, **owner}
+        try:
+            yield Call("drive", command)
+        except Refused as error:
+            why = obstacle(page.read() or newest) or str(error)
+            return wish if wish.end else Wish(end=End.ABORTED, why=why)
+        if wish.end is not None:
+            return wish
+        watch(motion, newest)
+        due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
+        yield Pause(due_s)

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the core knows after a tick, as plain Python values.
+
+The names are those of `robot_state` in csrc/api.h, and so are the meanings. The folder `realtime`
+fills it; everybody else, the second process too, only reads it: hence no import of the C core.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+SNAPSHOT_VERSION = 1
+"""Raised when a field is renamed, removed or changes its meaning; not when one is added."""
+STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
+"""By `machine_state`."""
+GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
+"""By GYRO_* of csrc/api_imu.h."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSnapshot:
+    """One wheel. NaN: its drive does not measure that. `enabled` None: the drive cannot say."""
+
+    position_rad: float
+    velocity_rad_s: float
+    setpoint_rad_s: float
+    duty: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    feedback_age_s: float
+    """Infinity: never heard."""
+    drive_faults: int
+    enabled: bool | None
+    stale: bool
+    jumps: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSnapshot:
+    """The inertial measurement unit, about the base's x, y, z. NaN: not measured, or not known
+    yet."""
+
+    stamp_ns: int
+    angular_rad_s: tuple[float, ...]
+    """About z without the zero-rate offset."""
+    acceleration_m_s2: tuple[float, ...]
+    bias_rad_s: float
+    """Zero-rate offset about z, estimated while the base stood."""
+    bias_variance_rad2_s2: float
+    rate_variance_rad2_s2: float
+    """Of a sample about z, measured while the base stood."""
+    state: str
+    """"unbiased" (the base has not stood still yet), "used", "stale", or "reversed" (it has turned
+    against the wheels)."""
+    heading_by_gyro: bool
+    """The newest turn in the pose is the gyro's; else the wheels'."""
+    still: bool
+    """The base stands, by wheels and gyro: the heading is held."""
+    refused: int
+    """Samples that were no numbers, off the scale or out of order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoubtSnapshot:
+    """Why a fault says that the feedback is not believed; of the first such fault."""
+
+    since_ns: int
+    setpoint_rad_s: float
+    measured_rad_s: float
+    """By its counter where it has one, smoothed."""
+    reported_rad_s: float
+    """The drive's own measure. NaN: none."""
+    fault: str
+    """`direction`, `stall`, `following_error`, `runaway` or `implausible_feedback`."""
+    joint: int
+    """Its place in the robot file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall time."""
+
+    stamp_ns: int
+    tick: int
+    machine_state: int
+    """The number of the state machine's state: docs/architecture.md."""
+    owner: int
+    reasons: tuple[str, ...]
+    """Why the set-point is not what was asked for: `linear_jerk`, `command_stale`, ..."""
+    faults: tuple[str, ...]
+    """What is latched: `estop`, `feedback_stale`, ..."""
+    armed: bool
+    enabled: bool
+    at_rest: bool
+    odometry_degraded: bool
+    odometry_epoch: int
+    dt_s: float
+    command_age_s: float
+    """Infinity: no command ever."""
+    wanted_linear_m_s: float
+    wanted_angular_rad_s: float
+    setpoint_linear_m_s: float
+    setpoint_angular_rad_s: float
+    saturation: float
+    odometry_stamp_ns: int
+    x_m: float
+    y_m: float
+    heading_rad: float
+    distance_m: float
+    turned_rad: float
+    linear_m_s: float
+    angular_rad_s: float
+    pose_covariance: tuple[float, ...]
+    """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
+    twist_covariance: tuple[float, ...]
+    """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
+    joints: tuple[JointSnapshot, ...]
+    imu: ImuSnapshot | None = None
+    """None: there is none, or it was never heard."""
+    doubt: DoubtSnapshot | None = None
+    version: int = SNAPSHOT_VERSION
+
+    def to_json(self) -> dict[str, Any]:
+        """Ready for json.dumps(allow_nan=False): NaN and infinities are None, tuples are lists."""
+        return _record(self)
+
+
+def gyro_word(state: int) -> str:
+    """What `state` of the C core's imu_state means; a number that is not known is shown as it
+    is."""
+    return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
+
+
+def _record(record: Snapshot | JointSnapshot | ImuSnapshot | DoubtSnapshot) -> dict[str, Any]:
+    return {key.name: _plain(getattr(record, key.name)) for key in dataclasses.fields(record)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return (
+        _record(value) if isinstance(value, JointSnapshot | ImuSnapshot | DoubtSnapshot) else value
+    )

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A voice for what others on the network can cause at any rate."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+AGAIN_S = 10.0
+
+
+class RateLimitedLog:
+    """The first of one matter, and then one of many each `AGAIN_S` with how many there were."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._due_s = 0.0
+        self._silent = 0
+
+    def say(self, text: str) -> None:
+        """A warning."""
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            self._silent += 1
+            return
+        self._log.warning("%s%s", text, f" ({self._silent} more)" if self._silent else "")
+        self._due_s, self._silent = now_s + AGAIN_S, 0
+
+
+class RateLimitedFilter(logging.Filter):
+    """For the log of a library that writes a line for every message it drops: each kind of line is
+    said as RateLimitedLog says it, in our own log. Exceptions pass."""
+
+    def __init__(self, log: logging.Logger, where: str) -> None:
+        """`log` is that of the library; the lines go to its parent."""
+        super().__init__()
+        self._log = log.parent or log
+        self._where = where
+        self._voices: dict[str, RateLimitedLog] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """As logging.Filter.filter."""
+        if record.exc_info:
+            return True
+        # by the text without its numbers, of which a library has a few
+        voice = self._voices.setdefault(str(record.msg), RateLimitedLog(self._log))
+        voice.say(f"{self._where}: {record.getMessage()}")
+        return False

@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where commands of networked inputs are looked at: who shows the token, what is asked for, and how
+old it is. What passes goes to the daemon, which judges it as every other command."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.gap import STOOD_STILL, Gap
+from motord.bus.commands.link import Source, reason
+from motord.bus.secret import Token
+from motord.client import ClientError
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+    from motord.config import StampedInput
+
+METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
+"""What may be called."""
+TRIGGERS = tuple(method for method in METHODS if method != "status")
+"""Those that are services of type std_srvs/srv/Trigger."""
+COMMANDS = ("cmd_vel", "joint_commands")
+"""Topics that are taken: CommandGate.take."""
+URGENT = ("estop", "stop")
+ANY_TIME = (*URGENT, "disarm", "status", "params.list")
+"""Obeyed also after having waited for this process: they look, or end at rest."""
+CALL_OLD_S = 0.5
+"""A call that waited here for less may be obeyed: a short lifetime of commands is none of calls."""
+CALLS_MAX = 4
+URGENT_MAX = 16
+"""Calls of one urgent method that the daemon has not answered yet."""
+FUTURE_S = 0.5
+"""A command from further ahead has another idea of the time than we: its age cannot be known."""
+OLD_S = 3600.0
+"""Whatever is older is as old as this: it is not obeyed."""
+ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
+AHEAD = "its stamp is in the future: do the clocks agree?"
+ABSURD = 10.0
+"""Times the limit: OUT_OF_RANGE of csrc/loop/arbiter.c."""
+SAY_AGAIN_S = 10.0
+_SHORT = 40
+
+_log = logging.getLogger(__name__)
+
+
+class NotTaken(Exception):
+    """A command is not passed on; the text says why."""
+
+
+class CommandGate:
+    """One networked input's."""
+
+    def __init__(self, name: str, section: StampedInput, runtime: Runtime) -> None:
+        """Raises OSError and ValueError for a token that cannot be used."""
+        self._name = name
+        self._runtime = runtime
+        self._token: Token | None = None
+        if (token_file := getattr(section, "token_file", None)) is not None:  # of a TokenInput
+            self._token = Token(runtime.beside_robot_file(token_file))
+        self._stamped = section.stamped
+        self._joints = {name: place for place, name in enumerate(runtime.robot.joint)}
+        self._calls: Counter[str] = Counter()
+        self._said_s = -SAY_AGAIN_S
+        self._voice = RateLimitedLog(_log)
+        self.source: Source = runtime.source(name)
+        self._gap: Gap = runtime.gap(section.lease_s)
+        self.gap: Gap = runtime.gap(max(section.lease_s, CALL_OLD_S))
+        """For calls and goals."""
+
+    def admit(self, shown: object) -> None:
+        """Raises NotTaken for who does not show the token."""
+        if self._token is None or not self._token.fits(shown):
+            raise self._no("the token is missing or wrong")
+
+    def take(self, topic: str, message: object, waited_s: float = 0.0) -> None:
+        """A message on one of COMMANDS, as `drive` or `drive_joints`. Raises NotTaken."""
+        match topic:
+            case "cmd_vel":
+                self.drive(message, waited_s)
+            case "joint_commands":
+                self.drive_joints(message, waited_s)
+            case other:
+                raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
+
+    def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
+        """Pass a Twist or a TwistStamped on. `waited_s`: on its way, as far as that is known; it is
+        the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
+        linear_m_s, angular_rad_s, age_s = self._twist(message)
+        stamp_ns = self._stamp_ns(age_s, waited_s)
+        if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
+            raise self._no(self.source.why_lost)
+        self.name_absurd(linear_m_s, angular_rad_s, sender)
+
+    def name_absurd(self, linear_m_s: float, angular_rad_s: float, sender: str) -> None:
+        """Say who sent a command that the loop takes for zero: it counts it, and knows no names."""
+        limits = self._runtime.robot.limits
+        if (
+            abs(linear_m_s) <= ABSURD * limits.linear_m_s
+            and abs(angular_rad_s) <= ABSURD * limits.angular_rad_s
+        ):
+            return
+        self._voice.say(
+            f"input.{self._name}: {sender or 'somebody'} asks for {linear_m_s:g} m/s,"
+            f" {angular_rad_s:g} rad/s: no number, or more than {ABSURD:g} times the limit in"
+            " the robot file, so it counts as"
+            " zero unless a higher limit is in force: is the unit right?"
+        )
+
+    def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
+        """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to
+        rest. Raises NotTaken."""
+        velocity_rad_s, age_s = self._wheels(message)
+        stamp_ns = self._stamp_ns(age_s, waited_s)
+        if not self.source.drive_joints(velocity_rad_s, stamp_ns):
+            raise self._no(self.source.why_lost)
+
+    def _stamp_ns(self, age_s: float, waited_s: float) -> int:
+        """When a command was given, CLOCK_MONOTONIC. Raises NotTaken for one of unknown age that
+        may have waited here."""
+        if not self._stamped:
+            self._not_old(self._gap)
+            age_s = max(age_s, min(waited_s, OLD_S))
+        return time.monotonic_ns() - round(age_s * 1e9)
+
+    def _not_old(self, gap: Gap) -> None:
+        """Raises NotTaken where what says no time may have waited here."""
+        if gap.just_over():
+            raise self._no(STOOD_STILL)
+
+    def _wheels(self, message: object) -> tuple[list[float], float]:
+        """rad/s in the order of the robot file, and the command's age in s."""
+        try:
+            if not isinstance(message, Mapping):
+                raise TypeError("a command is an object")
+            names, speeds = list(message["name"]), list(map(_number, message["velocity"]))
+            said_s = _stamp_s(message)
+            known = [self._joints.get(name, -1) for name in names]
+        except (KeyError, TypeError, OverflowError) as error:
+            raise self._no(f"it is no JointState: {error}") from None
+        if -1 in known:
+            raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
+        if len(speeds) != len(known) or len(set(known)) != len(known):
+            raise self._no("each joint has one velocity")
+        velocity_rad_s = [0.0] * len(self._joints)
+        for place, speed in zip(known, speeds, strict=True):
+            velocity_rad_s[place] = speed
+        return velocity_rad_s, self._age_s(said_s)
+
+    def _twist(self, message: object) -> tuple[float, float, float]:
+        """m/s, rad/s, and the command's age in s."""
+        try:
+            if not isinstance(message, Mapping):
+                raise TypeError("a command is an object")
+            twist = message.get("twist", message)
+            linear_m_s = _number(twist["linear"]["x"])
+            angular_rad_s = _number(twist["angular"]["z"])
+            said_s = _stamp_s(message)
+        except (KeyError, TypeError, OverflowError) as error:
+            raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
+        return linear_m_s, angular_rad_s, self._age_s(said_s)
+
+    def _age_s(self, said_s: float | None) -> float:
+        """Of what was given at that wall time. None: it did not say."""
+        if not self._stamped and not said_s:
+            return 0.0
+        if said_s is None:
+            raise self._no("it has no stamp (header.stamp, or stamped = false)")
+        if said_s == 0.0:
+            raise self._no(ZERO_STAMP)
+        age_s = time.time() - said_s
+        if not age_s >= -FUTURE_S:
+            raise self._no(AHEAD)
+        return min(max(age_s, 0.0), OLD_S)
+
+    async def act(self, method: object, sender: str = "") -> Any:
+        """Call one of METHODS. `sender`: who asks, where it is known. Raises NotTaken, also with
+        the daemon's own reason."""
+        if not isinstance(method, str) or method not in METHODS:
+            raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
+        if method in URGENT:
+            full = self._calls[method] >= URGENT_MAX
+        else:
+            full = self._calls.total() - sum(self._calls[name] for name in URGENT) >= CALLS_MAX
+        if full:
+            raise self.busy()
+        self._calls[method] += 1
+        try:
+            if method == "estop":
+                return await self.ask(
+                    method, **reason(f"input.{self._name}: by {sender or 'call'}")
+                )
+            return await self.ask(method)
+        except ClientError as error:
+            raise NotTaken(str(error)) from error
+        finally:
+            self._calls[method] -= 1
+
+    async def ask(self, method: str, **params: Any) -> Any:
+        """As Runtime.call, for who is let in. Raises NotTaken for what moves the robot or changes
+        it where it may have waited here."""
+        if method not in ANY_TIME:
+            self._not_old(self.gap)
+        return await self._runtime.call(method, **params)
+
+    def busy(self) -> NotTaken:
+        """What a call is told that others have left no room for."""
+        return self._no("busy: too many calls are under way")
+
+    def refuse(self, why: str, count: int = 1) -> None:
+        """So many commands were not passed on: counted, and said from time to time."""
+        if count > 0:
+            self.source.refused += count - 1
+            self._no(why)
+
+    def _no(self, why: str) -> NotTaken:
+        """Counted, and said from time to time."""
+        self.source.refused += 1
+        now_s = time.monotonic()
+        if now_s - self._said_s >= SAY_AGAIN_S:
+            self._said_s = now_s
+            _log.warning("input.%s: refused (%d so far): %s", self._name, self.source.refused, why)
+        return NotTaken(why)
+
+
+def _stamp_s(message: Mapping[str, Any]) -> float | None:
+    """Wall time of its header; None: it has none. Raises KeyError, TypeError and OverflowError."""
+    stamp = message["header"]["stamp"] if "header" in message else None
+    if stamp is None:
+        return None
+    return _number(stamp["sec"]) + _number(stamp["nanosec"]) * 1e-9
+
+
+def _number(value: object) -> float:
+    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError, and
+    OverflowError for a whole number that is too large."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{short(value)} is no number")
+    return float(value)
+
+
+def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> Mapping[str, Any]:
+    """What a stranger sent; nothing that could have a token: an empty one. `decode` raises
+    ValueError."""
+    if not isinstance(raw, bytes) or len(raw) > bytes_max:
+        return {}
+    try:
+        request = decode(raw)
+    except ValueError:
+        return {}
+    return request if isinstance(request, Mapping) else {}
+
+
+def short(value: object) -> str:
+    """What a stranger sent, fit for a sentence: it may be long, and nested deeply."""
+    return repr(value[:_SHORT]) if isinstance(value, str) else f"a {type(value).__name__}"
+
+
+def tag(value: object) -> str | int | None:
+    """What an answer repeats of its question; nothing, where it is neither text nor number."""
+    return value if isinstance(value, str | int) else None

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the second process to the daemon: calls on its local socket, and commands under a lease.
+
+Every call has a connection of its own and a deadline; what stops the robot is sent as a datagram
+first. A lease lives as long as its connection; when the daemon ends it, another is asked for.
+Nobody answers a command: docs/commands.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import json
+import logging
+import os
+import socket
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram
+from motord.api.deadline import within
+from motord.api.local_rpc import NOT_ALLOWED, REFUSED
+from motord.api.stop_request import AGAIN_S, open_sender, try_send
+from motord.client import ClientError, Refused
+
+CALL_WITHIN_S = 10.0
+LEASE_WITHIN_S = 5.0
+LEASE_AGAIN_S = 0.5
+STOP_WITHIN_S = 1.0
+_LOOK_EVERY_S = 10.0
+_ANSWER_BYTES_MAX = 1 << 20
+
+_log = logging.getLogger(__name__)
+
+
+REASON_CHARS_MAX = 300
+"""Of an emergency stop; the daemon refuses more."""
+
+
+def reason(text: str) -> dict[str, str]:
+    """Parameters of an emergency stop with that reason."""
+    return {"why": text[:REASON_CHARS_MAX]}
+
+
+Ask = Callable[[str, dict[str, Any]], Awaitable[Any]]
+"""A method of the daemon with its parameters, on one connection. Raises Refused, ClientError."""
+NO_LEASE = "there is no lease: the daemon does not take commands now"
+SOCKET_FULL = (
+    "the daemon's command socket is full: commands come faster than its loop takes them; the next "
+    "one counts"
+)
+
+
+ALL_SEEN = -1
+"""Whatever else was commanded meanwhile."""
+
+
+class NotConnected(ClientError):
+    """The daemon was not asked."""
+
+
+@contextlib.asynccontextmanager
+async def _connected(
+    path: Path,
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    try:
+        reader, writer = await asyncio.open_unix_connection(str(path), limit=_ANSWER_BYTES_MAX)
+    except OSError as error:
+        raise NotConnected(f"{path}: {error.strerror or error}") from error
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
+
+
+async def _ask(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, method: str, params: dict[str, Any]
+) -> Any:
+    request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
+    try:
+        writer.write(json.dumps(request, allow_nan=False).encode() + b"\n")
+        await writer.drain()
+        answer = json.loads(await reader.readuntil(b"\n"))
+    except (OSError, ValueError, EOFError, asyncio.LimitOverrunError) as error:
+        raise ClientError(f"{method}: the daemon did not answer: {error}") from error
+    problem = answer.get("error")
+    if problem is None:
+        return answer.get("result")
+    if problem["code"] in (REFUSED, NOT_ALLOWED):
+        raise Refused(problem["message"], problem["code"])
+    raise ClientError(problem["message"])
+
+
+async def call(path: Path, method: str, **params: Any) -> Any:
+    """Any method of the local socket, by name. Raises Refused, or ClientError for all else."""
+    try:
+        async with within(CALL_WITHIN_S), _connected(path) as (reader, writer):
+            return await _ask(reader, writer, method, params)
+    except TimeoutError:
+        raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
+
+
+class StopSender:
+    """Sends stop requests (motord.api.stop_request) from a socket that is open beforehand: it needs
+    no descriptor when it counts."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._socket: socket.socket | None = None
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[None]:
+        """Keep the socket."""
+        with open_sender() as self._socket:
+            try:
+                yield
+            finally:
+                self._socket = None
+
+    async def send(self, method: str) -> bool:
+        """False: the daemon does not receive it."""
+        if self._socket is None:
+            return False
+        with contextlib.suppress(OSError, TimeoutError):
+            async with within(STOP_WITHIN_S):
+                while not try_send(  # noqa: ASYNC110  nothing says when it has room
+                    self._socket, self._path, method
+                ):
+                    await asyncio.sleep(AGAIN_S)
+            return True
+        return False
+
+
+class Outlet(Protocol):
+    """Sends under a lease in our place, commands of its own among them: it numbers all of them."""
+
+    @property
+    def direct(self) -> int:
+        """Commands of its own that it has sent."""
+        ...
+
+    def hold(self, fd: int, token: bytes, sequence: int) -> None:
+        """A lease begins: its connected socket, its token, the number of its newest command."""
+        ...
+
+    def let_go(self) -> int:
+        """It is over; the number of its newest command. Its socket is not used any more."""
+        ...
+
+    def send(self, raw: bytes, seen: int) -> int:
+        """A datagram, whose token and number it fills in. `seen` >= 0: only while `direct` is that.
+        0; -ENOTCONN: no lease; -ESTALE: `direct` has grown; -EAGAIN: full; -errno."""
+        ...
+
+
+class Source:
+    """One input's right to command. `run` keeps the lease; `drive` and `release` never wait."""
+
+    def __init__(self, path: Path, owner: str) -> None:
+        """`owner`: an input of the robot file, whose priority and lifetime count."""
+        self._path = path
+        self.owner = owner
+        self._token: bytes | None = None
+        self.number = 0
+        """Of the lease, as the state page has it; 0: there is none."""
+        self._sequence = 0
+        self._failing = False
+        self._sender: socket.socket | None = None
+        self._outlet: Outlet | None = None
+        self.sent = 0
+        self.lost = 0
+        """Commands for which there was no lease, or that the socket did not take."""
+        self.why_lost = NO_LEASE
+        """Why the newest of them was."""
+        self.rivals: Callable[[], dict[str, Any]] = dict
+        """Senders of this input that command against each other, by topic."""
+        self.refused = 0
+        """Commands and calls that were not passed on, as the input counts them."""
+
+    @property
+    def ready(self) -> bool:
+        """There is a lease."""
+        return self._token is not None
+
+    async def run(self) -> None:
+        """Keep a lease until cancelled."""
+        while True:
+            try:
+                async with _connected(self._path) as (reader, writer):
+                    async with within(LEASE_WITHIN_S):
+                        grant = await self._grant(partial(_ask, reader, writer))
+                    await self._hold(grant, reader)
+            except (ClientError, OSError, TimeoutError) as error:
+                self._say(str(error) or "no answer")
+            await asyncio.sleep(LEASE_AGAIN_S)
+
+    async def _grant(self, ask: Ask) -> dict[str, Any]:
+        """A lease on the connection that `ask` has. Raises ClientError."""
+        grant: dict[str, Any] = await ask("lease", {"owner": self.owner})
+        return grant
+
+    async def _hold(self, grant: dict[str, Any], reader: asyncio.StreamReader) -> None:
+        """Until the daemon ends the lease."""
+        kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
+        with socket.socket(socket.AF_UNIX, kind) as sender:
+            sender.connect(grant["socket"])
+            self._token, self._sequence = bytes.fromhex(grant["token"]), 0
+            self.number = grant["number"]
+            self._sender = sender
+            self._hand_over()
+            if self._failing:
+                self._failing = False
+                _log.info("input.%s: has its lease again", self.owner)
+            try:
+                await _ended(reader)
+            finally:
+                if self._outlet is not None:
+                    self._outlet.let_go()
+                self._token = self._sender = None
+                self.number = 0
+
+    def lend(self, outlet: Outlet | None) -> None:
+        """Whatever is commanded goes through `outlet` from now on, and again by ourselves: None."""
+        if self._outlet is not None:
+            self._sequence = max(self._sequence, self._outlet.let_go())
+        self._outlet = outlet
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        if self._outlet is not None and self._token is not None and self._sender is not None:
+            self._outlet.hold(self._sender.fileno(), self._token, self._sequence)
+
+    @property
+    def direct(self) -> int:
+        """Commands under this lease that did not come by `drive`: of an outlet."""
+        return 0 if self._outlet is None else self._outlet.direct
+
+    def drive(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        stamp_ns: int | None = None,
+        *,
+        seen: int = ALL_SEEN,
+    ) -> bool:
+        """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
+        `seen`: not where `direct` has grown beyond that. Returns whether it was sent."""
+        stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
+        return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns, seen)
+
+    def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
+        """One command of all wheels, in the order of the robot file, as `drive`."""
+        return self._send(
+            lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
+        )
+
+    def release(self, *, seen: int = ALL_SEEN) -> bool:
+        """Give the command back before it lapses; the next one takes it again. As `drive`."""
+        return self._send_twist(RELEASE, 0.0, 0.0, time.monotonic_ns(), seen)
+
+    def _send_twist(
+        self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int, seen: int
+    ) -> bool:
+        return self._send(
+            lambda token, sequence: datagram(
+                token, sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
+            ),
+            seen,
+        )
+
+    def _send(self, made: Callable[[bytes, int], bytes], seen: int = ALL_SEEN) -> bool:
+        if self._token is None or self._sender is None:
+            return self._lose(NO_LEASE)
+        if self._outlet is not None:
+            error = -self._outlet.send(made(self._token, 0), seen)
+        else:
+            self._sequence += 1
+            error = _sent(self._sender, made(self._token, self._sequence))
+        match error:
+            case 0:
+                self.sent += 1
+                return True
+            case errno.ESTALE:
+                return False  # another has meanwhile asked for something else
+            case errno.EAGAIN:  # the next one will do
+                return self._lose(SOCKET_FULL)
+            case errno.ENOTCONN:
+                return self._lose(NO_LEASE)
+        # gone: the connection's end says it
+        return self._lose(f"the daemon's command socket does not take it: {os.strerror(error)}")
+
+    def _lose(self, why: str) -> bool:
+        self.lost += 1
+        self.why_lost = why
+        return False
+
+    def _say(self, text: str) -> None:
+        if not self._failing:
+            self._failing = True
+            _log.warning("input.%s: no lease: %s", self.owner, text)
+
+
+def _sent(sender: socket.socket, raw: bytes) -> int:
+    """0 or errno."""
+    try:
+        sender.send(raw)
+    except OSError as error:
+        return error.errno or errno.EIO
+    return 0
+
+
+async def _ended(reader: asyncio.StreamReader) -> None:
+    """Until the daemon closes the connection."""
+    while True:
+        with contextlib.suppress(TimeoutError):
+            async with within(_LOOK_EVERY_S):
+                if not await reader.read(4096):
+                    return

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What clients of the Foxglove server are shown and may ask for (ws-protocol: services, parameters,
+client publishing; JSON). The SDK calls from threads of its own; what moves the robot is done in the
+event loop.
+
+The protocol knows no token, and the SDK shows no header of the connection. So the token stands in
+the request, {"token": ..., ...}, or the service `authorize` lets a connection in until it ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from foxglove import Channel, MessageSchema, Parameter, Schema, Service, ServiceSchema, StatusLevel
+from foxglove.websocket import (
+    ChannelView,
+    Client,
+    ClientChannel,
+    ServerListener,
+    ServiceRequest,
+    WebSocketServer,
+)
+
+from motord.bus.commands.gate import COMMANDS, TRIGGERS, CommandGate, NotTaken, request_of, short
+from motord.bus.commands.link import CALL_WITHIN_S
+from motord.bus.inbox import Crossing, Inbox
+from motord.bus.messages import json_form
+from motord.bus.parameters import Tunable, value_of
+from motord.config import FoxgloveInput
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+ENCODING = "json"
+AUTHORIZE = "authorize"
+NO_LIMIT = "inf"
+"""As the robot file says it: JSON has no such number."""
+ANSWER_WITHIN_S = CALL_WITHIN_S + 2.0
+CHANGE_WITHIN_S = 2.0
+"""So long a change of parameters may hold up a thread that serves others, too."""
+LOOK_EVERY_S = 1.0
+COMPLAIN_AGAIN_S = 0.5
+REQUEST_BYTES_MAX = 4096
+WAITING_MAX = 32
+ADMITTED_MAX = 64
+CHANNELS_MAX = 256
+"""Of all clients together; those that were not used for the longest time are forgotten. The SDK
+does not say when a client is gone."""
+
+_TRIGGER = (
+    ("Request", {"token": {"type": "string"}}),
+    ("Response", {"success": {"type": "boolean"}, "message": {"type": "string"}}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """A message of a client's. `came_s`: CLOCK_MONOTONIC."""
+
+    client: int
+    topic: str
+    raw: bytes
+    came_s: float
+
+
+class Looks(ServerListener):
+    """What the robot looks like, for each who begins to read it."""
+
+    def __init__(self, looks: tuple[Channel, bytes]) -> None:
+        """Where it is told, and the message."""
+        self._channel, self._message = looks
+
+    def on_subscribe(
+        self,
+        client: Client,  # noqa: ARG002  # the SDK's signature
+        channel: ChannelView,
+    ) -> None:
+        """As ServerListener."""
+        if channel.id == self._channel.id():
+            self._channel.log(self._message, log_time=time.time_ns())
+
+
+class Commands(Looks):
+    """Obeys who has shown the token."""
+
+    def __init__(
+        self, name: str, section: FoxgloveInput, runtime: Runtime, looks: tuple[Channel, bytes]
+    ) -> None:
+        """Raises OSError and ValueError for a token that cannot be used."""
+        super().__init__(looks)
+        self._runtime = runtime
+        self._gate = CommandGate(name, section, runtime)
+        self._tunable = Tunable(runtime.robot, self._gate.ask)
+        self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
+        self._told = dict(self._parameters)
+        """To those who have subscribed."""
+        self._crossing = Crossing()
+        self._admitted: tuple[int, ...] = ()
+        """Connections; a number is never used again. Threads read it: it is only replaced."""
+        self._topics: dict[tuple[int, int], str] = {}
+        """By connection and its channel."""
+        self._advertising = threading.Lock()
+        self._friends: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
+        self._strangers: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
+        """Two, so that nobody pushes out the commands of who is let in."""
+        self._complained_s: dict[str, float] = {}
+        self.server: WebSocketServer | None = None
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        self._friends.open()
+        self._strangers.open()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._gate.source.run())
+            tasks.create_task(self._crossing.run())
+            tasks.create_task(self._watch())
+
+    def _admit(self, client: int, request: Mapping[str, Any]) -> None:
+        """Raises NotTaken."""
+        if client in self._admitted:
+            self._remember(client)
+        else:
+            self._gate.admit(request.get("token"))
+
+    def _remember(self, client: int) -> None:
+        others = (one for one in self._admitted if one != client)
+        self._admitted = (*others, client)[-ADMITTED_MAX:]
+
+    def _complain(self, about: str, error: NotTaken) -> None:
+        """To all who look: the protocol has no answer to a message or a parameter."""
+        now_s = time.monotonic()
+        if self.server is not None and now_s - self._complained_s.get(about, 0) > COMPLAIN_AGAIN_S:
+            self._complained_s[about] = now_s
+            self.server.publish_status(f"{about}: {error}", StatusLevel.Warning, about)
+
+    def _content(self, about: str) -> None:
+        """What was complained about is over."""
+        if self._complained_s.pop(about, None) is not None and self.server is not None:
+            self.server.remove_status([about])
+
+    # ------------------------------------------------------------------------------------- topics
+    def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
+        """As ServerListener."""
+        topic = channel.topic.removeprefix("/")
+        if topic not in COMMANDS or channel.encoding != ENCODING:
+            known = ", ".join(f"/{name}" for name in COMMANDS)
+            self._complain("publish", NotTaken(f"taken are {known}, in {ENCODING}"))
+            return
+        with self._advertising:
+            while len(self._topics) >= CHANNELS_MAX:
+                del self._topics[next(iter(self._topics))]
+            self._topics[client.id, channel.id] = topic
+
+    def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
+        """As ServerListener."""
+        with self._advertising:
+            self._topics.pop((client.id, client_channel_id), None)
+
+    def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
+        """As ServerListener."""
+        key = client.id, client_channel_id
+        with self._advertising:
+            topic = self._topics.pop(key, None)
+            if topic is None:
+                return
+            self._topics[key] = topic  # used last, forgotten last
+        inbox = self._friends if client.id in self._admitted else self._strangers
+        inbox.put(_Said(client.id, topic, data, time.monotonic()))
+
+    def _take(self, said: _Said) -> None:
+        try:
+            request = request_of(json_form.decode, said.raw, REQUEST_BYTES_MAX)
+            self._admit(said.client, request)
+            self._gate.take(said.topic, request, time.monotonic() - said.came_s)
+        except NotTaken as error:
+            self._complain(said.topic, error)
+        else:
+            self._content(said.topic)
+
+    # ----------------------------------------------------------------------------------- services
+    def services(self) -> list[Service]:
+        """Of type std_srvs/Trigger, with a token."""
+        schema = ServiceSchema(
+            "std_srvs/srv/Trigger",
+            **{part.lower(): _json_schema(part, fields) for part, fields in _TRIGGER},
+        )
+        return [
+            Service(f"/{method}", schema=schema, handler=partial(self._served, method))
+            for method in (AUTHORIZE, *TRIGGERS)
+        ]
+
+    def _served(self, method: str, request: ServiceRequest) -> bytes:
+        """In a thread of the SDK's."""
+        make = partial(self._answer, method, request.client_id, request.payload)
+        try:
+            answer = {"success": True, "message": self._crossing.ask(make, ANSWER_WITHIN_S)}
+        except NotTaken as error:
+            answer = {"success": False, "message": str(error)}
+        return json_form.encode(answer)
+
+    async def _answer(self, method: str, client: int, raw: bytes) -> str:
+        """Raises NotTaken."""
+        request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
+        if method == AUTHORIZE:
+            self._gate.admit(request.get("token"))
+            self._remember(client)
+            return "this connection may command until it ends"
+        self._admit(client, request)
+        return str((await self._gate.act(method))["state"])
+
+    # --------------------------------------------------------------------------------- parameters
+    def on_get_parameters(
+        self,
+        client: Client,  # noqa: ARG002  # the SDK's signature
+        param_names: list[str],
+        request_id: str | None = None,  # noqa: ARG002  # the SDK's
+    ) -> list[Parameter]:
+        """As ServerListener; no name: all."""
+        return self._listed(param_names)
+
+    def on_set_parameters(
+        self,
+        client: Client,
+        parameters: list[Parameter],
+        request_id: str | None = None,  # noqa: ARG002  # the SDK's
+    ) -> list[Parameter]:
+        """As ServerListener: all or none. The answer, which is also told to who has subscribed, is
+        what is in force afterwards."""
+        try:
+            self._crossing.ask(partial(self._change, client.id, parameters), CHANGE_WITHIN_S)
+        except NotTaken as error:
+            self._complain("parameters", error)
+        else:
+            self._content("parameters")
+        return self._listed([parameter.name for parameter in parameters])
+
+    async def _change(self, client: int, parameters: list[Parameter]) -> None:
+        """Raises NotTaken."""
+        self._admit(client, {})
+        wanted = {one.name: _wanted(one) for one in parameters}
+        await self._tunable.change(wanted)
+        await self._look()
+        self._told |= {name: self._parameters[name] for name in wanted if name in self._parameters}
+
+    def _listed(self, names: list[str]) -> list[Parameter]:
+        known = self._parameters
+        return [Parameter(name, value=known[name]) for name in names or known if name in known]
+
+    async def _watch(self) -> None:
+        """Whoever changed them, who has subscribed to them is told."""
+        while True:
+            if self._runtime.view is not None:
+                await self._look()
+            now, before = self._parameters, self._told
+            changed = [name for name in now if before.get(name) != now[name]]
+            if changed and self.server is not None:
+                self._told = dict(now)
+                self.server.publish_parameter_values(self._listed(changed))
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    async def _look(self) -> None:
+        known = await self._tunable.known()
+        self._parameters = {name: _shown(about) for name, about in known.items()}
+
+
+def _wanted(parameter: Parameter) -> float:
+    """Raises NotTaken."""
+    value = parameter.get_value()
+    if value == NO_LIMIT:
+        return float(NO_LIMIT)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise NotTaken(f'{parameter.name}: {short(value)} is no number (no limit: "{NO_LIMIT}")')
+    return float(value)
+
+
+def _shown(about: Mapping[str, Any]) -> float | str:
+    value = value_of(about)
+    return NO_LIMIT if value == float(NO_LIMIT) else value
+
+
+def _json_schema(part: str, fields: Mapping[str, Any]) -> MessageSchema:
+    data = json_form.encode({"type": "object", "properties": fields})
+    schema = Schema(name=f"std_srvs/srv/Trigger_{part}", encoding="jsonschema", data=data)
+    return MessageSchema(encoding=ENCODING, schema=schema)

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A joystick at this machine (evdev). Who lets go of the dead-man button brings the robot to rest
+and hands it back; so does a device that is unplugged.
+
+A wireless pad whose radio fails looks like one that is held still until its driver notices.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import evdev
+
+from motord.bus.commands.link import Source
+from motord.bus.commands.urgent import Urgent
+from motord.bus.guard import first, raise_if_cancelled
+from motord.bus.joystick.axes import Codes, Stick
+from motord.config import JoystickInput
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+LOOK_AGAIN_S = 1.0
+
+_log = logging.getLogger(__name__)
+
+
+class Joystick:
+    def __init__(self, name: str, section: JoystickInput, runtime: Runtime) -> None:
+        """Raises ValueError for names that the kernel does not have."""
+        self._name = name
+        self._section = section
+        self._source: Source = runtime.source(name)
+        self._codes = Codes(
+            dead_man=_code(section.dead_man),
+            linear=_code(section.linear_axis),
+            angular=_code(section.angular_axis),
+            estop=None if section.estop_button is None else _code(section.estop_button),
+        )
+        self._estop = Urgent(name, "estop", runtime.call)
+        self._gap = runtime.gap(section.lease_s)
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._source.run())
+            tasks.create_task(self._estop.run())
+            tasks.create_task(self._keep())
+
+    async def _keep(self) -> None:
+        """Look for the device, and again when it is gone."""
+        failing = False
+        while True:
+            try:
+                with closing(self._found()) as device:
+                    _log.info("input.%s: %s at %s", self._name, device.name, device.path)
+                    failing = False
+                    await self._listen(device)
+            except* (OSError, ValueError) as errors:
+                if not failing:
+                    failing = True
+                    _log.warning("input.%s: %s", self._name, first(errors))
+            raise_if_cancelled()
+            await asyncio.sleep(LOOK_AGAIN_S)
+
+    def _found(self) -> evdev.InputDevice[str]:
+        """Raises OSError."""
+        wanted = self._section.device
+        if wanted.startswith("/"):
+            return evdev.InputDevice(wanted)
+        for path in evdev.list_devices():
+            device = evdev.InputDevice(path)
+            if wanted in device.name:
+                return device
+            device.close()
+        raise FileNotFoundError(f'no input device that we may read is named "{wanted}"')
+
+    async def _listen(self, device: evdev.InputDevice[str]) -> None:
+        """Until the device is gone: OSError."""
+        infos = {axis: device.absinfo(axis) for axis in (self._codes.linear, self._codes.angular)}
+        ranges = {axis: (info.min, info.max) for axis, info in infos.items()}
+        stick = Stick(self._section, self._codes, ranges)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._command(stick))
+            self._look_for_estop(device)
+            async for event in device.async_read_loop():
+                if stick.take(event.type, event.code, event.value):
+                    self._estop.ask("by its button")
+                if stick.doubted:
+                    stick.doubted = False
+                    self._look_for_estop(device)
+
+    def _look_for_estop(self, device: evdev.InputDevice[str]) -> None:
+        """Where its event may have been missed. Raises OSError."""
+        if self._codes.estop in device.active_keys():
+            self._estop.ask("by its button, which is held")
+
+    async def _command(self, stick: Stick) -> None:
+        """As long as it is held; one zero when it is let go, and the command is handed back."""
+        commanding = False
+        try:
+            while True:
+                if self._gap.just_over():
+                    stick.let_go()  # it may have been let go meanwhile
+                if stick.held:
+                    self._source.drive(*stick.twist())
+                    commanding = True
+                elif commanding:
+                    self._rest()
+                    commanding = False
+                await asyncio.sleep(1.0 / self._section.rate_hz)
+        finally:
+            if commanding:
+                self._rest()
+
+    def _rest(self) -> None:
+        self._source.drive(0.0, 0.0)
+        self._source.release()
+
+
+def _code(name: str) -> int:
+    code = evdev.ecodes.ecodes.get(name)
+    if not isinstance(code, int):
+        raise ValueError(f"the kernel has no {name}")
+    return code

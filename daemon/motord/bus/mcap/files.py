@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of recordings: files of our own names, as many as fit, and room left on the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import BufferedWriter
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+
+from motord.api.snapshot import SNAPSHOT_VERSION
+from motord.bus.mcap.rosbag2 import METADATA, RECORD, channel_metadata
+from motord.bus.ros2.types.table import definition
+
+MB = 1_000_000
+ALL = "all"
+"""In the name of a file of mode all, where others have what they were saved for."""
+CHUNK_BYTES = 256 * 1024
+"""So much is lost at most when the process is killed; `mcap recover` mends the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One message in ROS 2's encoding. `log_ns` is wall time."""
+
+    topic: str
+    type_name: str
+    log_ns: int
+    data: bytes
+
+
+class Recording:
+    """One file being written."""
+
+    def __init__(self, path: Path, robot: str) -> None:
+        """Raises OSError."""
+        self.path = path
+        self._file: BufferedWriter = path.open("xb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="motord")
+        self._writer.add_metadata(RECORD, METADATA)
+        self._writer.add_metadata(
+            "motord", {"robot": robot, "snapshot_version": str(SNAPSHOT_VERSION)}
+        )
+        self._channels: dict[str, int] = {}
+        self._sequence = 0
+
+    def add(self, entries: Iterable[Entry]) -> None:
+        """Raises OSError."""
+        for entry in entries:
+            self._sequence += 1
+            self._writer.add_message(
+                channel_id=self._channel(entry.topic, entry.type_name),
+                log_time=entry.log_ns,
+                publish_time=entry.log_ns,
+                sequence=self._sequence,
+                data=entry.data,
+            )
+        self._file.flush()
+
+    def _channel(self, topic: str, name: str) -> int:
+        if topic not in self._channels:
+            number = self._writer.register_schema(name, "ros2msg", definition(name).encode())
+            self._channels[topic] = self._writer.register_channel(
+                f"/{topic}", "cdr", number, channel_metadata(topic, name)
+            )
+        return self._channels[topic]
+
+    def close(self) -> None:
+        """With the index that readers like. Raises OSError; the file is closed then, too."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
+        finally:
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Without an index: there is no room for it."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+class Folder:
+    """All recordings of one robot and one mode."""
+
+    def __init__(
+        self, path: Path, robot: str, *, everything: bool, total_max_mb: int, free_min_mb: int
+    ) -> None:
+        """`everything`: mode all; else what was saved for a fault."""
+        self._path = path
+        self._robot = robot
+        what = ALL if everything else f"(?!{ALL}\\.)[^.]+"
+        self._name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}-\d{{9}}-{what}\.mcap")
+        self._total_max_bytes = total_max_mb * MB
+        self._free_min_bytes = free_min_mb * MB
+
+    def open(self, what: str) -> Recording:
+        """A new file, ROBOT-TIME-WHAT.mcap. Raises OSError, ENOSPC also before the disk is full."""
+        self._path.mkdir(parents=True, exist_ok=True)
+        self.make_room()
+        stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
+        name = f"{self._robot}-{stamp}-{time.time_ns() % 1_000_000_000:09d}-{what}.mcap"
+        return Recording(self._path / name, self._robot)
+
+    def make_room(self, keep: Path | None = None) -> None:
+        """Delete our oldest until all of ours fit. Raises OSError where there is too little room
+        anyway."""
+        files = sorted(file for file in self._path.iterdir() if self._name.fullmatch(file.name))
+        sizes = {file: file.stat().st_size for file in files}
+        for file in files:
+            if sum(sizes.values()) <= self._total_max_bytes and self._has_room():
+                return
+            if file != keep:
+                file.unlink(missing_ok=True)
+                del sizes[file]
+        if not self._has_room():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))
+
+    def _has_room(self) -> bool:
+        disk = os.statvfs(self._path)
+        return disk.f_bavail * disk.f_frsize >= self._free_min_bytes

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records to MCAP files (mcap.dev), as rosbag2 writes them: all that comes, or what was before and
+after a fault.
+
+A thread does the writing: a disk that stalls costs samples, counted, and nothing else. A disk that
+is full is said once, and tried again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from motord.bus.feed import Sample
+from motord.bus.mcap.files import ALL, Entry, Folder, Recording
+from motord.bus.mcap.waiting import Waiting
+from motord.bus.messages.from_snapshot import wall_time
+from motord.bus.messages.journal import TOPIC, TYPE_NAME, Journal, NoJournal
+from motord.bus.messages.topics import TOPICS
+from motord.bus.ros2.static_frames import STATIC, static_transforms
+from motord.bus.ros2.types.cdr import encode
+from motord.bus.ros2.types.direct import encoder, stamp_ns
+from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
+from motord.config import McapPublish
+from motord.config.rules.recording import memory_bytes
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+WRITE_EVERY_S = 0.5
+AGAIN_S = 5.0
+JOURNAL_EVERY_S = 0.05
+JOURNAL_AGAIN_S = 0.5
+LOST = "lost"
+"""In the name of a file that was saved because the daemon, or this process, ended while armed."""
+
+_log = logging.getLogger(__name__)
+
+
+class McapRecorder:
+    def __init__(self, name: str, section: McapPublish, runtime: Runtime) -> None:
+        self._name = name
+        self._section = section
+        self._runtime = runtime
+        self._feed = runtime.feed(name, section.rates_hz(), encoder)
+        self._folder = Folder(
+            runtime.beside_robot_file(section.folder),
+            runtime.body.robot,
+            everything=section.mode == "all",
+            total_max_mb=section.total_max_mb,
+            free_min_mb=section.free_min_mb,
+        )
+        self._latched = [(DESCRIPTION, STRING, description(runtime.robot))]
+        if "tf" in section.topics:
+            kind = TOPICS["tf"].type_name
+            frames = static_transforms(urdf(runtime.robot), wall_time(time.time_ns(), 0))
+            self._latched.append((STATIC, kind, bytes(encode(kind, frames))))
+        self._waiting = Waiting(memory_bytes(runtime.robot))
+        self._armed = False
+        self._why: str | None = None
+        """A fault whose file is not written yet."""
+        self._recording: Recording | None = None
+        self._since_s = 0.0
+        self._failing = False
+        self._writing = threading.Lock()
+        """Held by who writes: a thread may outlive the task that waited for it."""
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._collect())
+                if self._section.journal:
+                    tasks.create_task(self._collect_journal())
+                tasks.create_task(self._all() if self._section.mode == "all" else self._faults())
+        finally:
+            self._finish()
+
+    async def _collect(self) -> None:
+        async for sample in self._feed:
+            self._keep(_entry(sample))
+
+    def _keep(self, entry: Entry) -> None:
+        self._feed.dropped += self._waiting.keep(entry)
+
+    async def _collect_journal(self) -> None:
+        """What a replay needs, as long as there is a daemon that writes it."""
+        robot = self._runtime.body.robot
+        while True:
+            with contextlib.suppress(NoJournal), Journal.open(robot) as journal:
+                try:
+                    while not journal.gone:
+                        self._keep_journal(journal)
+                        await asyncio.sleep(JOURNAL_EVERY_S)
+                finally:
+                    self._keep_journal(journal)
+            await asyncio.sleep(JOURNAL_AGAIN_S)
+
+    def _keep_journal(self, journal: Journal) -> None:
+        message = journal.message()
+        if message is not None:
+            self._keep(Entry(TOPIC, TYPE_NAME, time.time_ns(), message))
+        self._feed.dropped += journal.take_lost()
+
+    # --------------------------------------------------------------------------------------- all
+    async def _all(self) -> None:
+        while True:
+            await asyncio.sleep(AGAIN_S if self._failing else WRITE_EVERY_S)
+            batch = self._waiting.take()
+            try:
+                await asyncio.to_thread(self._write, batch)
+            except OSError as error:
+                self._fail(error, len(batch))
+            else:
+                self._said_well()
+
+    def _write(self, batch: list[Entry]) -> None:
+        """In the thread. Raises OSError."""
+        with self._writing:
+            age_s = time.monotonic() - self._since_s
+            if self._recording is not None and age_s > self._section.file_s:
+                recording, self._recording = self._recording, None
+                recording.close()
+            if self._recording is None:
+                self._recording = self._folder.open(ALL)
+                self._recording.add(self._described(batch))
+                self._since_s = time.monotonic()
+            else:
+                self._folder.make_room(keep=self._recording.path)
+            self._recording.add(batch)
+
+    # ------------------------------------------------------------------------------------ faults
+    async def _faults(self) -> None:
+        """A file each time that a fault is latched, and when the daemon is lost while armed."""
+        latched = False
+        while True:
+            await asyncio.sleep(WRITE_EVERY_S)
+            self._forget()
+            view, armed = self._runtime.view, self._armed
+            self._armed = view is not None and view.snapshot.armed
+            if view is None:
+                if armed:
+                    await self._save(LOST)
+                continue
+            if view.snapshot.faults and not latched:
+                self._why = "-".join(view.snapshot.faults)
+                await asyncio.sleep(self._section.after_s)
+                self._forget()
+                await self._save(self._why)
+            latched = bool(view.snapshot.faults)
+
+    def _forget(self) -> None:
+        """What is older than a fault's file would hold."""
+        kept_s = self._section.before_s + self._section.after_s + WRITE_EVERY_S
+        self._waiting.forget(time.time_ns() - round(kept_s * 1e9))
+
+    async def _save(self, what: str) -> None:
+        batch, self._why = self._waiting.take(), None
+        try:
+            path = await asyncio.to_thread(self._write_whole, batch, what)
+        except OSError as error:
+            self._fail(error, len(batch))
+        else:
+            self._said_well()
+            _log.info("publish.%s: what led to the fault is in %s", self._name, path)
+
+    def _write_whole(self, batch: list[Entry], what: str) -> str:
+        """In the thread. Raises OSError."""
+        with self._writing:
+            return self._written(batch, what)
+
+    def _written(self, batch: list[Entry], what: str) -> str:
+        """The file of it. Raises OSError."""
+        self._recording = self._folder.open(what)
+        self._recording.add([*self._described(batch), *batch])
+        recording, self._recording = self._recording, None
+        recording.close()
+        return str(recording.path)
+
+    # -------------------------------------------------------------------------------------- both
+    def _described(self, batch: list[Entry]) -> list[Entry]:
+        """Each file begins with what the robot looks like."""
+        log_ns = batch[0].log_ns if batch else time.time_ns()
+        return [Entry(topic, kind, log_ns, message) for topic, kind, message in self._latched]
+
+    def _finish(self) -> None:
+        """At the end: what waits, and the index."""
+        with self._writing:
+            try:
+                if self._section.mode == "fault":
+                    self._finish_fault()
+                elif self._recording is not None:
+                    recording, self._recording = self._recording, None
+                    recording.add(self._waiting.take())
+                    recording.close()
+            except OSError as error:
+                _log.warning("publish.%s: %s", self._name, error)
+
+    def _finish_fault(self) -> None:
+        """A fault whose time after it is not over, or an end while the robot is armed. Raises
+        OSError."""
+        view = self._runtime.view
+        armed = self._armed or (view is not None and view.snapshot.armed)
+        why = self._why or (LOST if armed else None)
+        if why is not None and len(self._waiting):
+            self._forget()
+            path = self._written(self._waiting.take(), why)
+            _log.info("publish.%s: what led to the end is in %s", self._name, path)
+
+    def _fail(self, error: OSError, lost: int) -> None:
+        self._feed.dropped += lost
+        if self._recording is not None:
+            self._recording.abandon()
+            self._recording = None
+        if not self._failing:
+            self._failing = True
+            _log.warning("publish.%s: nothing is recorded: %s", self._name, error)
+
+    def _said_well(self) -> None:
+        if self._failing:
+            self._failing = False
+            _log.info("publish.%s: records again", self._name)
+
+
+def _entry(sample: Sample) -> Entry:
+    topic, raw = sample.topic, sample.message
+    return Entry(topic.name, topic.type_name, stamp_ns(topic.name, raw), raw)

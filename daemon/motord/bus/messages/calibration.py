@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the wheels' radius or the track should be, by a way that somebody has measured.
+
+Nothing here moves the robot: it is watched while somebody drives or pushes it from one mark to
+another. The true way is known beforehand; the odometry says its own.
+
+A side rolls radius x angle, so true / measured is the radius' factor. The heading is the
+difference of the sides over the track, so measured / true is the track's (Borenstein & Feng,
+UMBmark, 1996: E_d and E_b).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from motord.api.motion import End, Travel, problem
+from motord.api.snapshot import Snapshot
+
+Quantity = Literal["wheel_radius", "track"]
+REST_S = 2.0
+"""At rest for so long behind half of the way: it has arrived."""
+DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
+ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
+TURN_MAX_RAD = 0.1
+"""A way that turns by more is no straight line."""
+FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
+"""What is further off was no error of measure, but another way than the one that was said."""
+TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measure:
+    """What is to be found, and the true way: m for wheel_radius, rad for track."""
+
+    quantity: Quantity
+    true_u: float
+    timeout_s: float
+
+
+def measure(
+    quantity: str, true_distance_m: float, true_angle_rad: float, timeout_s: float
+) -> Measure:
+    """Raises ValueError, in words."""
+    if not 0.0 <= timeout_s <= TIMEOUT_MAX_S:
+        raise ValueError(f"a time-out of {timeout_s:g} s is none (at most {TIMEOUT_MAX_S:g})")
+    timeout_s = timeout_s or TIMEOUT_S
+    if quantity == "wheel_radius":
+        if not DISTANCE_MIN_M <= true_distance_m <= DISTANCE_MAX_M:
+            raise ValueError(f"true_distance_m is {DISTANCE_MIN_M} to {DISTANCE_MAX_M} m")
+        return Measure(quantity="wheel_radius", true_u=true_distance_m, timeout_s=timeout_s)
+    if quantity == "track":
+        if not ANGLE_MIN_RAD <= true_angle_rad <= ANGLE_MAX_RAD:
+            raise ValueError(f"true_angle_rad is {ANGLE_MIN_RAD:.2f} to {ANGLE_MAX_RAD:.0f} rad")
+        return Measure(quantity="track", true_u=true_angle_rad, timeout_s=timeout_s)
+    raise ValueError('quantity is "wheel_radius" or "track"')
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How it ended; `factor` is what the quantity is to be multiplied by, 0 where it failed."""
+
+    end: End
+    factor: float = 0.0
+    why: str = ""
+
+
+class Calibration:
+    """One under way. `step` again and again, with the newest snapshot."""
+
+    def __init__(self, asked: Measure, start: Snapshot, now_ns: int, stale_s: float) -> None:
+        self.travel = Travel(start)
+        self._asked = asked
+        self._stale_s = stale_s
+        self._start_ns = now_ns
+        self._moved_ns = now_ns
+
+    def step(self, snapshot: Snapshot, now_ns: int) -> Found | None:
+        """None: it goes on."""
+        why = problem(snapshot, now_ns, self._stale_s) or self.travel.add(snapshot)
+        if why is not None:
+            return Found(End.ABORTED, why=why)
+        if not snapshot.at_rest:
+            self._moved_ns = now_ns
+        halfway = self._done_u() >= self._asked.true_u / 2.0
+        if halfway and (now_ns - self._moved_ns) * _NS >= REST_S:
+            return self._found()
+        if (now_ns - self._start_ns) * _NS > self._asked.timeout_s:
+            why = f"no way of {self._asked.true_u:g} within {self._asked.timeout_s:g} s"
+            return Found(End.ABORTED, why=why)
+        return None
+
+    def _done_u(self) -> float:
+        straight = self._asked.quantity == "wheel_radius"
+        return abs(self.travel.distance_m if straight else self.travel.angle_rad)
+
+    def _found(self) -> Found:
+        if self._asked.quantity == "wheel_radius":
+            if abs(self.travel.angle_rad) > TURN_MAX_RAD:
+                why = f"it turned by {self.travel.angle_rad:.2f} rad: the way is to be straight"
+                return Found(End.ABORTED, why=why)
+            factor = self._asked.true_u / self._done_u()
+        else:
+            factor = self._done_u() / self._asked.true_u
+        if not FACTOR_MIN <= factor <= FACTOR_MAX:
+            why = f"a factor of {factor:.3g} is no error of measure: was it the way that was said?"
+            return Found(End.ABORTED, why=why)
+        return Found(End.SUCCEEDED, factor)

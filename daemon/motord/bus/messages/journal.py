@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the journal of a running daemon, with the standard library alone, and makes messages of it
+that a recording keeps: docs/replay.md."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from pathlib import Path
+from typing import Self
+
+import zstandard
+
+from motord.api.page_file import JOURNAL, find_page
+from motord.bus.ros2.types.cdr import HEADER
+
+TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
+_MAGIC = b"MOTORDJ\1"
+_LAYOUT_VERSION = 4
+_HEADER = struct.Struct("=8s10I2Q")
+"""magic; layout version; records: count, stride, offset, bytes; checkpoints: the same four; the
+writer's process; records and checkpoints so far."""
+_SEQUENCE = struct.Struct("=Q")
+_MARGIN = 256
+"""Records that the writer may add while the oldest ones are read."""
+_CHECKPOINT_EVERY = 1024
+"""Records; a state is taken before the first of each such run."""
+_RECORDS_MAX = 2048
+"""In one message; what is more comes in the next."""
+_FIXED = struct.Struct("<4I")
+
+
+class NoJournal(Exception):
+    """There is no journal to be read; the text says why."""
+
+
+class Journal:
+    """The journal of one robot, read from the oldest record on to which a state leads."""
+
+    def __init__(self, path: Path, memory: mmap.mmap) -> None:
+        self._path = path
+        self._memory = memory
+        self._inode = path.stat().st_ino
+        fields = _HEADER.unpack_from(memory)
+        self._layout_version = fields[1]
+        self._count, self._stride, self._offset, self.record_bytes = fields[2:6]
+        self._checkpoint_count, self._checkpoint_stride = fields[6:8]
+        self._checkpoint_offset, self.checkpoint_bytes = fields[8:10]
+        self._pid = fields[10]
+        self._records = 0
+        self._checkpoints = 0
+        self._lost = 0
+        self._compressor = zstandard.ZstdCompressor(level=1)
+
+    @classmethod
+    def open(cls, robot: str) -> Self:
+        """Attach to the journal of that robot. Raises NoJournal."""
+        path = find_page(robot, JOURNAL)
+        try:
+            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except OSError as error:
+            raise NoJournal(f"{path}: {error.strerror}") from None
+        try:
+            size = os.fstat(fd).st_size
+            if size < _HEADER.size:
+                raise NoJournal(f"{path} is being made")
+            memory = mmap.mmap(fd, size, mmap.MAP_SHARED, mmap.PROT_READ)
+        finally:
+            os.close(fd)
+        magic, version, *_ = _HEADER.unpack_from(memory)
+        if magic != _MAGIC or version != _LAYOUT_VERSION:
+            memory.close()
+            raise NoJournal(f"{path} is no journal of layout {_LAYOUT_VERSION}, or is being made")
+        return cls(path, memory)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._memory.close()
+
+    @property
+    def gone(self) -> bool:
+        """The file was removed, or there is another daemon's in its place."""
+        try:
+            same = self._path.stat().st_ino == self._inode
+        except FileNotFoundError:
+            return True
+        return not same or _HEADER.unpack_from(self._memory)[10] != self._pid
+
+    def take_lost(self) -> int:
+        """Records that were overwritten before they were read, since the last call."""
+        lost, self._lost = self._lost, 0
+        return lost
+
+    def message(self) -> bytes | None:
+        """What is new, as a CoreJournal in CDR; None: nothing is."""
+        checkpoints, records = self._new_checkpoints(), self._new_records()
+        if not checkpoints and not records:
+            return None
+        packed = [self._compressor.compress(part) for part in (checkpoints, records)]
+        out = bytearray(HEADER)
+        out += _FIXED.pack(
+            self._layout_version, self.record_bytes, self.checkpoint_bytes, len(packed[0])
+        )
+        out += packed[0] + bytes(-len(packed[0]) % 4)
+        out += struct.pack("<I", len(packed[1])) + packed[1]
+        out += bytes(-len(out) % 4)
+        return bytes(out)
+
+    def _new_checkpoints(self) -> bytes:
+        so_far = _HEADER.unpack_from(self._memory)[12]
+        first = max(self._checkpoints, so_far - self._checkpoint_count)
+        self._checkpoints = so_far
+        return b"".join(
+            found
+            for number in range(first + 1, so_far + 1)
+            if (found := self._checkpoint(number)) is not None
+        )
+
+    def _checkpoint(self, number: int) -> bytes | None:
+        at = (number - 1) % self._checkpoint_count * self._checkpoint_stride
+        return self._slot(self._checkpoint_offset + at, number, self.checkpoint_bytes)
+
+    def _new_records(self) -> bytes:
+        so_far = _HEADER.unpack_from(self._memory)[11]
+        first = self._records
+        oldest = so_far - self._count + _MARGIN
+        if oldest > first:
+            # No state that is still there leads to what lies before the next one.
+            oldest += -oldest % _CHECKPOINT_EVERY
+            self._lost += oldest - first if first > 0 else 0
+            first = oldest
+        self._records = last = min(so_far, first + _RECORDS_MAX)
+        found = []
+        for number in range(first + 1, last + 1):
+            at = (number - 1) % self._count * self._stride
+            record = self._slot(self._offset + at, number, self.record_bytes)
+            if record is None:
+                self._lost += 1
+            else:
+                found.append(record)
+        return b"".join(found)
+
+    def _slot(self, at: int, number: int, size: int) -> bytes | None:
+        """What lies there, whole; None: it has been overwritten."""
+        start = at + _SEQUENCE.size
+        before = _SEQUENCE.unpack_from(self._memory, at)[0]
+        found = self._memory[start : start + size]
+        after = _SEQUENCE.unpack_from(self._memory, at)[0]
+        return found if before == after == 2 * number else None

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MQTT: topics on a broker, and commands from it."""

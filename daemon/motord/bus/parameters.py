@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters as every bus shows them: the limits, which may be changed while the robot runs, and
+measures of the robot file, which may not. What may be is the daemon's decision, and so are the
+reasons."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.gate import NotTaken
+from motord.client import ClientError
+
+if TYPE_CHECKING:
+    from motord.config import Robot
+
+_LIMITS = "limits."
+_FIXED = ("track_m", "wheel_radius_m")
+Call = Callable[..., Awaitable[Any]]
+
+_log = logging.getLogger(__name__)
+
+
+class Tunable:
+    def __init__(self, robot: Robot, call: Call) -> None:
+        """`call` asks the daemon; it raises ClientError, and NotTaken for a change that is none of
+        now."""
+        self._call = call
+        self._voice = RateLimitedLog(_log)
+        self.fixed: dict[str, dict[str, Any]] = {
+            f"base.{key}": {
+                "value": getattr(robot.base, key),
+                "unit": "m",
+                "description": "of the robot file",
+            }
+            for key in _FIXED
+        }
+
+    async def known(self) -> dict[str, dict[str, Any]]:
+        """By name, as params.list has them; without the daemon's, when it does not answer."""
+        try:
+            listed: Mapping[str, dict[str, Any]] = await self._call("params.list")
+        except ClientError as error:
+            self._voice.say(f"parameters: {error}")
+            listed = {}
+        limits = {name: about for name, about in listed.items() if name.startswith(_LIMITS)}
+        return limits | self.fixed
+
+    def problem(self, name: str) -> str | None:
+        """Why it cannot be changed, as far as the daemon need not be asked for it."""
+        if name in self.fixed:
+            return f"{name} is the robot file's and cannot be changed while the daemon runs"
+        if not name.startswith(_LIMITS):
+            return f"no parameter {name!r}: they begin with {_LIMITS}"
+        return None
+
+    async def change(self, wanted: Mapping[str, float]) -> None:
+        """All or none; infinity is no limit. Raises NotTaken."""
+        for name, value in wanted.items():
+            if (reason := self.problem(name)) is not None:
+                raise NotTaken(reason)
+            if math.isnan(value) or value == -math.inf:
+                raise NotTaken(f"{name}: {value} is not a number to go by")
+        asked = {name: value if math.isfinite(value) else None for name, value in wanted.items()}
+        try:
+            await self._call("params.set", **asked)
+        except ClientError as error:
+            raise NotTaken(str(error)) from error
+
+
+def value_of(about: Mapping[str, Any]) -> float:
+    """JSON has no infinity: null is one."""
+    return math.inf if about["value"] is None else float(about["value"])

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A view as Prometheus figures: base units, names of its conventions, one family after the other
+(prometheus.io/docs/practices/naming). What is not measured is NaN, which the format has."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from motord.api.snapshot import STATES
+from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.topics import View
+
+Labels = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A figure and its values by labels."""
+
+    name: str
+    kind: str
+    """"gauge" or "counter"."""
+    text: str
+    values: tuple[tuple[Labels, float], ...]
+
+
+def exposition(body: Body, view: View | None) -> str:
+    """The text of an answer. Without a view: that there is none."""
+    families = [Family("motord_up", "gauge", "1: the robot's loop runs.", (({}, _up(view)),))]
+    if view is not None:
+        families += [*_base(view), *_joints(body, view)]
+        if view.status is not None:
+            families += [*_loop(view.status), *_lines(view.status), *_commands(view.status)]
+            families += _battery(view.battery())
+    return "".join(_lines_of(family, body.robot) for family in families)
+
+
+STALE_S = 1.0
+"""A snapshot as old as this is none: the loop does not run."""
+
+
+def _up(view: View | None) -> float:
+    if view is None:
+        return 0.0
+    return float(time.monotonic_ns() - view.snapshot.stamp_ns < STALE_S * 1e9)
+
+
+def _base(view: View) -> Iterator[Family]:
+    now = view.snapshot
+    states = tuple(
+        ({"state": word}, float(number == now.machine_state)) for number, word in enumerate(STATES)
+    )
+    yield Family("motord_state", "gauge", "1 for the state machine's state.", states)
+    gauges = {
+        "armed": ("Whether the core is armed.", float(now.armed)),
+        "faults": ("Faults that are latched.", float(len(now.faults))),
+        "command_age_seconds": ("Age of the newest command.", now.command_age_s),
+        "speed_metres_per_second": ("Measured speed.", now.linear_m_s),
+        "turn_rate_radians_per_second": ("Measured turn rate.", now.angular_rad_s),
+        "setpoint_metres_per_second": ("Speed that is asked for.", now.setpoint_linear_m_s),
+        "setpoint_radians_per_second": (
+            "Turn rate that is asked for.",
+            now.setpoint_angular_rad_s,
+        ),
+        "odometry_degraded": (
+            "Whether a wheel is missing in the odometry.",
+            float(now.odometry_degraded),
+        ),
+    }
+    for name, (text, value) in gauges.items():
+        yield Family(f"motord_{name}", "gauge", text, (({}, value),))
+    yield Family("motord_ticks_total", "counter", "Ticks of the loop.", (({}, now.tick),))
+    yield Family(
+        "motord_distance_metres_total", "counter", "Way that was driven.", (({}, now.distance_m),)
+    )
+
+
+def _joints(body: Body, view: View) -> Iterator[Family]:
+    figures = {
+        "velocity_radians_per_second": ("Measured speed of the wheel.", "velocity_rad_s"),
+        "current_amperes": ("Measured motor current.", "current_a"),
+        "voltage_volts": ("Measured supply voltage.", "voltage_v"),
+        "temperature_celsius": ("Measured temperature.", "temperature_c"),
+        "feedback_age_seconds": ("Age of the newest feedback.", "feedback_age_s"),
+        "drive_faults": ("The drive's fault word.", "drive_faults"),
+    }
+    joints = tuple(zip(body.joints, view.snapshot.joints, strict=True))
+    for name, (text, key) in figures.items():
+        values = tuple(({"joint": joint}, float(getattr(now, key))) for joint, now in joints)
+        yield Family(f"motord_joint_{name}", "gauge", text, values)
+
+
+def _loop(status: Mapping[str, Any]) -> Iterator[Family]:
+    loop = status["loop"]
+    yield Family(
+        "motord_loop_overruns_total", "counter", "Missed periods.", (({}, loop["overruns"]),)
+    )
+    late = tuple(
+        ({"quantile": quantile}, loop["lateness_us"][key] / 1e6)
+        for key, quantile in (("p50", "0.5"), ("p99", "0.99"), ("p99_9", "0.999"), ("max", "1"))
+    )
+    yield Family(
+        "motord_loop_lateness_seconds", "gauge", "Lateness of the loop since its start.", late
+    )
+
+
+def _lines(status: Mapping[str, Any]) -> Iterator[Family]:
+    lines = status["lines"].items()
+    yield Family(
+        "motord_line_exchanges_total",
+        "counter",
+        "Exchanges with drives.",
+        tuple(({"line": name}, line["exchanges"]) for name, line in lines),
+    )
+    errors = tuple(
+        ({"line": name, "kind": kind}, count)
+        for name, line in lines
+        for kind, count in line["errors"].items()
+    )
+    yield Family("motord_line_errors_total", "counter", "Exchanges that failed.", errors)
+    yield Family(
+        "motord_line_cycle_hertz",
+        "gauge",
+        "Exchanges a second with each drive.",
+        tuple(({"line": name}, _number(line["cycle_hz"])) for name, line in lines),
+    )
+
+
+def _battery(battery: Mapping[str, Any] | None) -> Iterator[Family]:
+    if battery is None:
+        return
+    for name, text, key in (
+        ("voltage_volts", "Measured voltage of the battery.", "voltage_v"),
+        ("current_amperes", "Current of the battery; negative: discharging.", "current_a"),
+    ):
+        yield Family(f"motord_battery_{name}", "gauge", text, (({}, _number(battery[key])),))
+    states = tuple(
+        ({"state": word}, float(word == battery["state"]))
+        for word in ("unknown", "normal", "warning", "critical")
+    )
+    yield Family("motord_battery_state", "gauge", "1 for the battery's state.", states)
+
+
+def _commands(status: Mapping[str, Any]) -> Iterator[Family]:
+    commands = status["commands"]
+    yield Family(
+        "motord_commands_total", "counter", "Commands taken.", (({}, commands["accepted"]),)
+    )
+    refused = tuple(({"reason": why}, count) for why, count in commands["refused"].items())
+    yield Family("motord_commands_refused_total", "counter", "Commands not obeyed.", refused)
+    samples = tuple(
+        ({"publisher": name}, feed["dropped"])
+        for name, feed in {
+            **status["publishers"],
+            **((status["bus"] or {}).get("publishers", {})),
+        }.items()
+    )
+    yield Family(
+        "motord_samples_dropped_total", "counter", "Samples lost to slow readers.", samples
+    )
+    restarts = (status["bus"] or {}).get("restarts", 0)
+    yield Family(
+        "motord_bus_restarts_total", "counter", "Restarts of the bus process.", (({}, restarts),)
+    )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _lines_of(family: Family, robot: str) -> str:
+    rows = (
+        f"{family.name}{_labels({'robot': robot, **labels})} {_value(value)}\n"
+        for labels, value in family.values
+    )
+    return f"# HELP {family.name} {family.text}\n# TYPE {family.name} {family.kind}\n" + "".join(
+        rows
+    )
+
+
+def _labels(labels: Labels) -> str:
+    return "{" + ",".join(_pairs(labels.items())) + "}"
+
+
+def _pairs(items: Iterable[tuple[str, str]]) -> Iterator[str]:
+    for key, value in items:
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        yield f'{key}="{escaped}"'
+
+
+def _value(value: float) -> str:
+    if math.isnan(value):
+        return "NaN"
+    if math.isinf(value):
+        return "+Inf" if value > 0 else "-Inf"
+    return repr(value)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our types as the Cyclone DDS binding wants them, made when first asked for. It needs them to
+announce a topic; messages themselves are encoded by `cdr`."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from cyclonedds.idl import IdlStruct, make_idl_struct, types
+
+from motord.bus.ros2.names import dds_type
+from motord.bus.ros2.types.table import TYPES, Field
+
+idl: Any = types
+"""Its generic types are no classes for a type checker."""
+_PRIMITIVES: dict[str, Any] = {
+    "int8": idl.int8,
+    "uint8": idl.uint8,
+    "char": idl.uint8,
+    "byte": idl.byte,
+    "int16": idl.int16,
+    "uint16": idl.uint16,
+    "int32": idl.int32,
+    "uint32": idl.uint32,
+    "int64": idl.int64,
+    "uint64": idl.uint64,
+    "float32": idl.float32,
+    "float64": idl.float64,
+    "bool": bool,
+    "string": str,
+}
+
+
+@cache
+def cyclone_type(name: str, *, service: bool = False) -> type[IdlStruct]:
+    """The class for a type of `types.TYPES`. A request or reply of a service has, before its own
+    fields, who asks and the question's number: rmw_cyclonedds."""
+    header = {"guid": idl.uint64, "seq": idl.int64} if service else {}
+    fields = header | {field.name: _annotation(field) for field in TYPES[name]}
+    return make_idl_struct(name.replace("/", "_"), dds_type(name), fields)
+
+
+def _annotation(field: Field) -> Any:
+    single = _PRIMITIVES[field.kind] if field.primitive else cyclone_type(field.kind)
+    if field.chars_max:
+        single = idl.bounded_str[field.chars_max]
+    if field.count is None:
+        return single
+    if field.bounded:
+        return idl.sequence[single, field.count]
+    return idl.array[single, field.count] if field.count else idl.sequence[single]

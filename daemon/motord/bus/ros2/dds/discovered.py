@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of endpoints of others that have come to the domain: those of another type than
+ours, and clients of services that get no answer."""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import DDSException
+from cyclonedds.domain import DomainParticipant
+
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.ros2.dds.other_types import Side, other_type_said
+from motord.bus.ros2.dds.unanswered import Unanswered, answered
+
+_LOOK_AT_MOST = 64
+
+_log = logging.getLogger(__name__)
+
+
+def client_of(qos: Any) -> bytes | None:
+    """`clientid` in an endpoint's user data: rmw_cyclonedds gives it to every client of a
+    service."""
+    for policy in qos:
+        if getattr(policy, "__scope__", "") == "Userdata":
+            for pair in policy.data.split(b";"):
+                key, _, value = pair.partition(b"=")
+                if key == b"clientid":
+                    return bytes(value)
+    return None
+
+
+class Discovered:
+    """Endpoints of the domain that have come since the last look."""
+
+    def __init__(
+        self,
+        participant: DomainParticipant,
+        services: Mapping[str, str],
+        node_of: Callable[[bytes], str | None],
+    ) -> None:
+        """`services`: names by their topics of requests. `node_of`: whose an endpoint is."""
+        self._services = services
+        self._unanswered = Unanswered(node_of)
+        self._voices: defaultdict[str, RateLimitedLog] = defaultdict(lambda: RateLimitedLog(_log))
+        """By topic of ours, so that there are not more of them than of these."""
+        self._readers: dict[Side, Any] = {
+            "writer": BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
+            "reader": BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
+        }
+
+    def look(self, read: Mapping[str, str], written: Mapping[str, str]) -> None:
+        """Types that we have, by topic."""
+        self._look("writer", read)
+        self._look("reader", written)
+        self._unanswered.say()
+
+    def _look(self, side: Side, ours: Mapping[str, str]) -> None:
+        try:
+            found = self._readers[side].take(N=_LOOK_AT_MOST)
+        except DDSException as error:
+            self._voices[side].say(f"DDS does not tell of {side}s: {error.msg}")
+            return
+        for one in found:
+            topic = one.topic_name
+            if topic in ours and (said := other_type_said(topic, side, ours[topic], one.type_name)):
+                self._voices[topic].say(said)
+            elif side == "writer" and topic in self._services:
+                gid = one.key.bytes
+                if client_of(one.qos) is None and not answered(gid):
+                    self._unanswered.add(gid, self._services[topic])

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands from DDS to the daemon without Python on their way: the thread of `_motord_bus` waits
+for cmd_vel, judges it as the command gate does, and sends it under the input's lease
+(csrc/bus/bus_receiver.c). Python hears of it afterwards, for the log, the figures and the motions.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from errno import ETIMEDOUT
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Protocol
+
+from motord.api.deadline import within
+from motord.bus.commands.gate import AHEAD, ZERO_STAMP, CommandGate
+from motord.bus.commands.link import NO_LEASE, SOCKET_FULL
+from motord.bus.ros2.quality import Quality
+
+TYPE = "geometry_msgs/msg/TwistStamped"
+NEWEST_FEW = Quality(depth=8, reliable=False)
+"""Each has a stamp, so that an old one is not obeyed; they are handed on in their order."""
+TRIED = ("11.",)
+"""Versions of the binding whose C library is known to have what is called, as it is called."""
+ALIVE_EVERY_S = 0.2
+_HUNG = "this process stood still, and would not have heard a stop"
+_BROKEN = "the daemon's command socket does not take it"
+
+_log = logging.getLogger(__name__)
+
+
+class Endpoint(Protocol):
+    """A reader on DDS."""
+
+    entity: Any
+
+
+def library() -> Any | None:
+    """`_motord_bus` with the C library of the binding; None, and a word in the log: commands go
+    through Python then."""
+    try:
+        found = version("cyclonedds")
+        if not found.startswith(TRIED):
+            raise ImportError(f"cyclonedds {found} is not known")
+        import _motord_bus
+        from cyclonedds.internal import load_cyclonedds
+
+        path = load_cyclonedds()._name  # noqa: SLF001  ctypes keeps it there
+        if _motord_bus.lib.receiver_library(os.fsencode(path)) != 0:
+            raise ImportError(f"{path} has not what is needed")
+    except (ImportError, PackageNotFoundError) as error:
+        _log.warning("cmd_vel goes through Python, and waits while that is busy: %s", error)
+        return None
+    return _motord_bus
+
+
+class Receiver:
+    """Of one topic and one lease, while `open`. It is the Outlet of motord.bus.commands.link."""
+
+    def __init__(self, made: Any, entity: Any) -> None:
+        """`made`: what `library` returned. `entity`: the reader."""
+        self._ffi, self._lib = made.ffi, made.lib
+        self._entity = entity
+        self._number = -1
+        self._event_fd = -1
+
+    @contextmanager
+    def open(self) -> Iterator[int]:
+        """Its thread runs; yields what can be read from when there is news. Raises OSError."""
+        self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
+        self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        try:
+            reader = self._entity._ref  # noqa: SLF001  the binding has no name for it
+            start = self._lib.receiver_start(self._number, reader, self._event_fd)
+            self._checked(start, "no thread for cmd_vel")
+            yield self._event_fd
+        finally:
+            if self._lib.receiver_stop(self._number) != -ETIMEDOUT:  # else it may still write to it
+                os.close(self._event_fd)
+            self._lib.receiver_release(self._number)
+            self._number = self._event_fd = -1
+
+    @staticmethod
+    def _checked(code: int, what: str) -> int:
+        if code < 0:
+            raise OSError(-code, f"{what} ({code})")
+        return code
+
+    # ------------------------------------------------------------------------------ what came
+    def news(self) -> Any:
+        """Its receiver_report; what woke is taken back before."""
+        with suppress(BlockingIOError):
+            os.eventfd_read(self._event_fd)
+        report = self._ffi.new("receiver_report *")
+        self._lib.receiver_read(self._number, report)
+        return report
+
+    def heard(self) -> Iterator[Any]:
+        """Each twist_heard that has not been told yet."""
+        one = self._ffi.new("twist_heard *")
+        while self._lib.receiver_next(self._number, one):
+            yield one
+
+    # ------------------------------------------------------------------------------ its lease
+    def alive(self) -> None:
+        """The event loop runs: without a sign of that for 2 s nothing is handed on."""
+        self._lib.receiver_alive(self._number)
+
+    @property
+    def direct(self) -> int:
+        """Commands that it has sent."""
+        return int(self._lib.receiver_direct(self._number))
+
+    def hold(self, fd: int, token: bytes, sequence: int) -> None:
+        """A lease begins."""
+        self._lib.receiver_hold(self._number, fd, token, sequence)
+
+    def let_go(self) -> int:
+        """It is over; the number of its newest command."""
+        return int(self._lib.receiver_let_go(self._number))
+
+    def send(self, raw: bytes, seen: int) -> int:
+        """As receiver_send."""
+        return int(
+            self._lib.receiver_send(self._number, self._ffi.new("uint8_t[]", raw), len(raw), seen)
+        )
+
+
+class Twists:
+    """cmd_vel of one input."""
+
+    def __init__(
+        self,
+        made: Any,
+        reader: Endpoint,
+        gate: CommandGate,
+        taken: Callable[[int, tuple[float, float], float], None],
+    ) -> None:
+        """`taken` is told of each command that the daemon has got: by which writer (DDS's number
+        of it), linear m/s and angular rad/s, and when (time.monotonic)."""
+        self._receiver = Receiver(made, reader.entity)
+        self._gate = gate
+        self._taken = taken
+        self._counts: dict[str, int] = {}
+
+    async def run(self) -> None:
+        """Until cancelled. Raises OSError when DDS fails."""
+        loop = asyncio.get_running_loop()
+        news = asyncio.Event()
+        source = self._gate.source
+        self._counts = {}
+        with self._receiver.open() as fd:
+            loop.add_reader(fd, news.set)
+            source.lend(self._receiver)
+            try:
+                while True:
+                    self._receiver.alive()
+                    with suppress(TimeoutError):
+                        async with within(ALIVE_EVERY_S):
+                            await news.wait()
+                    news.clear()
+                    self.look()
+            finally:
+                source.lend(None)
+                loop.remove_reader(fd)
+
+    def look(self) -> None:
+        """Tell what has come since. Raises OSError when DDS fails."""
+        report = self._receiver.news()
+        for one in self._receiver.heard():
+            command = (one.linear_m_s, one.angular_rad_s)
+            self._taken(one.writer, command, one.taken_ns * 1e-9)
+        source = self._gate.source
+        source.sent += self._more("taken", report.taken)
+        for why, count in (
+            (NO_LEASE, report.unleased), (_HUNG, report.hung), (SOCKET_FULL, report.full),
+            (_BROKEN, report.broken),
+        ):  # fmt: skip
+            more = self._more(why, count)
+            source.lost += more
+            self._gate.refuse(why, more)
+        not_one = f"it is no {TYPE}"
+        for why, count in zip((not_one, ZERO_STAMP, AHEAD), report.refused, strict=True):
+            self._gate.refuse(why, self._more(why, count))
+        if not report.running:
+            raise OSError(f"DDS does not wait for cmd_vel any more ({report.error})")
+
+    def _more(self, what: str, count: int) -> int:
+        before, self._counts[what] = self._counts.get(what, 0), count
+        return count - before

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clients of our services on a middleware that does not read our answers: each is named once, with
+what to do. Without a word the person at the command line would wait for nothing."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+from motord.base.rate_limited_log import AGAIN_S
+from motord.bus.ros2.senders import unnamed
+
+NAMED_WITHIN_S = 6.0
+"""A node is told in the graph after its endpoints; then it is said without its name."""
+_WAITING_MAX = 64
+_SAID_MAX = 256
+_IN_A_LINE = 4
+_CYCLONE = b"\x01\x10"
+_VENDORS = {b"\x01\x01": "RTI Connext", b"\x01\x0f": "Fast DDS"}
+"""The first two bytes of an endpoint's id are its maker: DDSI-RTPS, 9.3.1.1."""
+
+_log = logging.getLogger(__name__)
+
+
+def answered(gid: bytes) -> bool:
+    """The middleware of that endpoint has who asks inside of the message, as ours."""
+    return gid[:2] == _CYCLONE
+
+
+def middleware(gid: bytes) -> str:
+    """Of an endpoint, by its maker."""
+    return _VENDORS.get(gid[:2], f"DDS of vendor {gid[:2].hex('.')}")
+
+
+class Unanswered:
+    def __init__(self, node_of: Callable[[bytes], str | None]) -> None:
+        """`node_of`: whose an endpoint is; None: not known yet."""
+        self._node_of = node_of
+        self._waiting: dict[tuple[bytes, str], float] = {}
+        """Endpoints and services that nothing is said of yet, and when they came."""
+        self._said: set[tuple[str, str]] = set()
+        self._due_s = 0.0
+        self._more = 0
+
+    def add(self, gid: bytes, service: str, now_s: float | None = None) -> None:
+        """A client of that service."""
+        if len(self._waiting) < _WAITING_MAX:
+            self._waiting.setdefault((gid, service), _now_s(now_s))
+        else:
+            self._more += 1
+
+    def say(self, now_s: float | None = None) -> None:
+        """Name those that are known, or will not be known."""
+        now_s = _now_s(now_s)
+        if now_s < self._due_s:
+            return
+        found: dict[str, list[str]] = {}
+        for (gid, service), came_s in list(self._waiting.items()):
+            node = self._node_of(gid)
+            if node is None and now_s - came_s < NAMED_WITHIN_S:
+                continue
+            client = f"{node or unnamed(gid)} ({middleware(gid)})"
+            if (client, service) not in self._said:
+                if client not in found and len(found) == _IN_A_LINE:
+                    continue
+                found.setdefault(client, []).append(service)
+                self._remember(client, service)
+            del self._waiting[gid, service]
+        if found:
+            self._due_s = now_s + AGAIN_S
+            self._tell(found)
+
+    def _remember(self, client: str, service: str) -> None:
+        if len(self._said) == _SAID_MAX:
+            self._said.clear()
+        self._said.add((client, service))
+
+    def _tell(self, found: dict[str, list[str]]) -> None:
+        clients = "; ".join(f"{client} asks {_few(names)}" for client, names in found.items())
+        more = f" ({self._more} more)" if self._more else ""
+        self._more = 0
+        _log.warning(
+            "clients of services whose middleware does not read our answers: %s%s: run them with"
+            " RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or run the bridge (ros2-rclpy); to stop the"
+            " robot, stop and estop are topics as well",
+            clients,
+            more,
+        )
+
+
+def _few(names: list[str]) -> str:
+    shown = ", ".join(names[:_IN_A_LINE])
+    return f"{shown} and {len(names) - _IN_A_LINE} more" if len(names) > _IN_A_LINE else shown
+
+
+def _now_s(now_s: float | None) -> float:
+    return time.monotonic() if now_s is None else now_s

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""~/get_type_description: what a type of the node is made of, by its hash (REP-2011). Tools ask it
+for types that they were not built with."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+from motord.bus.ros2.types.table import (
+    PLACEHOLDER,
+    TYPES,
+    description,
+    made_of,
+    message_definition,
+    type_hash,
+    with_parts,
+)
+
+SERVICE = "type_description_interfaces/srv/GetTypeDescription"
+_HASH_CHARS = 80
+_NOTHING = {
+    "type_description": {"type_name": "", "fields": ()},
+    "referenced_type_descriptions": (),
+}
+
+
+class TypedNode(Protocol):
+    """What is asked of a node here."""
+
+    types: set[str]
+    """Of its topics and services."""
+
+    def serve(
+        self, name: str, kind: str, answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]
+    ) -> None:
+        """As `nodes.Node.serve`."""
+        ...
+
+
+def serve_types(node: TypedNode) -> None:
+    """Those that its endpoints have when it is asked. Raises DdsError."""
+
+    async def answer(request: SimpleNamespace) -> SimpleNamespace:
+        # The hash alone decides, as in rcl: the name is part of what is hashed.
+        for name in node.types:
+            if type_hash(name) == request.type_hash:
+                sources = _sources(name) if request.include_type_sources else ()
+                return _reply(description(name), "", sources)
+        reason = f"no type of this node has the hash {request.type_hash[:_HASH_CHARS]!r}"
+        return _reply(_NOTHING, reason, ())
+
+    node.serve("~/get_type_description", SERVICE, answer)
+
+
+def _reply(found: dict[str, Any], reason: str, sources: Iterable[Any]) -> SimpleNamespace:
+    return SimpleNamespace(
+        successful=not reason,
+        failure_reason=reason,
+        type_description=SimpleNamespace(
+            type_description=_individual(found["type_description"]),
+            referenced_type_descriptions=[
+                _individual(other) for other in found["referenced_type_descriptions"]
+            ],
+        ),
+        type_sources=list(sources),
+        extra_information=(),
+    )
+
+
+def _individual(found: dict[str, Any]) -> SimpleNamespace:
+    return SimpleNamespace(
+        type_name=found["type_name"],
+        fields=[
+            SimpleNamespace(
+                name=field["name"], type=SimpleNamespace(**field["type"]), default_value=""
+            )
+            for field in found["fields"]
+        ],
+    )
+
+
+def _sources(name: str) -> list[SimpleNamespace]:
+    """Texts as motord has them, which for types of others is without their comments."""
+    return [_source(one) for one in (name, *made_of(name))]
+
+
+def _source(name: str) -> SimpleNamespace:
+    """`implicit` is what rosidl makes of a service or an action, and what has no text."""
+    encoding, text = "implicit", ""
+    if "/msg/" in name:
+        encoding, text = "msg", _text(name)
+    elif "/srv/" in name and all(part in TYPES for part in with_parts(name)):
+        _, *parts = with_parts(name)
+        encoding, text = "srv", "---\n".join(map(_text, parts))
+    return SimpleNamespace(type_name=name, encoding=encoding, raw_file_contents=text)
+
+
+def _text(name: str) -> str:
+    """As its author wrote it: what has no fields has no text."""
+    lonely = [field.name for field in TYPES[name]] == [PLACEHOLDER]
+    return "" if lonely else message_definition(name)

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 types as data, and the hash by which both ends of a topic know that they mean the same
+(REP-2011, RIHS01: SHA-256 of the type's description as JSON, comments and defaults left out)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+from motord.bus.ros2.types.definitions import ACTIONS, COMMON, GRAPH, OWN, SERVICES
+
+# type_description_interfaces/msg/FieldType
+_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "char": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+}
+_NESTED, _BOUNDED_STRING = 1, 21
+_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
+PLACEHOLDER = "structure_needs_at_least_one_member"
+"""The field of a type that has none: rosidl's."""
+_FIELD = re.compile(r"([\w/]+)(?:<=(\d+))?(?:\[(<=)?(\d*)\])? (\w+)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """One field. `count`: None is a single value, 0 any number of them, else at most or exactly so
+    many by `bounded`."""
+
+    name: str
+    kind: str
+    """A primitive, or the full name of a type."""
+    count: int | None = None
+    bounded: bool = False
+    chars_max: int = 0
+    """Of a string; 0: any."""
+
+    @property
+    def primitive(self) -> bool:
+        """Not a type of its own."""
+        return self.kind in _IDS
+
+    @property
+    def sequence(self) -> bool:
+        """Its length is part of the message."""
+        return self.count is not None and (self.count == 0 or self.bounded)
+
+
+def _parsed(text: str) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    for block in text.split("=== ")[1:]:
+        name, *lines = block.strip().splitlines()
+        fields = tuple(_field(line, name.split("/")[0]) for line in lines)
+        yield name, fields or (Field(name=PLACEHOLDER, kind="uint8"),)
+
+
+def _field(line: str, package: str) -> Field:
+    match = _FIELD.fullmatch(line)
+    assert match, line
+    kind, chars_max, bounded, count, name = match.groups()
+    if kind not in _IDS:
+        package, _, kind = f"{package}/{kind}".rpartition("/")
+        kind = f"{package.split('/')[-1]}/msg/{kind}"
+    return Field(
+        name=name,
+        kind=kind,
+        count=None if count is None else int(count or 0),
+        bounded=bounded is not None,
+        chars_max=int(chars_max or 0),
+    )
+
+
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
+
+
+def _services(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    """A service as the one type whose hash it has on Zenoh: request, response, and the event of
+    service introspection (rosidl_generator_type_description)."""
+    for name in messages:
+        service, ending, rest = name.partition("_Request")
+        if ending and not rest:
+            yield (
+                f"{service}_Event",
+                (
+                    Field(name="info", kind=_EVENT_INFO),
+                    Field(name="request", kind=name, count=1, bounded=True),
+                    Field(name="response", kind=f"{service}_Response", count=1, bounded=True),
+                ),
+            )
+            yield (
+                service,
+                (
+                    Field(name="request_message", kind=name),
+                    Field(name="response_message", kind=f"{service}_Response"),
+                    Field(name="event_message", kind=f"{service}_Event"),
+                ),
+            )
+
+
+def _actions(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    """What passes between an action's client and its server: two services and the feedback topic
+    (rosidl_parser, ACTION_* in its definition.py)."""
+    goal_id = Field(name="goal_id", kind="unique_identifier_msgs/msg/UUID")
+    for name in messages:
+        action, ending, rest = name.partition("_Goal")
+        if "/action/" not in name or not ending or rest:
+            continue
+        goal = Field(name="goal", kind=name)
+        accepted = Field(name="accepted", kind="bool")
+        stamp = Field(name="stamp", kind="builtin_interfaces/msg/Time")
+        status = Field(name="status", kind="int8")
+        result = Field(name="result", kind=f"{action}_Result")
+        feedback = Field(name="feedback", kind=f"{action}_Feedback")
+        yield f"{action}_SendGoal_Request", (goal_id, goal)
+        yield f"{action}_SendGoal_Response", (accepted, stamp)
+        yield f"{action}_GetResult_Request", (goal_id,)
+        yield f"{action}_GetResult_Response", (status, result)
+        yield f"{action}_FeedbackMessage", (goal_id, feedback)
+
+
+_DEFINED = dict(_parsed(COMMON + OWN + SERVICES + ACTIONS + GRAPH))
+_MESSAGES = _DEFINED | dict(_actions(_DEFINED))
+TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
+"""Fields by the type's name."""
+
+
+def definition(name: str) -> str:
+    """The type and all that it is made of, in .msg notation, as MCAP and Foxglove want it."""
+    separator = "=" * 80
+    return message_definition(name) + "".join(
+        f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{message_definition(other)}"
+        for other in made_of(name)
+    )
+
+
+def message_definition(name: str) -> str:
+    """The text of NAME.msg."""
+    return "".join(f"{_line(field)}\n" for field in TYPES[name])
+
+
+def action_definition(name: str) -> str:
+    """The text of NAME.action: goal, result and feedback."""
+    parts = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
+    return "---\n".join(map(message_definition, parts))
+
+
+def _line(field: Field) -> str:
+    bound = f"<={field.chars_max}" if field.chars_max else ""
+    count = "" if field.count is None else f"[{'<=' * field.bounded}{field.count or ''}]"
+    return f"{field.kind.replace('/msg/', '/')}{bound}{count} {field.name}"
+
+
+def made_of(name: str) -> list[str]:
+    """Every type that it needs, sorted."""
+    found: set[str] = set()
+    todo = [name]
+    while todo:
+        for field in TYPES[todo.pop()]:
+            if not field.primitive and field.kind not in found:
+                found.add(field.kind)
+                todo.append(field.kind)
+    return sorted(found)
+
+
+def description(name: str) -> dict[str, Any]:
+    """As type_description_interfaces/TypeDescription has it, without default values. Raises
+    KeyError for a type that is not known."""
+    return {
+        "type_description": _described(name),
+        "referenced_type_descriptions": [_described(other) for other in made_of(name)],
+    }
+
+
+@cache
+def type_hash(name: str) -> str:
+    """`RIHS01_` and 64 hexadecimal digits. Raises KeyError for a type that is not known."""
+    text = json.dumps(description(name), separators=(", ", ": "))
+    return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _described(name: str) -> dict[str, Any]:
+    fields = [{"name": field.name, "type": _type_of(field)} for field in TYPES[name]]
+    return {"type_name": name, "fields": fields}
+
+
+def _type_of(field: Field) -> dict[str, Any]:
+    number = _IDS.get(field.kind, _NESTED)
+    if field.chars_max:
+        number = _BOUNDED_STRING
+    if field.sequence:
+        number += _BOUNDED_SEQUENCE if field.bounded else _SEQUENCE
+    elif field.count is not None:
+        number += _ARRAY
+    return {
+        "type_id": number,
+        "capacity": field.count or 0,
+        "string_capacity": field.chars_max,
+        "nested_type_name": "" if field.primitive else field.kind,
+    }
+
+
+def with_parts(service: str) -> tuple[str, str, str]:
+    """A service, its request and its reply."""
+    return service, f"{service}_Request", f"{service}_Response"

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An ordinary ROS 2 node on Zenoh: its topics, services and tokens, by a router (zenohd, or
+`ros2 run rmw_zenoh_cpp rmw_zenohd`). We are its client: nothing here listens."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import zenoh
+
+from motord.api.deadline import within
+from motord.bus.ros2.names import remapped
+from motord.bus.ros2.quality import Distribution, Quality
+from motord.bus.ros2.types.table import with_parts
+from motord.bus.ros2.zenoh.endpoints import Endpoint, Publisher, Service, Subscription
+from motord.bus.ros2.zenoh.names import NodeNames
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where ROS 2 has its router."""
+OPEN_WITHIN_S = 1.0
+OPEN_AGAIN_S = 1.0
+CLOSE_WITHIN_S = 2.0
+_LOOK_EVERY_S = 2.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Router:
+    """Where the router is, and who we are there. Files by their paths."""
+
+    endpoint: str = ROUTER
+    """As Zenoh says it: tcp/HOST:PORT, tls/HOST:PORT."""
+    ca_file: str | None = None
+    cert_file: str | None = None
+    key_file: str | None = None
+
+    def configuration(self) -> str:
+        """Of the session, in JSON. It looks for nobody by itself, and stamps messages as those who
+        ask for latched ones need it."""
+        said = {
+            "root_ca_certificate": self.ca_file,
+            "connect_certificate": self.cert_file,
+            "connect_private_key": self.key_file,
+        }
+        tls: dict[str, Any] = {key: value for key, value in said.items() if value is not None}
+        if self.cert_file is not None:
+            tls["enable_mtls"] = True
+        return json.dumps(
+            {
+                "mode": "client",
+                "connect": {
+                    "endpoints": [self.endpoint],
+                    "timeout_ms": round(OPEN_WITHIN_S * 1000),
+                    "exit_on_failure": True,
+                },
+                "scouting": {
+                    "multicast": {"enabled": False},
+                    "gossip": {"enabled": False},
+                },
+                "timestamping": {"enabled": True},
+                "transport": {"link": {"tls": tls}},
+            }
+        )
+
+
+class ZenohNode:
+    """Topics and services are made before `run`."""
+
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        domain_id: int,
+        router: Router,
+        distribution: Distribution = "jazzy",
+    ) -> None:
+        """`distribution`: of the others. Raises ValueError for a router that cannot be."""
+        self._hashed = distribution != "humble"
+        self.name = name
+        self.namespace = namespace
+        self.remap: dict[str, str] = {}
+        self.types: set[str] = set()
+        self._domain_id = domain_id
+        self._router = router
+        self._configuration = router.configuration()
+        try:
+            zenoh.Config.from_json5(self._configuration)
+        except zenoh.ZError as error:
+            raise ValueError(f"{router.endpoint}: {error}") from error
+        self._endpoints: list[Endpoint] = []
+        self._services: list[Service] = []
+        self._said = False
+        self._running = asyncio.Lock()
+        self._ending = False
+
+    def full(self, name: str) -> str:
+        """A name with its namespace, as `remap` has it."""
+        return remapped(self.namespace, self.name, name, self.remap)
+
+    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
+        """Of a type of `types.TYPES`."""
+        self.types.add(kind)
+        publisher = Publisher(self.full(name), kind, quality or Quality())
+        self._endpoints.append(publisher)
+        return publisher
+
+    def subscribe(
+        self,
+        name: str,
+        kind: str,
+        take: Callable[[SimpleNamespace, float, str], None],
+        quality: Quality | None = None,
+    ) -> None:
+        """`take` is called for each message, in the event loop, and told how long in s it waited on
+        its way, and whose it is."""
+        self.types.add(kind)
+        self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
+
+    def serve(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        depth: int = 10,
+        together: int = 1,
+    ) -> None:
+        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
+        self.types.update(with_parts(kind))
+        service = Service(self.full(name), kind, answer, depth, together)
+        self._services.append(service)
+        self._endpoints.append(service)
+
+    async def run(self) -> None:
+        """Until cancelled. Without a router, and after one was lost, it is asked for again. Of
+        several who share the node one does it for all, and the next one when that one fails."""
+        async with self._running:
+            self._ending = False
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    for service in self._services:
+                        tasks.create_task(service.run())
+                    tasks.create_task(self._keep())
+            finally:
+                self._ending = True
+
+    async def _keep(self) -> None:
+        while True:
+            try:
+                session = await asyncio.to_thread(self._open)
+            except zenoh.ZError as error:
+                self._say(str(error))
+                await asyncio.sleep(OPEN_AGAIN_S)
+                continue
+            try:
+                await self._use(session)
+            except zenoh.ZError as error:
+                self._say(str(error))
+            finally:
+                async with within(CLOSE_WITHIN_S):
+                    await asyncio.to_thread(_close, session)
+
+    def _open(self) -> zenoh.Session:
+        """In a thread: it waits for the network."""
+        session = zenoh.open(zenoh.Config.from_json5(self._configuration))
+        if self._ending:
+            _close(session)
+        return session
+
+    async def _use(self, session: zenoh.Session) -> None:
+        """Be there until the session ends. Zenoh itself comes back to a router that was gone."""
+        names = NodeNames(
+            domain_id=self._domain_id,
+            session_id=str(session.zid()),
+            namespace=self.namespace,
+            name=self.name,
+            hashed=self._hashed,
+        )
+        with session.liveliness().declare_token(names.token()):
+            for number, endpoint in enumerate(self._endpoints, start=1):
+                endpoint.declare(session, names, number)
+            _log.info("ROS 2 on Zenoh: at %s as %s", self._router.endpoint, self.full(self.name))
+            self._said = False
+            while not session.is_closed():  # noqa: ASYNC110  Zenoh has no event for it
+                await asyncio.sleep(_LOOK_EVERY_S)
+
+    def _say(self, text: str) -> None:
+        if not self._said:
+            self._said = True
+            _log.warning("ROS 2 on Zenoh: no router at %s: %s", self._router.endpoint, text)
+
+
+def _close(session: zenoh.Session) -> None:
+    session.close()  # type: ignore[no-untyped-call]

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Asks the rules, and finds the drives' profiles for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from motord.config.finding import Finding
+from motord.config.problems import nearest
+from motord.config.rules.bus import BUS_RULES
+from motord.config.rules.drive import DRIVE_RULES
+from motord.config.rules.line import LINE_RULES
+from motord.config.rules.robot import ROBOT_RULES
+from motord.config.sections.model import Joint, Robot
+from motord.config.sections.wheels import Profiles, profile_of
+from motord_hal.base.errors import ProfileError
+from motord_hal.drives.load import is_file_name, list_profiles
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.modbus.codec import UNIT_MAX
+
+_REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
+
+
+def findings(robot: Robot) -> list[Finding]:
+    """Everything that does not fit together. Rules that need drives are asked about the joints that
+    have a line, a drive, an address and a channel."""
+    found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
+    profiles, wrong = _profiles(robot)
+    found += wrong
+    lost = {path[1] for path, *_ in (hit.paths for hit in found) if path[2:] in _REFERENCES}
+    joints = {name: joint for name, joint in robot.joint.items() if name not in lost}
+    if joints:
+        rest = robot.model_copy(update={"joint": joints})
+        found += [hit for rule in DRIVE_RULES for hit in rule(rest, profiles)]
+    return found
+
+
+def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
+    profiles: dict[str, DriveProfile] = {}
+    wrong = []
+    known = list_profiles()
+    for name, joint in robot.joint.items():
+        path = ("joint", name, "drive")
+        if not is_file_name(joint.drive) and joint.drive not in known:
+            meant = nearest(joint.drive, known)
+            hint = f'did you mean "{meant}"?' if meant else f"known: {', '.join(known)}"
+            wrong.append(Finding((path,), f'there is no drive profile "{joint.drive}" ({hint})'))
+            continue
+        try:
+            profiles[joint.drive] = profile_of(robot, joint.drive)
+        except ProfileError as error:
+            first, *more = str(error).splitlines()
+            text = f"{first}{f' (and {len(more)} more)' if more else ''}"
+            wrong.append(Finding((path,), f"the drive profile cannot be used: {text}"))
+            continue
+        channels = profiles[joint.drive].channels
+        if joint.channel not in channels:
+            has = ", ".join(map(str, channels))
+            text = f'drive "{joint.drive}" has no channel {joint.channel} (it has {has})'
+            wrong.append(Finding((("joint", name, "channel"), path), text))
+        wrong += _address(name, joint, profiles[joint.drive])
+    return profiles, wrong
+
+
+def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding]:
+    low, high = (profile.can.node_min, profile.can.node_max) if profile.can else (1, UNIT_MAX)
+    if not low <= joint.unit <= high:
+        text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
+        yield Finding((("joint", name, "unit"), ("joint", name, "drive")), text)

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between a robot file and the profiles of its drives."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.rules.battery import battery_readings
+from motord.config.rules.can import CAN_RULES
+from motord.config.rules.pin import PIN_RULES
+from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.sections.model import Joint, Robot
+from motord.config.sections.wheels import (
+    Profiles,
+    counter_bits,
+    counts_per_turn,
+    drive_can_reverse,
+    drive_velocity_max_rad_s,
+    takes_duty,
+    takes_torque,
+    torque_max_n_m,
+    velocity_range_rad_s,
+)
+from motord.config.toml_lines import Path
+from motord.config.wiring import line_specs
+
+_ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
+_SPEAKS = {
+    "ddsm": "ddsm",
+    "can": "can",
+    "mcu": "mcu-frame",
+    "ascii": "ascii",
+    "roboclaw": "roboclaw",
+    "pwm": "pwm",
+}
+"""The protocol of a line's kind; all others carry Modbus."""
+
+
+def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        if (first.line, first.unit) != (second.line, second.unit):
+            continue
+        where = f'unit {first.unit} on line "{first.line}"'
+        paths = tuple(
+            ("joint", joint, key) for joint in (other, one) for key in ("unit", "line", "channel")
+        )
+        if first.drive != second.drive:
+            path: Path = ("joint", other, "drive")
+            yield Finding((path, *paths), f'{where} is a "{first.drive}" for joint {one}')
+        elif first.channel == second.channel:
+            key = "channel" if len(profiles[first.drive].channels) > 1 else "unit"
+            path = ("joint", other, key)
+            text = f"{where} channel {first.channel} is taken by joint {one}"
+            yield Finding((path, *paths), text)
+
+
+def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
+        if _SPEAKS.get(kind, "modbus-rtu") != protocol:
+            text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
+            yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
+
+
+def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
+    """Motors that face each other turn opposite ways; motors on one side turn the same way."""
+    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        paths = tuple(
+            ("joint", joint, key) for joint in (other, one) for key in ("inverted", "side")
+        )
+        same_drive = (first.line, first.unit) == (second.line, second.unit)
+        if first.side == second.side:
+            if first.drive == second.drive and first.inverted != second.inverted:
+                text = f"joint {one} on the same side is {_turned(first)}: do they work together?"
+                yield Finding(paths, text, warning=True)
+        elif same_drive and first.inverted == second.inverted:
+            text = (
+                f"joint {one} on the other side of the same drive is {_turned(first)} too: motors "
+                "that face each other need one inverted"
+            )
+            yield Finding(paths, text, warning=True)
+
+
+def _turned(joint: Joint) -> str:
+    return "inverted" if joint.inverted else "not inverted"
+
+
+def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        path = ("joint", name, "velocity_max_rad_s")
+        keys = ("gear_ratio", "full_duty_rad_s", "duty_max", "drive", "channel")
+        on = (path, *(("joint", name, key) for key in keys))
+        most = drive_velocity_max_rad_s(joint, profile)
+        wish = joint.velocity_max_rad_s
+        if wish is not None and wish > most * (1 + _ROUNDING):
+            text = (
+                f'{wish:g} rad/s is more than drive "{joint.drive}" can (at most {most:.4g} rad/s)'
+            )
+            yield Finding(on, text)
+
+
+def _torque(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        profile, drive = profiles[joint.drive], ("joint", name, "drive")
+        loop: Path = ("joint", name, "speed_loop")
+        if not takes_torque(joint, profile):
+            if joint.speed_loop is not None:
+                text = f'is not used: drive "{joint.drive}" holds the speed by itself'
+                yield Finding((loop, drive), text, warning=True)
+            continue
+        takes = f'drive "{joint.drive}" takes a torque'
+        if joint.velocity_max_rad_s is None:
+            path = ("joint", name, "velocity_max_rad_s")
+            yield Finding((path, drive), f"is missing: {takes}, and knows no speed at most")
+        if joint.speed_loop is None:
+            yield Finding((loop, drive), f"is missing: {takes}, and motord holds the speed")
+        elif joint.speed_loop.torque_max_n_m > (most := torque_max_n_m(joint, profile)) * (
+            1 + _ROUNDING
+        ):
+            text = f'is more than drive "{joint.drive}" takes (at most {most:.4g} N·m at the wheel)'
+            yield Finding(((*loop, "torque_max_n_m"), drive), text)
+
+
+def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    keys = ("duty_dead_band", "duty_min", "duty_max", "duty_slew_per_s", "full_duty_rad_s")
+    for name, joint in robot.joint.items():
+        drive: Path = ("joint", name, "drive")
+        if takes_duty(joint, profiles[joint.drive]):
+            if joint.full_duty_rad_s is None:
+                text = f'is missing: drive "{joint.drive}" takes a duty, and the speed at duty 1 is'
+                path = ("joint", name, "full_duty_rad_s")
+                yield Finding((path, drive), f"{text} not known (0.01 to 10000 rad/s)")
+            elif joint.duty_dead_band >= joint.duty_max:
+                paths = (("joint", name, "duty_dead_band"), ("joint", name, "duty_max"))
+                yield Finding(paths, "the dead band leaves nothing below duty_max")
+            continue
+        for key in keys:
+            if key in joint.model_fields_set:
+                what = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
+                text = f'is not used: drive "{joint.drive}" takes {what}'
+                yield Finding((("joint", name, key), drive), text, warning=True)
+
+
+def _reverse(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        if drive_can_reverse(joint, profiles[joint.drive]):
+            continue
+        for key in ("reversible", "inverted"):
+            if getattr(joint, key):
+                paths = (("joint", name, key), ("joint", name, "drive"))
+                yield Finding(paths, f'drive "{joint.drive}" cannot turn backward')
+
+
+def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    said = set()
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+        if counts_per_turn(joint, profile) and not counter_bits(joint, profile):
+            yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
+        elif not counts_per_turn(joint, profile) and joint.drive not in said:
+            said.add(joint.drive)
+            measures = profile.channels[joint.channel].velocity is not None
+            source = "the measured speed" if measures else "what the wheel was told"
+            text = f"without a position counter: odometry comes from {source}, and is less exact"
+            yield Finding((drive, path), text, warning=True)
+
+
+def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """A drive that counts its speeds in encoder edges needs one number for all of its joints."""
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        counts = counts_per_turn(joint, profile)
+        path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+        if not profile.speed_in_counts or joint.encoder is not None:
+            continue
+        if counts == 0:
+            text = f'must not be 0: drive "{joint.drive}" counts its speed in encoder edges'
+            yield Finding((path, drive), text)
+        elif counts != profile.counts_per_turn:
+            text = (
+                f'{counts} differs from another joint with drive "{joint.drive}", which counts its '
+                "speed in encoder edges: copy the profile for the other encoder "
+                "(docs/drives/your-own-drive.md)"
+            )
+            yield Finding((path, drive), text)
+
+
+def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Limits that the wheels cannot serve are no error: the core scales the twist down."""
+    joints = robot.joint.items()
+    ranges = {name: velocity_range_rad_s(joint, profiles[joint.drive]) for name, joint in joints}
+    radius = {name: robot.wheel_radius_m(name) for name in robot.joint}
+    forward_m_s = min(ranges[name][1] * radius[name] for name in ranges)
+    spot_m_s = min(min(ranges[name][1], -ranges[name][0]) * radius[name] for name in ranges)
+    on_spot_rad_s = 2 * spot_m_s / robot.base.effective_track_m
+    wheels = tuple(("joint", name, "velocity_max_rad_s") for name in ranges)
+    if robot.limits.linear_m_s > forward_m_s * (1 + _ROUNDING):
+        text = (
+            f"{robot.limits.linear_m_s:g} m/s is never reached: the wheels do {forward_m_s:.4g} m/s"
+        )
+        yield Finding((("limits", "linear_m_s"), *wheels), text, warning=True)
+    path: Path = ("limits", "angular_rad_s")
+    if spot_m_s == 0:
+        text = "wheels that cannot turn backward cannot turn this base on the spot"
+        yield Finding((path, *wheels), text, warning=True)
+    elif robot.limits.angular_rad_s > on_spot_rad_s * (1 + _ROUNDING):
+        said = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
+        text = f"{said}: the wheels do {on_spot_rad_s:.4g} rad/s"
+        yield Finding((path, *wheels), text, warning=True)
+
+
+def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    seen = set()
+    for name, joint in robot.joint.items():
+        profile, line = profiles[joint.drive], robot.line[joint.line]
+        factory = (profile.baudrate, profile.parity, profile.stop_bits)
+        ours = (line.baudrate, line.parity, line.stop_bits)
+        if factory != ours and (joint.line, joint.drive) not in seen:
+            seen.add((joint.line, joint.drive))
+            on_can = profile.can is not None
+            words = "{} bit/s" if on_can else "{} baud, parity {}, {} stop bit(s)"
+            text = (
+                f'drive "{joint.drive}" leaves the factory with {words.format(*factory)}; this '
+                f"line has {words.format(*ours)}: it answers only if you have changed the drive; "
+                f"else write {_as_keys(factory, on_can)} here"
+            )
+            key = "bitrate" if on_can else "baudrate"
+            paths = (("line", joint.line, key), ("joint", name, "drive"))
+            yield Finding(paths, text, warning=True)
+
+
+def _as_keys(factory: tuple[int, str, int], on_can: bool) -> str:
+    baudrate, parity, stop_bits = factory
+    if on_can:
+        return f"bitrate = {baudrate}"
+    return f'baudrate = {baudrate}, parity = "{parity}", stop_bits = {stop_bits}'
+
+
+def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    safety = robot.safety
+    for spec in line_specs(robot, profiles):
+        if not spec.joints or spec.kind == "can":
+            continue
+        path = ("line", spec.name, "cycle_hz")
+        most_hz = cycle_limit_hz(spec)
+        on = (path, ("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
+        cycle_s = 1 / min(spec.cycle_hz, most_hz)
+        watched = any(joint.profile.watchdog for joint in spec.joints)
+        for key in ("feedback_timeout_s", "drive_watchdog_s")[: 1 + watched]:
+            value = getattr(safety, key)
+            if value < 2 * cycle_s:
+                cycles = f'two cycles of line "{spec.name}" (at least {2 * cycle_s:.3g} s)'
+                paths = (("safety", key), *on)
+                yield Finding(paths, f"{value:g} s is shorter than {cycles}")
+
+
+def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Rates that somebody asked for and the wire cannot carry are an error, defaults are not."""
+    for spec in line_specs(robot, profiles):
+        if not spec.joints or spec.kind == "can":
+            continue
+        need = budget(spec)
+        if need.share <= 1 + _ROUNDING:
+            continue
+        drives = "1 drive" if need.drives == 1 else f"{need.drives} drives"
+        text = (
+            f"line {spec.name}: {drives} at {need.cycle_hz:g} Hz need {100 * need.share:.0f} % of "
+            f"the wire; most it carries is {need.most_hz:.3g} Hz"
+        )
+        if more := [f"{words}: {then_hz:.3g} Hz" for words, then_hz in helps(spec)]:
+            text += f" ({'; '.join(more)})"
+        wished = [("line", spec.name, "cycle_hz")]
+        wished += [("joint", joint.name, "cycle_hz") for joint in spec.joints]
+        given = [path for path in wished if _is_given(robot, path)]
+        on = (("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
+        yield Finding((*(given or wished[:1]), *on), text, warning=not given)
+
+
+def _is_given(robot: Robot, path: tuple[str, str, str]) -> bool:
+    table, name, key = path
+    section = robot.line[name] if table == "line" else robot.joint[name]
+    return key in section.model_fields_set
+
+
+def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    path = ("safety", "drive_watchdog_s")
+    wanted = robot.safety.drive_watchdog_s
+    users: dict[str, list[str]] = defaultdict(list)
+    for name, joint in robot.joint.items():
+        users[joint.drive].append(name)
+    for drive, joints in users.items():
+        watchdog = profiles[drive].watchdog
+        at = ("joint", joints[0], "drive")
+        if watchdog is None and all(robot.joint[name].drive_watchdog_s for name in joints):
+            continue  # said for each of them, which another rule looks at
+        if watchdog is None:
+            note = profiles[drive].watchdog_note
+            text = f'drive "{drive}" without a communication watchdog: {note}'
+            yield Finding((at,), text, warning=True)
+        elif not watchdog.minimum_s <= wanted <= watchdog.maximum_s:
+            span = f"{watchdog.minimum_s:g} to {watchdog.maximum_s:g} s"
+            yield Finding((path, at), f'{wanted:g} s is out of range for drive "{drive}" ({span})')
+
+
+DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
+    _one_joint_a_channel,
+    _protocol,
+    _mounting,
+    _velocity,
+    _torque,
+    _duty,
+    _reverse,
+    _counter,
+    _edges,
+    _reach,
+    _serial,
+    *PIN_RULES,
+    _times,
+    _budget,
+    _watchdogs,
+    battery_readings,
+    *CAN_RULES,
+)

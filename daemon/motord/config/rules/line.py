@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold between the keys of a line: which engine, which port, which transceiver."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.sections.line import (
+    AnyLine,
+    AsciiLine,
+    CanLine,
+    DdsmLine,
+    GatewayLine,
+    McuLine,
+    SerialLine,
+)
+from motord.config.sections.model import Robot
+from motord.config.toml_lines import Path
+from motord_hal.ascii.dialect import (
+    COUNT,
+    check_setpoints,
+    feedback_fields,
+    setpoint_fields,
+    why_not_in_c,
+)
+from motord_hal.ascii.text import Text
+from motord_hal.ascii.twist import ANGULAR, LINEAR
+from motord_hal.can.adapters import why_unfit
+from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
+
+
+def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
+        if first.address == second.address:
+            key = _port_key(second)
+            paths = (("line", other, key), ("line", one, key))
+            yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _port_key(line: AnyLine) -> str:
+    if isinstance(line, CanLine):
+        return "channel"
+    return "tcp_port" if isinstance(line, GatewayLine) else "port"
+
+
+def _engine(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        at = (("line", name, "engine"), ("line", name, "kind"))
+        if isinstance(line, GatewayLine) and line.engine == "rt":
+            text = f'"rt" needs a serial port: kind "{line.kind}" runs on "asyncio"'
+            yield Finding(at, text)
+        elif isinstance(line, CanLine) and line.engine == "rt":
+            if line.interface not in RT_CAN_INTERFACES:
+                paths = (("line", name, "engine"), ("line", name, "interface"))
+                text = f'"rt" needs SocketCAN: interface "{line.interface}" runs on "asyncio"'
+                yield Finding(paths, text)
+        elif isinstance(line, DdsmLine) and line.engine == "asyncio":
+            yield Finding(at, 'kind "ddsm" runs on "rt" only')
+
+
+def _adapter(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if isinstance(line, CanLine):
+            problem = why_unfit(line.interface, fd_frames=line.data_bitrate is not None)
+            if problem:
+                paths = (("line", name, "interface"), ("line", name, "data_bitrate"))
+                yield Finding(paths, problem)
+
+
+def _unit(robot: Robot) -> Iterator[Finding]:
+    """A board is alone on its line; everything else is found by its address."""
+    for name, joint in robot.joint.items():
+        line = robot.line.get(joint.line)
+        if "unit" in joint.model_fields_set or isinstance(line, McuLine | AsciiLine | None):
+            continue
+        text = "is missing: the address of its drive on this line"
+        yield Finding((("joint", name, "unit"), ("joint", name, "line")), f"{text} (0 to 255)")
+
+
+def _one_board(robot: Robot) -> Iterator[Finding]:
+    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        alone = isinstance(robot.line.get(first.line), McuLine | AsciiLine)
+        if alone and first.line == second.line and first.unit != second.unit:
+            text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
+            kind: Path = ("line", first.line, "kind")
+            yield Finding((("joint", other, "unit"), ("joint", one, "unit"), kind), text)
+
+
+def _templates(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if not isinstance(line, AsciiLine):
+            continue
+        joints = tuple(joint for joint, section in robot.joint.items() if section.line == name)
+        template = (("line", name, "template"), ("line", name, "kind"))
+        text: Text | None
+        try:
+            text = Text(line.template, setpoint_fields(joints))
+            check_setpoints(text, joints)
+            yield from _twist(robot, joints, text, template)
+        except ValueError as error:
+            text = None
+            yield Finding(template, str(error))
+        try:
+            heard = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
+        except ValueError as error:
+            yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
+            continue
+        yield from _counts(robot, joints, heard.fields if heard else ())
+        if text is not None:
+            yield from _text_engine(name, line, text, heard)
+
+
+def _text_engine(name: str, line: AsciiLine, said: Text, heard: Text | None) -> Iterator[Finding]:
+    why = why_not_in_c(said, heard)
+    if why and line.engine != "asyncio":
+        at = (("line", name, "template"), ("line", name, "feedback"), ("line", name, "engine"))
+        yield Finding(at, f'{why}: engine "asyncio" only', warning=line.engine == "auto")
+
+
+def _twist(
+    robot: Robot, joints: tuple[str, ...], text: Text, at: tuple[Path, ...]
+) -> Iterator[Finding]:
+    sides = {robot.joint[joint].side for joint in joints}
+    if set(text.fields) == {LINEAR, ANGULAR} and sides != {"left", "right"}:
+        yield Finding(at, "v and w need a left and a right joint on this line")
+
+
+def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> Iterator[Finding]:
+    for joint in joints:
+        line = robot.joint[joint].line
+        at: tuple[Path, ...] = (
+            ("joint", joint, "counts_per_turn"),
+            ("joint", joint, "line"),
+            ("line", line, "kind"),
+        )
+        told, given = joint + COUNT in heard, robot.joint[joint].counts_per_turn
+        if told and not given:
+            yield Finding(at, "is missing: the board tells a count")
+        elif not told and given:
+            text = f"is not used: the line's feedback has no {{{joint}{COUNT}}}"
+            yield Finding(at, f"{text}; add it there, or leave this key out")
+
+
+def _gap(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if isinstance(line, SerialLine) and line.gap is not None and line.gap_s is not None:
+            paths = (("line", name, "gap_s"), ("line", name, "gap"))
+            yield Finding(paths, "the silence is given twice: by gap and by gap_s")
+
+
+def _direction(robot: Robot) -> Iterator[Finding]:
+    for name, line in robot.line.items():
+        if not isinstance(line, SerialLine):
+            continue
+        way = ("line", name, "direction")
+        if line.direction == "gpio" and line.engine == "asyncio":
+            text = '"gpio" needs engine "rt": the line is switched by its real-time thread'
+            yield Finding((way, ("line", name, "engine")), text)
+        for key in ("direction_gpio_chip", "direction_gpio_line"):
+            path = ("line", name, key)
+            if line.direction == "gpio" and not getattr(line, key):
+                yield Finding((path, way), 'is missing: direction = "gpio" needs it')
+            elif line.direction != "gpio" and key in line.model_fields_set:
+                yield Finding((path, way), 'is only for direction = "gpio"')
+        for key in ("direction_active_high", "direction_before_s", "direction_after_s"):
+            if line.direction == "auto" and key in line.model_fields_set:
+                text = 'is only for direction = "kernel" and "gpio"'
+                yield Finding((("line", name, key), way), text)
+
+
+def _priority(robot: Robot) -> Iterator[Finding]:
+    loop = robot.loop.priority
+    for name, line in robot.line.items():
+        if not isinstance(line, SerialLine | CanLine):
+            continue
+        if "priority" in line.model_fields_set and 0 < loop <= line.priority:
+            text = f"{line.priority} is not below the loop's ({loop})"
+            yield Finding((("line", name, "priority"), ("loop", "priority")), text)
+
+
+LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
+    _one_port_a_line,
+    _engine,
+    _adapter,
+    _unit,
+    _one_board,
+    _templates,
+    _gap,
+    _direction,
+    _priority,
+)

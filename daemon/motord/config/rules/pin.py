@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for motor bridges on pins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from motord.config.finding import Finding
+from motord.config.rules.pin_owners import pins_have_one_owner
+from motord.config.sections.encoder import BoardEncoder, GpioEncoder
+from motord.config.sections.line import PwmLine
+from motord.config.sections.model import Robot
+from motord.config.sections.wheels import Profiles
+from motord.config.toml_lines import Path
+from motord.config.wiring import line_specs
+from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec
+from motord_hal.gpio.lines import why_no_pull
+from motord_hal.pwm.pins import Place, bridge_of, places_of
+
+
+def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for spec in line_specs(robot, profiles):
+        kind = robot.line[spec.name].kind
+        for number, joint in enumerate(spec.joints):
+            at: Path = ("joint", joint.name, "pins")
+            if not isinstance(robot.line[spec.name], PwmLine):
+                if joint.pins:
+                    text = f'is only for a line of kind "pwm": this one is "{kind}"'
+                    yield Finding((at, ("line", spec.name, "kind")), text)
+            elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
+                yield from _bridge(spec, number, joint)
+
+
+def _bridge(spec: LineSpec, number: int, joint: JointSpec) -> Iterator[Finding]:
+    at: Path = ("joint", joint.name, "pins")
+    try:
+        places = places_of(number, joint)
+    except ValueError as error:
+        yield Finding((at, ("joint", joint.name, "drive")), str(error))
+        return
+    yield from _chips(spec, places)
+    yield from _carrier(spec, joint)
+
+
+def _chips(spec: LineSpec, places: list[Place]) -> Iterator[Finding]:
+    for key, given, needed in (
+        ("pwm_chip", spec.pins.pwm_chip, [p for p in places if p.channel is not None]),
+        ("gpio_chip", spec.pins.gpio_chip, [p for p in places if p.channel is None]),
+    ):
+        if needed and not given:
+            at: tuple[Path, ...] = (("line", spec.name, key), ("line", spec.name, "kind"))
+            yield Finding(at, f"is missing: {needed[0].purpose} needs it")
+
+
+def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
+    bridge, wished_hz = bridge_of(joint), spec.pins.pwm_hz
+    if wished_hz is not None and not bridge.pwm_min_hz <= wished_hz <= bridge.pwm_max_hz:
+        span = f"{bridge.pwm_min_hz:g} to {bridge.pwm_max_hz:g} Hz"
+        text = f'{wished_hz:g} Hz is out of range for drive "{joint.profile.name}" ({span})'
+        yield Finding((("line", spec.name, "pwm_hz"), ("joint", joint.name, "drive")), text)
+
+
+def _encoders(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for spec in line_specs(robot, profiles):
+        line = robot.line[spec.name]
+        for joint in spec.joints:
+            encoder, at = robot.joint[joint.name].encoder, ("joint", joint.name, "encoder")
+            if encoder is None:
+                continue
+            if not isinstance(line, PwmLine):
+                text = f'is only for a line of kind "pwm": this one is "{line.kind}"'
+                yield Finding((at, ("line", spec.name)), text)
+            elif isinstance(encoder, GpioEncoder):
+                yield from _edges(line, joint, encoder)
+            if robot.joint[joint.name].counts_per_turn is not None:
+                path: Path = ("joint", joint.name, "counts_per_turn")
+                yield Finding((path, at), "is that of the encoder: say it there")
+
+
+def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Finding]:
+    at: Path = ("joint", joint.name, "encoder")
+    if not (encoder.gpio_chip or line.gpio_chip):
+        yield Finding((at,), "gpio_chip is missing, here and on the line")
+
+
+def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
+    """Encoders on boards: each port is theirs alone, each motor of it one joint's."""
+    lines = {line.address: name for name, line in robot.line.items()}
+    seen: dict[tuple[str, int], str] = {}
+    rates: dict[str, tuple[str, int]] = {}
+    for name, joint in robot.joint.items():
+        encoder = joint.encoder
+        if not isinstance(encoder, BoardEncoder):
+            continue
+        at: Path = ("joint", name, "encoder")
+        if encoder.port in lines:
+            text = f"{encoder.port} is the port of line {lines[encoder.port]}"
+            yield Finding((at, ("line", lines[encoder.port])), text)
+        first = seen.setdefault((encoder.port, encoder.motor), name)
+        if first != name:
+            text = f"motor {encoder.motor} of that board is counted for joint {first} already"
+            yield Finding((at, ("joint", first, "encoder")), text)
+        other, baudrate = rates.setdefault(encoder.port, (name, encoder.baudrate))
+        if baudrate != encoder.baudrate:
+            text = f"baudrate is not that of joint {other} on the same port ({baudrate})"
+            yield Finding((at, ("joint", other, "encoder")), text)
+
+
+def _pulls(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Where a chip is named by its label; by its device file only the daemon gets to know it."""
+    estop = robot.safety.estop
+    if estop is not None and estop.pull and (text := why_no_pull(estop.gpio_chip)):
+        yield Finding((("safety", "estop", "pull"), ("safety", "estop", "gpio_chip")), text)
+    for spec in line_specs(robot, profiles):
+        for joint in spec.joints:
+            encoder, at = joint.encoder, ("joint", joint.name, "encoder")
+            if not isinstance(encoder, EdgesEncoder) or encoder.pull == "none":
+                continue
+            if text := why_no_pull(encoder.gpio_chip):
+                yield Finding((at,), text)
+
+
+PIN_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
+    _pins,
+    _encoders,
+    _boards,
+    _pulls,
+    pins_have_one_owner,
+)

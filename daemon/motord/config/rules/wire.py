@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of its wire a line needs, and how often the wire can carry it: frame arithmetic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from motord_hal.ascii.dialect import text_bytes
+from motord_hal.base.errors import ProfileError
+from motord_hal.drives.profile import Gap
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.mcu.frames import wire_bytes
+from motord_hal.mcu.pace import WIRE_SHARE_MAX
+from motord_hal.modbus.codec import Function, frame_time_s
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.modbus.timing import line_gap_s
+from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+
+_ASK_BYTES = 8 + 7
+"""One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
+_BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
+_STREAMS = ("mcu", "ascii")
+"""Kinds without anything acyclic, and without a gap between frames."""
+_WORTH_SAYING = 1.02
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a line needs of its wire at the wished rates, with one acyclic exchange a cycle."""
+
+    drives: int
+    cycle_hz: float
+    """The highest wished rate."""
+    share: float
+    """Of the time; 1: all of it."""
+
+    @property
+    def most_hz(self) -> float:
+        """The rate at which all of the wire is needed; drives with less keep their proportion."""
+        return self.cycle_hz / self.share
+
+
+def cycle_limit_hz(spec: LineSpec) -> float:
+    """Highest cyclic rate of a line whose drives answer at once, without anything acyclic."""
+    if spec.kind == "pwm":
+        return spec.cycle_hz  # pins have no wire
+    return 1 / sum(_cycle_time_s(spec, joints) for joints in _units(spec))
+
+
+def budget(spec: LineSpec) -> Budget:
+    """Drives that answer at once are assumed: it is never less than this."""
+    if spec.kind == "pwm":
+        return Budget(len(spec.joints), spec.cycle_hz, 0.0)
+    drives = [(_cycle_time_s(spec, joints), _rate_hz(spec, joints)) for joints in _units(spec)]
+    most_hz = max(rate_hz for _, rate_hz in drives)
+    slot_s = _wire_time_s(spec, _ASK_BYTES) + 2 * line_gap_s(spec)
+    if spec.kind in _STREAMS:
+        slot_s = 0.0
+    cyclic = sum(time_s * rate_hz for time_s, rate_hz in drives)
+    return Budget(len(drives), most_hz, cyclic + slot_s * most_hz)
+
+
+def helps(spec: LineSpec) -> Iterator[tuple[str, float]]:
+    """What would let the wire carry more, and the rate that it would carry, Hz."""
+    now_hz = budget(spec).most_hz
+    for words, changed in _changes(spec):
+        then_hz = budget(changed).most_hz
+        if then_hz > now_hz * _WORTH_SAYING:
+            yield words, then_hz
+
+
+def _changes(spec: LineSpec) -> Iterator[tuple[str, LineSpec]]:
+    if spec.kind not in ("ddsm", *_STREAMS):
+        joints = tuple(map(_with_read_write, spec.joints))
+        yield "function 23 where the drives have it", replace(spec, joints=joints)
+    short = replace(spec, gap=Gap.CHARACTERS, gap_s=None)
+    if spec.kind not in _STREAMS and line_gap_s(short) < line_gap_s(spec):
+        yield 'gap = "3.5char"', short
+    faster = [replace(spec, baudrate=rate) for rate in _BAUDRATES if rate > spec.baudrate]
+    if faster:
+        enough = (one for one in faster if budget(one).share <= 1)
+        better = next(enough, faster[-1])
+        yield f"baudrate = {better.baudrate}", better
+
+
+def _with_read_write(joint: JointSpec) -> JointSpec:
+    profile = replace(joint.profile, read_write_function=int(Function.READ_WRITE))
+    return replace(joint, profile=profile)
+
+
+def _units(spec: LineSpec) -> list[list[JointSpec]]:
+    """One joint a channel: also where the file is wrong, which another rule says."""
+    units: dict[int, dict[int, JointSpec]] = {}
+    for joint in spec.joints:
+        units.setdefault(joint.unit, {})[joint.channel] = joint
+    return [list(channels.values()) for channels in units.values()]
+
+
+def _rate_hz(spec: LineSpec, joints: list[JointSpec]) -> float:
+    own_hz = [joint.cycle_hz for joint in joints if joint.cycle_hz is not None]
+    return max(own_hz, default=spec.cycle_hz)
+
+
+def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
+    def wire_time_s(size_bytes: int) -> float:
+        return _wire_time_s(spec, size_bytes)
+
+    if spec.kind in _STREAMS:
+        return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX
+    kind = DdsmFrames if spec.kind == "ddsm" else DrivePlan
+    return kind(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+
+
+def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
+    if spec.kind == "mcu":
+        return wire_bytes(max(joints[0].profile.channels), imu=spec.imu is not None)
+    try:
+        return text_bytes(spec)
+    except ProfileError:
+        return 1  # a wrong template, which another rule says
+
+
+def _wire_time_s(spec: LineSpec, size_bytes: int) -> float:
+    return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)

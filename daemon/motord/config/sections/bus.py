@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buses of the robot file: who is told, and who may command. One section a kind."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from motord.config.sections.section import Field, Section, number
+
+Topic = Literal[
+    "odom",
+    "tf",
+    "joint_states",
+    "imu",
+    "battery_state",
+    "diagnostics",
+    "motor_status",
+    "loop_statistics",
+]
+SLOW_HZ = 1.0
+SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
+"""What changes slowly: at most SLOW_HZ where no rate of its own is given."""
+ALL_TOPICS: tuple[Topic, ...] = (
+    *("odom", "tf", "joint_states", "imu", "battery_state"),
+    *("diagnostics", "motor_status", "loop_statistics"),
+)
+_NAME = r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"
+_IPV6 = r"[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{1,40}(\.[0-9]{1,3}){0,3}(%[A-Za-z0-9_-]{1,15})?"
+HOST = rf"^({_NAME}|{_IPV6})$"
+"""A name or an address; what getaddrinfo raises UnicodeError for is none."""
+ROUTER = rf"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|{_NAME}):[0-9]{{1,5}}$"
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+class Publish(Section):
+    """Who is told how the robot does."""
+
+    rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
+
+
+class StdoutPublish(Publish):
+    """A line of JSON for each sample on standard output."""
+
+    kind: Literal["stdout"]
+
+
+class UdpPublish(Publish):
+    """A datagram of JSON for each sample."""
+
+    kind: Literal["udp"]
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
+    """Where to; this machine unless something else is said."""
+    port: int = number("UDP port", 1, 65535, "1", 9870)
+
+
+class BusPublish(Publish):
+    """Who is told by the second process, topic by topic."""
+
+    topics: tuple[Topic, ...] = Field(default=ALL_TOPICS, strict=False)
+    """What is published: all, unless topics are named."""
+    topic_rate_hz: dict[Topic, Annotated[float, Field(ge=0.01, le=1000)]] = Field(
+        default_factory=dict
+    )
+    """Rates of single topics, in Hz. Where none is given: rate_hz, and for battery_state,
+    diagnostics and loop_statistics at most 1 Hz."""
+
+    def rates_hz(self) -> dict[str, float]:
+        """The rate of each topic that is published."""
+        slow_hz = min(self.rate_hz, SLOW_HZ)
+        return {
+            topic: self.topic_rate_hz.get(topic, slow_hz if topic in SLOW else self.rate_hz)
+            for topic in self.topics
+        }
+
+
+class BusInput(Section):
+    """Who may command by the second process."""
+
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
+
+
+class StampedInput(BusInput):
+    """Commands that say when they were given."""
+
+    stamped: bool = True
+    """Every command has to say when it was given, so that one that waited somewhere is known by its
+    age. The clocks of both have to agree; false: what arrives counts as new."""
+
+
+class TokenInput(StampedInput):
+    """Commands from a network: only with the token."""
+
+    token_file: str = Field(min_length=1)
+    """File with the token that every command has to show; at least 16 characters, readable by the
+    daemon's user alone. A path that is not absolute is beside the robot file."""
+
+
+class MqttBroker(Section):
+    """Where the broker is, and who we are there."""
+
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
+    """The broker's name or address."""
+    port: int | None = number("TCP port; 8883 with TLS, else 1883", 1, 65535, "1", None)
+    tls: bool = False
+    """Encrypted, and the broker's certificate is checked."""
+    ca_file: str | None = None
+    """Certificates of the authority that the broker's is checked against; the system's otherwise.
+    """
+    cert_file: str | None = None
+    """Our own certificate, for a broker that asks for one."""
+    key_file: str | None = None
+    """Key of cert_file."""
+    username: str | None = None
+    """Our name there."""
+    password_file: str | None = None
+    """File with our password, readable by the daemon's user alone."""
+    topic_prefix: str | None = Field(default=None, pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$")
+    """What every topic begins with; where it is not given motord/ROBOT, and spBv1.0 in Sparkplug's
+    names."""
+    topic_scheme: Literal["plain", "sparkplug"] = "plain"
+    """How topics are named: PREFIX/odom, or as Sparkplug has it PREFIX/GROUP/DDATA/ROBOT/odom with
+    births and deaths. The messages are the same."""
+    group: str | None = Field(default=None, pattern=r"^[^+#\s/]+$")
+    """Sparkplug's group; motord where it is not given."""
+    encoding: Literal["json", "cbor"] = "json"
+    """Of the messages."""
+
+
+class MqttPublish(BusPublish, MqttBroker):
+    """Topics on an MQTT broker."""
+
+    kind: Literal["mqtt"]
+    qos: int = number("quality of service of the messages", 0, 1, "1", 0)
+
+
+class MqttInput(TokenInput, MqttBroker):
+    """Commands from an MQTT broker."""
+
+    kind: Literal["mqtt"]
+
+
+class PrometheusPublish(Publish):
+    """Figures for Prometheus: GET /metrics. They are those of the moment of asking."""
+
+    kind: Literal["prometheus"]
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
+    """Address to listen at; this machine only, unless something else is said."""
+    port: int = number("TCP port", 1, 65535, "1", 9464)
+
+
+class McapPublish(BusPublish):
+    """Recordings in MCAP files, for Foxglove and every program that reads them."""
+
+    kind: Literal["mcap"]
+    folder: str = Field(min_length=1)
+    """Where the files go; it is made where it is not there. A path that is not absolute is beside
+    the robot file."""
+    mode: Literal["all", "fault"] = "all"
+    """Record all, or keep the newest in memory and write it when a fault is latched."""
+    file_s: float = number("a new file after so long (mode all)", 1, 86400, "s", 600.0)
+    before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
+    after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
+    total_max_mb: int = number(
+        "the oldest files are deleted when all together are larger", 1, 10_000_000, "MB", 1000
+    )
+    journal: bool = False
+    """Record also what goes into the core and comes out in every tick, for `motord replay`."""
+    free_min_mb: int = number(
+        "nothing is written when less of the disk is free", 0, 10_000_000, "MB", 200
+    )
+
+
+class Server(BusPublish):
+    """A server of the second process."""
+
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
+    """Address to listen at; this machine only, unless something else is said."""
+    cert_file: str | None = None
+    """Our certificate, for TLS (wss)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+
+
+class FoxgloveServer(Server):
+    """A WebSocket to which Foxglove connects."""
+
+    port: int = number("TCP port", 1, 65535, "1", 8765)
+
+
+class FoxglovePublish(FoxgloveServer):
+    """A WebSocket to which Foxglove connects, and that only tells."""
+
+    kind: Literal["foxglove"]
+
+
+class FoxgloveInput(TokenInput, FoxgloveServer):
+    """A WebSocket to which Foxglove connects: it tells whoever connects, and obeys who shows the
+    token to its service authorize, or in the command itself."""
+
+    kind: Literal["foxglove"]
+
+
+class RosbridgeServer(Server):
+    """A WebSocket that speaks the protocol of rosbridge: roslibjs, roslibpy, and ROS 1 worlds."""
+
+    port: int = number("TCP port", 1, 65535, "1", 9090)
+
+
+class RosbridgePublish(RosbridgeServer):
+    """A rosbridge that only tells."""
+
+    kind: Literal["rosbridge"]
+
+
+class RosbridgeInput(TokenInput, RosbridgeServer):
+    """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
+
+    kind: Literal["rosbridge"]
+
+
+class JoystickInput(BusInput):
+    """A joystick or gamepad at this machine. It commands as long as its dead-man button is held."""
+
+    kind: Literal["joystick"]
+    device: str = Field(min_length=1)
+    """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
+    dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button to be held, by the kernel's name."""
+    estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
+    """Button that is an emergency stop, whoever commands and whatever else is held."""
+    linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the speed: away from you is forward."""
+    angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the turn rate: to the left is a left turn."""
+    linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
+    angular_rad_s: float = number("turn rate at the end of the axis", 0.001, 100, "rad/s", 0.6)
+    dead_zone: float = number("part of the axis around its middle that is zero", 0, 0.9, "1", 0.1)
+    rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)
+
+
+_ROS_NAME = r"^(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*$"
+RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
+
+
+class RosNode(Section):
+    """Which node we are. Sections that say the same are one node."""
+
+    domain_id: int = number("ROS_DOMAIN_ID of those who are to see us", 0, 232, "1", 0)
+    namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
+    """Goes before the name of every topic and service."""
+    node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
+    """Name of the node."""
+    distribution: Literal["humble", "jazzy"] = "jazzy"
+    """Of those who are to see the node: Humble has another graph, and over Zenoh other keys. Iron
+    and later are as Jazzy."""
+    remap: dict[RosName, RosName] = Field(default_factory=dict)
+    """Topics and services of this section that have another name: cmd_vel = "/cmd_vel_safe". Names
+    as everywhere in ROS 2: below the namespace, below the node (~/), or as they are (/)."""
+
+
+class Ros2Node(RosNode):
+    """A node on DDS."""
+
+    discovery: Literal["localhost", "subnet"] = "localhost"
+    """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
+    networks that it is connected to."""
+    interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
+    """The one network interface to use, by name (discovery subnet); where it is not given, what the
+    DDS library chooses."""
+
+
+class ZenohNode(RosNode):
+    """A node on Zenoh, as those with RMW_IMPLEMENTATION=rmw_zenoh_cpp."""
+
+    router: str = Field(default="tcp/127.0.0.1:7447", pattern=ROUTER)
+    """Where the router (rmw_zenohd) is: tcp/HOST:PORT, or tls/HOST:PORT."""
+    ca_file: str | None = None
+    """Certificates of the authority that the router's is checked against (tls)."""
+    cert_file: str | None = None
+    """Our own certificate, for a router that asks for one (tls)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+
+    @property
+    def router_host(self) -> str:
+        """Of `router`."""
+        return self.router.partition("/")[2].rpartition(":")[0].strip("[]")
+
+    @property
+    def encrypted(self) -> bool:
+        """The way to the router is."""
+        return self.router.startswith("tls/")
+
+
+class RosTopics(BusPublish, RosNode):
+    """Topics of a ROS 2 node. No ROS is needed here."""
+
+    namespaced_tf: bool = False
+    """tf and tf_static are below the namespace, for listeners that remap /tf to tf. Otherwise they
+    are /tf and /tf_static, where tf2 listens."""
+    frame_prefix: str | None = Field(default=None, pattern=r"^([A-Za-z][A-Za-z0-9_/]*)?$")
+    """Goes before each frame name, as in "r2/" for r2/odom and r2/base_link. Where it is not given:
+    the namespace, or nothing with namespaced_tf."""
+    urdf_file: str | None = None
+    """Robot description that is published; one made from the robot file where it is not given. A
+    path that is not absolute is beside the robot file."""
+
+    def prefix_of_frames(self) -> str:
+        """`frame_prefix`, or what follows from the namespace."""
+        if self.frame_prefix is not None:
+            return self.frame_prefix
+        space = self.namespace.strip("/")
+        return f"{space}/" if space and not self.namespaced_tf else ""
+
+
+class Ros2Publish(RosTopics, Ros2Node):
+    """Topics of a ROS 2 node, on DDS."""
+
+    kind: Literal["ros2"]
+
+
+class ZenohPublish(RosTopics, ZenohNode):
+    """Topics of a ROS 2 node, on Zenoh."""
+
+    kind: Literal["ros2-zenoh"]
+
+
+class Ros2Input(StampedInput, Ros2Node):
+    """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist),
+    joint_commands, the actions drive_distance, rotate and calibrate, and the services arm, disarm,
+    stop, estop, reset, reset_odometry, parameters and life cycle."""
+
+    kind: Literal["ros2"]
+    trust_network: bool = False
+    """DDS asks nobody who he is: with discovery subnet, whoever reaches the domain may move the
+    robot. It has to be said that this is meant."""
+
+
+class ZenohInput(StampedInput, ZenohNode):
+    """As kind ros2, from ROS 2 nodes on Zenoh; also their services reach us."""
+
+    kind: Literal["ros2-zenoh"]
+    trust_router: bool = False
+    """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
+    the network unless it is told not to. It has to be said that this is meant."""
+
+
+class RclpyInput(BusInput):
+    """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
+    motord-bus has no part in it."""
+
+    kind: Literal["ros2-rclpy"]
+    trust_network: bool = False
+    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
+    to be said that this is meant."""
+
+
+class OtherPublish(BusPublish):
+    """A kind that another package brings: its entry point in the group motord.publishers."""
+
+    kind: Literal["other"]
+    adapter: str = Field(min_length=1)
+    """Name of the entry point."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What the adapter is told; it checks that itself."""
+
+
+class OtherInput(BusInput):
+    """A kind that another package brings: its entry point in the group motord.inputs."""
+
+    kind: Literal["other"]
+    adapter: str = Field(min_length=1)
+    """Name of the entry point."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """What the adapter is told; it checks that itself."""

@@ -1,0 +1,455 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot file as values. What one value alone can say is checked here, what follows only from
+several together in `checks.py`.
+
+Every number has a unit in its name, a range, and its unit as data in the JSON Schema. Defaults are
+on the slow and careful side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from motord.config.problems import Problem
+from motord.config.sections.battery import DrivesBattery, InaBattery
+from motord.config.sections.bus import (
+    BusInput,
+    FoxgloveInput,
+    FoxglovePublish,
+    JoystickInput,
+    McapPublish,
+    MqttInput,
+    MqttPublish,
+    OtherInput,
+    OtherPublish,
+    PrometheusPublish,
+    RclpyInput,
+    Ros2Input,
+    Ros2Publish,
+    RosbridgeInput,
+    RosbridgePublish,
+    StdoutPublish,
+    UdpPublish,
+    ZenohInput,
+    ZenohPublish,
+)
+from motord.config.sections.encoder import AnyEncoder
+from motord.config.sections.feedback import FeedbackChecks
+from motord.config.sections.guard import EstopInput, WatchdogOutput
+from motord.config.sections.imu import ChipImu, LineImu
+from motord.config.sections.line import Cpus, LineSection
+from motord.config.sections.section import Field, Name, PrivateAttr, Section, number
+from motord.config.sections.speed_loop import SpeedLoop
+from motord_hal.fieldbus.ports import REST_VELOCITY_RAD_S
+
+StopAction = Literal["ramp", "brake", "hold", "coast"]
+
+
+class RobotName(Section):
+    """Who this robot is."""
+
+    name: Name
+    """Name of the robot: of its socket and of its state page."""
+
+
+class Loop(Section):
+    """The real-time loop."""
+
+    rate_hz: float = number("ticks a second", 10, 20000, "Hz", 1000.0)
+    priority: int = number("SCHED_FIFO priority; 0: ordinary scheduling", 0, 99, "1", 80)
+    cpu: Cpus = Field(default=(), strict=False)
+    """CPUs the loop may run on, each 0 to 63; none: all of them."""
+    lock_memory: bool = True
+    """Keep the daemon's memory from being paged out."""
+    hold_dma_latency: bool = True
+    """Keep the CPUs out of deep sleep while the loop runs."""
+
+
+class Base(Section):
+    """Geometry that every base with wheels on two sides has."""
+
+    track_m: float = number("distance of the left wheels from the right ones", 0.02, 20, "m")
+    wheel_radius_m: float = number("radius of the wheels, loaded", 0.005, 5, "m")
+
+    @property
+    def effective_track_m(self) -> float:
+        """The track that turning feels."""
+        return self.track_m
+
+
+class DifferentialBase(Base):
+    """Two driven sides, and casters that follow."""
+
+    kind: Literal["differential"]
+
+
+class SkidBase(Base):
+    """Wheels on two sides that scrub sideways in a turn."""
+
+    kind: Literal["skid"]
+    track_slip_factor: float = number(
+        "by how much the track seems wider in a turn, because the wheels scrub: turn the robot "
+        "ten times on the spot, divide the turns counted by the turns made",
+        1,
+        10,
+        "1",
+        1.0,
+    )
+
+    @property
+    def effective_track_m(self) -> float:
+        """Track times slip factor: Mandow et al., Experimental kinematics for wheeled skid-steer
+        mobile robots, IROS 2007, for instantaneous centres that lie symmetrically."""
+        return self.track_m * self.track_slip_factor
+
+
+class Limits(Section):
+    """What the base may do at most. They can be changed while the daemon runs."""
+
+    linear_m_s: float = number("speed", 0.001, 50, "m/s", 0.5)
+    linear_m_s2: float = number("acceleration", 0.001, 100, "m/s²", 0.5)
+    linear_deceleration_m_s2: float = number(
+        "deceleration; as the acceleration where it is not given",
+        0.001,
+        100,
+        "m/s²",
+        lambda above: above["linear_m_s2"],
+    )
+    linear_m_s3: float = number("jerk; inf: no limit", 0.001, None, "m/s³", math.inf)
+    angular_rad_s: float = number("turn rate", 0.001, 100, "rad/s", 1.0)
+    angular_rad_s2: float = number("turn acceleration", 0.001, 1000, "rad/s²", 1.0)
+    angular_deceleration_rad_s2: float = number(
+        "turn deceleration; as the acceleration where it is not given",
+        0.001,
+        1000,
+        "rad/s²",
+        lambda above: above["angular_rad_s2"],
+    )
+    angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
+
+    def axes_rest_s(self) -> tuple[float, float]:
+        """How long each axis alone takes from full speed to rest: linear, angular."""
+        linear_s = _ramp_s(self.linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
+        angular_s = _ramp_s(
+            self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
+        )
+        return linear_s, angular_s
+
+    def rest_s(self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0) -> float:
+        """How long a stop takes at most: from full speed, or from these where they are more."""
+        linear = max(self.linear_m_s, abs(linear_m_s))
+        angular = max(self.angular_rad_s, abs(angular_rad_s))
+        # both axes keep to one straight line: shares of it, by the axis that has the least room
+        deceleration = min(
+            self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
+        )
+        jerk = min(self.linear_m_s3 / linear, self.angular_rad_s3 / angular)
+        return _ramp_s(1.0, deceleration, jerk)
+
+
+REST_MAX_S = 20.0
+"""A stop that takes longer is none."""
+
+
+def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:
+    """From a velocity to rest: the deceleration rises by the jerk, and may not get to its limit."""
+    if velocity * jerk < deceleration**2:
+        return 2.0 * math.sqrt(velocity / jerk)
+    return velocity / deceleration + deceleration / jerk
+
+
+class Safety(Section):
+    """When to stop, and how."""
+
+    command_timeout_s: float = number("a command older than this is none", 0.02, 5, "s", 0.3)
+    feedback_timeout_s: float = number(
+        "a wheel that has not been heard for so long is a fault", 0.005, 5, "s", 0.25
+    )
+    heartbeat_timeout_s: float = number(
+        "the loop stops the robot when the daemon has hung for so long", 0.05, 5, "s", 0.5
+    )
+    drive_watchdog_s: float = number(
+        "the drives stop by themselves when they have heard nothing for so long",
+        0.01,
+        10,
+        "s",
+        0.5,
+    )
+    rest_velocity_rad_s: float = number(
+        "a wheel slower than this is at rest", 0.001, 10, "rad/s", REST_VELOCITY_RAD_S
+    )
+    on_timeout: StopAction = "ramp"
+    """How to stop when the command is old."""
+    on_fault: StopAction = "ramp"
+    """How to stop when something is wrong."""
+    on_estop: StopAction = "brake"
+    """How to stop at the emergency stop."""
+    estop: EstopInput | None = None
+    watchdog: WatchdogOutput | None = None
+    feedback: FeedbackChecks = Field(default_factory=FeedbackChecks)
+    on_battery_critical: Literal["none", "stop"] = "none"
+    """What a critical battery does: "none" says it, "stop" stops the robot by on_fault and lets
+    nobody arm. "none" is the default because a robot that still drives can drive to its charger."""
+
+
+class Odometry(Section):
+    """Error model of the odometry: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4.
+
+    The defaults are what a base does that nobody has calibrated, about 1 % of the way and 3 % of
+    the turn (Borenstein & Feng, Measurement and Correction of Systematic Odometry Errors in Mobile
+    Robots, IEEE Transactions on Robotics and Automation 12(6), 1996); the floors are a millimetre,
+    a milliradian, 1 cm/s and 1 crad/s.
+    """
+
+    distance_variance_m2_per_m: float = number(
+        "variance of one side's travel for each metre of it", 1e-9, 1, "m²/m", 1e-4
+    )
+    turn_variance_rad2_per_rad: float = number(
+        "variance of the heading for each radian turned", 1e-9, 1, "rad²/rad", 1e-3
+    )
+    pose_variance_floor_m2: float = number("least variance of x and y", 1e-12, 1, "m²", 1e-6)
+    heading_variance_floor_rad2: float = number(
+        "least variance of the heading", 1e-12, 1, "rad²", 1e-6
+    )
+    twist_variance_floor_m2_s2: float = number(
+        "least variance of the speed", 1e-12, 1, "m²/s²", 1e-4
+    )
+    twist_variance_floor_rad2_s2: float = number(
+        "least variance of the turn rate", 1e-12, 1, "rad²/s²", 1e-4
+    )
+
+
+class Joint(Section):
+    """One driven wheel."""
+
+    line: str
+    """Name of the line that it is connected to."""
+    drive: str
+    """Name of its drive profile (motord drives), or a profile's file (NAME.toml) beside the robot
+    file."""
+    unit: int = number(
+        "Modbus address, or node on the CAN bus, of its drive; a board has none", 0, 255, "1", 1
+    )
+    channel: int = number("which motor of the drive", 1, 8, "1", 1)
+    side: Literal["left", "right"]
+    gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
+    inverted: bool = False
+    """The motor turns backward when the robot drives forward."""
+    reversible: bool | None = None
+    """Whether the wheel may turn backward; as the drive can where it is not given."""
+    wheel_radius_m: float | None = number("radius; the base's if not given", 0.005, 5, "m", None)
+    velocity_max_rad_s: float | None = number(
+        "the wheel's speed at most; what the drive can where it is not given",
+        0.01,
+        10000,
+        "rad/s",
+        None,
+    )
+    counts_per_turn: int | None = number(
+        "encoder counts for a motor turn, where they are not the profile's; 0: no encoder",
+        0,
+        1 << 30,
+        "1",
+        None,
+    )
+    encoder: AnyEncoder | None = None
+    duty_dead_band: float = number("duty at which the motor just turns", 0, 0.9, "1", 0.0)
+    duty_min: float = number("least duty; 0: never backward", -1, 0, "1", -1.0)
+    duty_max: float = number("greatest duty", 0.01, 1, "1", 1.0)
+    duty_slew_per_s: float = number(
+        "greatest rise of the duty; inf: no limit", 0.01, None, "1/s", math.inf
+    )
+    full_duty_rad_s: float | None = number(
+        "the wheel's speed at duty 1: a drive that takes a duty needs it",
+        0.01,
+        10000,
+        "rad/s",
+        None,
+    )
+    speed_loop: SpeedLoop | None = None
+    """Of a drive that takes a torque."""
+    pins: dict[str, str] = Field(default_factory=dict)
+    """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
+    number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
+    which changes with every cycle while the motor may move."""
+    tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
+    reply_timeout_s: float | None = number(
+        "deadline for a reply; from baud rate, length and drive where it is not given",
+        0.001,
+        1,
+        "s",
+        None,
+    )
+    cycle_hz: float | None = number(
+        "exchanges a second with its drive; the line's where it is not given", 1, 1000, "Hz", None
+    )
+    drive_watchdog_s: float | None = number(
+        "on CAN: the watchdog that was set in its drive with the maker's tool, where motord cannot"
+        " set it; as safety.drive_watchdog_s",
+        0.01,
+        10,
+        "s",
+        None,
+    )
+
+
+class SocketInput(Section):
+    """Commands from the local socket: motord drive, move, turn, and motord.client. They are taken
+    whether or not the robot file has this section, unless it says enabled = false."""
+
+    kind: Literal["socket"]
+    enabled: bool = True
+    """Whether the local socket may move the robot. Stop, e-stop and disarm work all the same."""
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number(
+        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
+    )
+
+
+class RtInput(Section):
+    """Commands as datagrams that the loop itself takes in, whatever Python does."""
+
+    kind: Literal["rt"]
+    priority: int = number("the higher one commands", 0, 1000, "1", 100)
+    lease_s: float = number(
+        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
+    )
+    rate_max_hz: float | None = number(
+        "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
+    )
+    udp_port: int | None = number(
+        "UDP port on 127.0.0.1; where it is not given, the Unix socket only", 1024, 65535, "1", None
+    )
+
+
+Input = (
+    SocketInput
+    | RtInput
+    | MqttInput
+    | RosbridgeInput
+    | FoxgloveInput
+    | JoystickInput
+    | Ros2Input
+    | ZenohInput
+    | RclpyInput
+    | OtherInput
+)
+AnyPublish = (
+    StdoutPublish
+    | UdpPublish
+    | MqttPublish
+    | RosbridgePublish
+    | FoxglovePublish
+    | McapPublish
+    | PrometheusPublish
+    | Ros2Publish
+    | ZenohPublish
+    | OtherPublish
+)
+
+
+_TOLD_OF_COMMANDERS = ("kind", "priority", "lease_s")
+
+
+class Robot(Section):
+    """A robot file. `load_robot` reads one."""
+
+    robot: RobotName
+    loop: Loop = Field(default_factory=Loop)
+    base: Annotated[DifferentialBase | SkidBase, Field(discriminator="kind")]
+    limits: Limits = Field(default_factory=Limits)
+    safety: Safety = Field(default_factory=Safety)
+    odometry: Odometry = Field(default_factory=Odometry)
+    battery: Annotated[DrivesBattery | InaBattery, Field(discriminator="source")] | None = None
+    imu: Annotated[ChipImu | LineImu, Field(discriminator="source")] | None = None
+    line: dict[Name, LineSection]
+    """The wires."""
+    joint: dict[Name, Joint]
+    """The driven wheels; their order is that of the core's joints."""
+    input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(default_factory=dict)
+    """Who may command. The local socket may, unless a section of kind "socket" disables it."""
+    publish: dict[Name, Annotated[AnyPublish, Field(discriminator="kind")]] = Field(
+        default_factory=dict
+    )
+
+    _path: Path = PrivateAttr(Path())
+    _text: str = PrivateAttr("")
+    _overrides: tuple[str, ...] = PrivateAttr(())
+    _warnings: tuple[Problem, ...] = PrivateAttr(())
+
+    @property
+    def path(self) -> Path:
+        """The file that it came from; drive profiles beside it are found too."""
+        return self._path
+
+    @property
+    def text(self) -> str:
+        """What was in the file."""
+        return self._text
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """What works but deserves a look."""
+        return self._warnings
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The --set options with which it was read: another process needs them too."""
+        return self._overrides
+
+    @property
+    def local_input(self) -> SocketInput:
+        """How the local socket commands; see its `enabled`."""
+        own = (found for found in self.input.values() if isinstance(found, SocketInput))
+        return next(own, SocketInput(kind="socket"))
+
+    def commanders(self) -> list[dict[str, Any]]:
+        """Name, kind, priority and lease_s of every source that may command the robot, the local
+        socket first."""
+        found: dict[str, Input] = {"local socket": self.local_input}
+        found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
+        return [
+            {"name": name}
+            | {key: getattr(section, key) for key in _TOLD_OF_COMMANDERS if hasattr(section, key)}
+            for name, section in found.items()
+            if not isinstance(section, SocketInput) or section.enabled
+        ]
+
+    @property
+    def has_bus(self) -> bool:
+        """Somebody is told, or may command, by the second process."""
+        inputs = any(
+            isinstance(section, BusInput) and not isinstance(section, RclpyInput)
+            for section in self.input.values()
+        )
+        own = (StdoutPublish, UdpPublish)
+        return inputs or any(not isinstance(section, own) for section in self.publish.values())
+
+    @property
+    def has_journal(self) -> bool:
+        """Somebody records what goes into the core."""
+        return any(
+            isinstance(section, McapPublish) and section.journal
+            for section in self.publish.values()
+        )
+
+    def read_from(
+        self,
+        path: Path,
+        text: str = "",
+        warnings: Iterable[Problem] = (),
+        overrides: Iterable[str] = (),
+    ) -> Robot:
+        """Note the file, what was in it, what deserves a look there, and its --set options; returns
+        self."""
+        self._path, self._text = path, text
+        self._warnings, self._overrides = tuple(warnings), tuple(overrides)
+        return self
+
+    def wheel_radius_m(self, joint: str) -> float:
+        """A joint's own radius, else the base's."""
+        own = self.joint[joint].wheel_radius_m
+        return self.base.wheel_radius_m if own is None else own

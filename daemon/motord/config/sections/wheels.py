@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a joint and its drive can do together: at the wheel, after the gear."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from motord.config.sections.model import Joint, Robot
+from motord_hal.drives.load import find_profile, is_file_name, load_profile
+from motord_hal.drives.profile import DriveProfile, Register
+
+Profiles = Mapping[str, DriveProfile]
+"""By the drive's name as the robot file writes it."""
+
+
+def profile_of(robot: Robot, drive: str) -> DriveProfile:
+    """The profile by name, or by path from the robot file's folder, for the encoders that its
+    joints have. Raises ProfileError."""
+    file = robot.path.parent / drive
+    profile = load_profile(file) if is_file_name(drive) else find_profile(drive)
+    encoders = encoders_of(robot, drive, profile)
+    if len(encoders) == 1 and profile.counts_per_turn not in encoders:
+        return load_profile(profile.path, encoders.pop())
+    return profile
+
+
+def encoders_of(robot: Robot, drive: str, profile: DriveProfile) -> set[int]:
+    """Counts of a motor turn of the encoders that the joints with this drive have on it."""
+    joints = [joint for joint in robot.joint.values() if joint.drive == drive]
+    return {counts_per_turn(joint, profile) for joint in joints if joint.encoder is None}
+
+
+def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point is a duty and not a velocity."""
+    return profile.channels[joint.channel].duty_setpoint is not None
+
+
+def takes_torque(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point is a torque: the core holds the speed."""
+    return profile.channels[joint.channel].torque_setpoint is not None
+
+
+def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
+    """What its set-point can ask for, at the wheel; the gear loses nothing here."""
+    return min(map(abs, _setpoint(joint, profile).si_limits)) * joint.gear_ratio
+
+
+def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point can say backward."""
+    channel = profile.channels[joint.channel]
+    setpoint = _setpoint(joint, profile)
+    negative = setpoint.minimum < 0 if setpoint.minimum is not None else setpoint.type.signed
+    return negative or channel.direction is not None
+
+
+def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
+    """The fastest that the set-point can ask for. A torque, and a duty without `full_duty_rad_s`,
+    could turn it anyhow fast: infinity."""
+    setpoint = _setpoint(joint, profile)
+    if takes_torque(joint, profile):
+        return math.inf
+    if takes_duty(joint, profile):
+        return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
+    return setpoint.si_limits[1] / joint.gear_ratio
+
+
+def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, float]:
+    """The wheel's speeds, backward (<= 0) and forward, that motord may ask for."""
+    forward = drive_velocity_max_rad_s(joint, profile)
+    if joint.velocity_max_rad_s is not None:
+        forward = min(forward, joint.velocity_max_rad_s)
+    reversible = joint.reversible is not False and drive_can_reverse(joint, profile)
+    if not reversible:
+        return 0.0, forward
+    if takes_duty(joint, profile) and joint.full_duty_rad_s is not None:
+        return max(-forward, joint.full_duty_rad_s * joint.duty_min), forward
+    return -forward, forward
+
+
+def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
+    """Of the motor's shaft; 0: no counter."""
+    if joint.encoder is not None:
+        return joint.encoder.counts_per_turn
+    own = joint.counts_per_turn
+    return profile.counts_per_turn if own is None else own
+
+
+def counter_bits(joint: Joint, profile: DriveProfile) -> int:
+    """0: no counter. What counts an encoder of this machine's never wraps."""
+    if joint.encoder is not None:
+        return 64
+    return profile.counter_bits if counts_per_turn(joint, profile) else 0
+
+
+def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
+    """Wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel turn), signed.
+    Without a counter the core does not use it."""
+    counts = counts_per_turn(joint, profile)
+    backward = joint.inverted != (joint.encoder is not None and joint.encoder.reversed)
+    sign = -1.0 if backward else 1.0
+    return sign * 2 * math.pi / (counts * joint.gear_ratio) if counts else sign
+
+
+def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
+    """The fastest that the limits ask of a wheel, at most its own."""
+    limits = robot.limits
+    turn_m_s = limits.angular_rad_s * robot.base.effective_track_m / 2.0
+    asked_rad_s = (limits.linear_m_s + turn_m_s) / robot.wheel_radius_m(name)
+    return min(asked_rad_s, velocity_range_rad_s(robot.joint[name], profile)[1])
+
+
+def _setpoint(joint: Joint, profile: DriveProfile) -> Register:
+    channel = profile.channels[joint.channel]
+    return profile.registers[channel.setpoint]

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the robot file to what the core, the loop and the lines want to be told. Pure."""
+
+from __future__ import annotations
+
+from motord.config.sections.imu import Imu
+from motord.config.sections.model import Joint, Limits, Robot
+from motord.config.sections.wheels import (
+    Profiles,
+    counter_bits,
+    profile_of,
+    rad_per_count,
+    takes_duty,
+    takes_torque,
+    velocity_range_rad_s,
+    working_speed_rad_s,
+)
+from motord.config.wiring import line_specs
+from motord.realtime import loop as rt
+from motord.realtime.types import GuardConfig, PlausibleConfig, SpeedLoopConfig
+from motord_hal.drives.profile import DriveProfile
+
+__all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
+
+_NOTIFY_HZ = 50.0
+"""How often asyncio looks at the state when no publisher wants more."""
+_SLOW_PART = 0.02
+"""Parts of a wheel's working speed: slower than this it does not turn,"""
+_APART_PART = 0.1
+"""counter and reported velocity may differ by this, a filter's lag and rounding,"""
+_PROGRESS_PART = 0.01
+"""and each such step nearer to the set-point shows a drive that is only slow."""
+_DUTY_THAT_TURNS = 0.4
+"""Nobody knows the dead band of a motor and its load; at this duty it has ended."""
+_UNSURE_COUNTS_PER_S = 20.0
+"""What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
+_STALL_COUNTS = 8.0
+"""So many have to be missing before an encoder is said to stand."""
+
+
+def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
+    """The profiles of its drives, by the name that the file gives them. Raises ProfileError."""
+    return {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+
+
+def loop_settings(
+    robot: Robot,
+    command_fds: tuple[int, ...] = (),
+    guard: GuardConfig | None = None,
+    stop_fd: int = -1,
+) -> rt.LoopSettings:
+    """How the loop's thread is to run."""
+    rates = (publish.rate_hz for publish in robot.publish.values())
+    return rt.LoopSettings(
+        rate_hz=robot.loop.rate_hz,
+        priority=robot.loop.priority,
+        cpu=robot.loop.cpu,
+        notify_hz=min(max(_NOTIFY_HZ, *rates, 0.0), robot.loop.rate_hz),
+        lock_memory=robot.loop.lock_memory,
+        hold_dma_latency=robot.loop.hold_dma_latency,
+        command_fds=command_fds,
+        stop_fd=stop_fd,
+        guard=guard,
+    )
+
+
+def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
+    """The core's config, joints in the file's order."""
+    safety = robot.safety
+    return {
+        "joint_count": len(robot.joint),
+        "track_m": robot.base.effective_track_m,
+        "limits": base_limits(robot.limits),
+        "command_timeout_s": safety.command_timeout_s,
+        "feedback_timeout_s": safety.feedback_timeout_s,
+        "heartbeat_timeout_s": safety.heartbeat_timeout_s,
+        "rest_velocity_rad_s": safety.rest_velocity_rad_s,
+        "on_timeout": rt.StopAction[safety.on_timeout.upper()],
+        "on_fault": rt.StopAction[safety.on_fault.upper()],
+        "on_estop": rt.StopAction[safety.on_estop.upper()],
+        "distance_variance_m2_per_m": robot.odometry.distance_variance_m2_per_m,
+        "turn_variance_rad2_per_rad": robot.odometry.turn_variance_rad2_per_rad,
+        "pose_variance_floor_m2": robot.odometry.pose_variance_floor_m2,
+        "heading_variance_floor_rad2": robot.odometry.heading_variance_floor_rad2,
+        "twist_variance_floor_m2_s2": robot.odometry.twist_variance_floor_m2_s2,
+        "twist_variance_floor_rad2_s2": robot.odometry.twist_variance_floor_rad2_s2,
+        "gyro": _gyro(robot.imu),
+        "joint": [_joint(robot, name, profiles) for name in robot.joint],
+    }
+
+
+def _gyro(imu: Imu | None) -> rt.GyroConfig:
+    if imu is None:
+        return {"used": 0}
+    return {
+        "used": 1,
+        "timeout_s": imu.timeout_s,
+        "bias_max_rad_s": imu.bias_max_rad_s,
+        "still_variance_rad2_s2": imu.still_deviation_rad_s**2,
+        "heading_variance_rad2_per_s": imu.heading_variance_rad2_per_s,
+        "turn_variance_rad2_per_rad": imu.turn_variance_rad2_per_rad,
+    }
+
+
+def base_limits(limits: Limits) -> rt.BaseLimits:
+    """[limits] as the core has them."""
+    return {
+        "linear": {
+            "velocity_u_s": limits.linear_m_s,
+            "acceleration_u_s2": limits.linear_m_s2,
+            "deceleration_u_s2": limits.linear_deceleration_m_s2,
+            "jerk_u_s3": limits.linear_m_s3,
+        },
+        "angular": {
+            "velocity_u_s": limits.angular_rad_s,
+            "acceleration_u_s2": limits.angular_rad_s2,
+            "deceleration_u_s2": limits.angular_deceleration_rad_s2,
+            "jerk_u_s3": limits.angular_rad_s3,
+        },
+    }
+
+
+def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
+    joint = robot.joint[name]
+    profile = profiles[joint.drive]
+    backward_rad_s, forward_rad_s = velocity_range_rad_s(joint, profile)
+    return {
+        "side": -1.0 if joint.side == "left" else 1.0,
+        "wheel_radius_m": robot.wheel_radius_m(name),
+        "velocity_min_rad_s": backward_rad_s,
+        "velocity_max_rad_s": forward_rad_s,
+        "rad_per_count": rad_per_count(joint, profile),
+        "counter_bits": counter_bits(joint, profile),
+        "line": list(robot.line).index(joint.line),
+        "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
+        "speed_loop": _speed_loop(joint, profile),
+        "plausible": _plausible(robot, name, profile),
+    }
+
+
+def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfig:
+    """[safety.feedback] for one wheel. A coarse encoder widens what it cannot tell apart. A duty
+    holds no speed: only a wheel that stands at much of it, or is faster than ever asked, is
+    wrong."""
+    checks, joint = robot.safety.feedback, robot.joint[name]
+    working_rad_s = working_speed_rad_s(robot, name, profile)
+    count_rad = abs(rad_per_count(joint, profile)) if counter_bits(joint, profile) else 0.0
+    unsure_rad_s = _UNSURE_COUNTS_PER_S * count_rad
+    setpoint_min_rad_s = checks.setpoint_min_part * working_rad_s
+    runaway_part, following_s = checks.runaway_part, checks.following_s
+    if takes_duty(joint, profile):
+        given = checks.model_fields_set
+        full_duty_rad_s = joint.full_duty_rad_s or working_rad_s
+        if "setpoint_min_part" not in given:
+            setpoint_min_rad_s = max(setpoint_min_rad_s, _DUTY_THAT_TURNS * full_duty_rad_s)
+        following_s = following_s if "following_s" in given else 0.0
+        runaway_part = runaway_part if "runaway_part" in given else 1.0
+    return {
+        "setpoint_min_rad_s": max(
+            setpoint_min_rad_s, _STALL_COUNTS * count_rad / (checks.stall_s or 1.0)
+        ),
+        "slow_rad_s": _SLOW_PART * working_rad_s,
+        "short_rad_s": checks.following_part * working_rad_s + unsure_rad_s,
+        "beyond_rad_s": runaway_part * working_rad_s + unsure_rad_s,
+        "apart_rad_s": _APART_PART * working_rad_s + unsure_rad_s,
+        "progress_rad_s": _PROGRESS_PART * working_rad_s,
+        "direction_s": checks.direction_s,
+        "stall_s": checks.stall_s,
+        "following_s": following_s,
+        "runaway_s": checks.runaway_s,
+        "apart_s": checks.implausible_s,
+        "jumps_max": checks.jumps_max,
+    }
+
+
+def _speed_loop(joint: Joint, profile: DriveProfile) -> SpeedLoopConfig:
+    """All zero for a drive that holds the speed by itself."""
+    loop = joint.speed_loop if takes_torque(joint, profile) else None
+    if loop is None:
+        return {"gain_n_m_s_per_rad": 0.0, "integral_n_m_per_rad": 0.0, "torque_max_n_m": 0.0}
+    return {
+        "gain_n_m_s_per_rad": loop.gain_n_m_s_per_rad,
+        "integral_n_m_per_rad": loop.integral_n_m_per_rad,
+        "torque_max_n_m": loop.torque_max_n_m,
+    }
+
+
+def _pwm(
+    joint: Joint, profile: DriveProfile, forward_rad_s: float, *, reversible: bool
+) -> rt.PwmConfig:
+    """The duty map; for a drive that takes velocities the duty is only shown, 1 at full speed."""
+    full_duty_rad_s = joint.full_duty_rad_s if takes_duty(joint, profile) else None
+    return {
+        "dead_band": joint.duty_dead_band,
+        "duty_min": joint.duty_min if reversible else 0.0,
+        "duty_max": joint.duty_max,
+        "slew_per_s": joint.duty_slew_per_s,
+        "full_duty_rad_s": full_duty_rad_s or forward_rad_s,
+    }

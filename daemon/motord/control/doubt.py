@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why the core does not believe its feedback, in words for a person."""
+
+from __future__ import annotations
+
+import math
+
+from motord.api.snapshot import DoubtSnapshot
+
+_CHECK = {
+    "direction": "turns the wrong way: check the joint's `inverted`, the motor's and the encoder's"
+    " wires",
+    "stall": "does not turn: check that it is free, its motor's wires, its encoder and the cable",
+    "following_error": "does not follow: check the load, the drive's current and speed limits, and"
+    " counts_per_turn and gear_ratio of the joint",
+    "runaway": "is faster than it was told: check the drive's settings, the encoder and its wires",
+    "implausible_feedback": "has feedback that cannot be true: check the encoder, its cable, and"
+    " counts_per_turn and gear_ratio of the joint",
+}
+
+
+def doubt_text(doubt: DoubtSnapshot, joint: str, now_ns: int) -> str:
+    """Which wheel, what was measured, since when, and what to check."""
+    reported = ""
+    if math.isfinite(doubt.reported_rad_s) and doubt.fault == "implausible_feedback":
+        reported = f", {doubt.reported_rad_s:.2f} rad/s reported by its drive"
+    since_s = (now_ns - doubt.since_ns) / 1e9
+    return (
+        f"{joint} {_CHECK.get(doubt.fault, 'is not believed')} ({doubt.measured_rad_s:.2f} rad/s"
+        f" measured{reported} at a set-point of {doubt.setpoint_rad_s:.2f} rad/s, for"
+        f" {since_s:.1f} s)"
+    )

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may command: leases by connection and owner. Python grants them and ends them; who of them is
+in command, and who is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
+
+The fresh lease with the highest priority commands; among equals the one who came first. Who asks
+for motion while nobody may move is held: his lease says zero until he has asked for zero himself or
+has let it lapse, also when he connects anew for each command.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+from dataclasses import dataclass, replace
+
+from motord.api.commands import (
+    TOKEN_BYTES,
+    CommandReport,
+    LeaseGrant,
+    LeaseState,
+    Refusal,
+    datagram,
+)
+from motord.realtime.loop import LEASE_NUMBERS, LEASES_MAX, Loop
+from motord_hal.base.clock import within
+from motord_hal.realtime.exchange import now_ns
+
+LEASE_MIN_S = 0.02
+LEASE_MAX_S = 5.0
+JUDGED_WITHIN_S = 0.5
+LOOK_EVERY_S = 0.0005
+_REFUSED = {
+    Refusal.AGE: "it took longer than its lifetime to get to the loop",
+    Refusal.NOT_FINITE: "it is not finite",
+}
+
+
+class NoLease(Exception):
+    """There is no lease to be had, or the loop takes no command under it; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lease:
+    """A source's right to command, and its newest command."""
+
+    number: int
+    owner: str
+    connection: int
+    priority: int
+    stamp_ns: int
+    """When the newest command was given."""
+    expires_ns: int
+    since: int
+    rate_hz: float
+    """Commands a second, smoothed; 0: fewer than two have come."""
+    linear_m_s: float
+    angular_rad_s: float
+    held: bool
+    """Its command counts as zero until zero was asked for."""
+
+    @property
+    def wants_motion(self) -> bool:
+        """Something else than zero was asked for, held or not."""
+        return self.linear_m_s != 0.0 or self.angular_rad_s != 0.0
+
+
+@dataclass(slots=True)
+class _Granted:
+    owner: str
+    connection: int
+    grant: LeaseGrant
+    used_ns: int
+    kept: bool
+    """It has been given out: it ends with its connection, not by lapsing."""
+    socket_number: int = 0
+    """Which of LEASES_MAX sockets is its own, where it has been given out."""
+    sequence: int = 0
+
+
+class Leases:
+    """All leases of the daemon."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._granted: dict[tuple[int, str, bool], _Granted] = {}
+        """By connection, owner, and whether it has been given out."""
+        self._gone: dict[str, int] = {}
+        """Owners that were held when their connection ended, and when their lease would have."""
+        self._next_socket = 0
+        self._judging = asyncio.Lock()
+
+    # ----------------------------------------------------------------------------------- granting
+    def grant(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        *,
+        kept: bool = False,
+        rate_max_hz: float | None = None,
+    ) -> LeaseGrant:
+        """The owner's lease on this connection, made or renewed. Raises ValueError for a lifetime
+        out of bounds, NoLease where there are too many."""
+        if not LEASE_MIN_S <= lease_s <= LEASE_MAX_S:
+            raise ValueError(f"lease_s is {lease_s}: {LEASE_MIN_S} to {LEASE_MAX_S} s")
+        now = now_ns()
+        lifetime_ns = round(lease_s * 1e9)
+        barred_until_ns = self._gone.pop(owner, 0)  # who has a lease already was told
+        before = self._granted.get((connection, owner, kept))
+        if before is None:
+            self._make_room(now)
+            grant = LeaseGrant(
+                number=next(LEASE_NUMBERS),
+                token=secrets.token_bytes(TOKEN_BYTES),
+                priority=priority,
+                lifetime_ns=lifetime_ns,
+                interval_least_ns=round(1e9 / rate_max_hz) if rate_max_hz else 0,
+                barred_until_ns=barred_until_ns,
+            )
+            before = _Granted(owner, connection, grant, now, kept, self._free_socket())
+            self._granted[connection, owner, kept] = before
+            self._publish()
+        elif (before.grant.priority, before.grant.lifetime_ns) != (priority, lifetime_ns):
+            before.grant = replace(before.grant, priority=priority, lifetime_ns=lifetime_ns)
+            self._publish()
+        before.used_ns = now
+        return before.grant
+
+    def socket_number(self, connection: int, owner: str) -> int:
+        """Which socket is that of a lease that has been given out."""
+        return self._granted[connection, owner, True].socket_number
+
+    def _free_socket(self) -> int:
+        """The one that has been free for longest: its last owner may still send."""
+        taken = {granted.socket_number for granted in self._granted.values() if granted.kept}
+        turns = (self._next_socket + turn for turn in range(LEASES_MAX))
+        socket_number = next(turn % LEASES_MAX for turn in turns if turn % LEASES_MAX not in taken)
+        self._next_socket = socket_number + 1
+        return socket_number
+
+    def _make_room(self, now: int) -> None:
+        """What has lapsed for so long that nothing of it counts any more makes room."""
+        self._gone = {owner: until for owner, until in self._gone.items() if now < until}
+        states = self._loop.commands().leases
+        for key, granted in list(self._granted.items()):
+            state = states.get(granted.grant.number)
+            lapsed = now - granted.used_ns > LEASE_MAX_S * 1e9
+            if lapsed and not granted.kept and not (state and state.fresh(now)):
+                del self._granted[key]
+        if len(self._granted) >= LEASES_MAX:
+            raise NoLease(f"{LEASES_MAX} sources command already: one of them has to release first")
+
+    def _publish(self) -> None:
+        self._loop.grant(granted.grant for granted in self._granted.values())
+
+    def release(self, connection: int, owner: str) -> None:
+        """The owner gives his lease back; no lease: nothing."""
+        ended = [self._granted.pop((connection, owner, kept), None) for kept in (False, True)]
+        if any(ended):
+            self._publish()
+
+    def disconnect(self, connection: int) -> None:
+        """Every lease of a connection ends with it. Who is held stays so on his other connections,
+        those that are there and the next one."""
+        now = now_ns()
+        states = self._loop.commands().leases
+        ended = [key for key in self._granted if key[0] == connection]
+        for key in ended:
+            granted = self._granted.pop(key)
+            state = states.get(granted.grant.number)
+            if state is not None and state.held and state.fresh(now):
+                self._bar(granted.owner, state.expires_ns)
+        if ended:
+            self._publish()
+
+    def _bar(self, owner: str, until_ns: int) -> None:
+        self._gone[owner] = max(self._gone.get(owner, 0), until_ns)
+        for other in self._granted.values():
+            if other.owner == owner:
+                # Later than any that he was told: the loop must see that it is another one.
+                told_ns = max(other.grant.barred_until_ns + 1, until_ns)
+                other.grant = replace(other.grant, barred_until_ns=told_ns)
+
+    def holds(self, connection: int) -> bool:
+        """It has a lease that was given out, or a living command. At most LEASES_MAX do."""
+        return any(
+            granted.connection == connection and (granted.kept or self._is_fresh(granted))
+            for granted in self._granted.values()
+        )
+
+    def _is_fresh(self, granted: _Granted) -> bool:
+        state = self._loop.commands().leases.get(granted.grant.number)
+        return state is not None and state.fresh(now_ns())
+
+    # --------------------------------------------------------------------------------- commanding
+    async def submit(
+        self,
+        *,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        linear_m_s: float,
+        angular_rad_s: float,
+    ) -> Lease:
+        """The owner's newest command, as the loop has judged it. Raises ValueError for its numbers,
+        NoLease where the loop does not take it."""
+        if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
+            raise ValueError(f"a command of {linear_m_s} m/s, {angular_rad_s} rad/s is not finite")
+        async with self._judging:  # one at a time: a refusal has no name on it
+            grant = self.grant(connection, owner, priority, lease_s)
+            granted = self._granted[connection, owner, False]
+            granted.sequence += 1
+            before = self._loop.commands()
+            command = datagram(grant.token, granted.sequence, now_ns(), linear_m_s, angular_rad_s)
+            try:
+                self._loop.send(command)
+                state = await self._judged(grant.number, granted.sequence, before)
+            except (BlockingIOError, TimeoutError):
+                raise NoLease("the loop takes no commands: it stands still") from None
+        zeroed = state.linear_m_s == 0.0 and state.angular_rad_s == 0.0
+        if zeroed and (linear_m_s != 0.0 or angular_rad_s != 0.0):
+            raise NoLease(
+                f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s is more than ten times "
+                "the limit, so it counts as zero: is the unit right? (motord params list)"
+            )
+        return _lease(granted, state)
+
+    async def _judged(self, number: int, sequence: int, before: CommandReport) -> LeaseState:
+        """Wait until the loop has seen it. Raises TimeoutError, NoLease."""
+        async with within(JUDGED_WITHIN_S):
+            while True:
+                report = self._loop.commands()
+                state = report.leases.get(number)
+                if state is not None and state.sequence >= sequence:
+                    return state
+                for kind, words in _REFUSED.items():
+                    if report.refused[kind] > before.refused[kind]:
+                        raise NoLease(f"the command was not taken: {words}")
+                await asyncio.sleep(LOOK_EVERY_S)
+
+    # ------------------------------------------------------------------------------------ looking
+    def fresh(self) -> list[Lease]:
+        """Those with a living command, who commands first."""
+        now = now_ns()
+        states = self._loop.commands().leases
+        found = (
+            _lease(granted, states[granted.grant.number])
+            for granted in self._granted.values()
+            if granted.grant.number in states and states[granted.grant.number].fresh(now)
+        )
+        return sorted(found, key=lambda lease: (-lease.priority, lease.since))
+
+    def commander(self) -> Lease | None:
+        """Whose command counts now."""
+        return next(iter(self.fresh()), None)
+
+    def wanting(self) -> str | None:
+        """Somebody who asks for motion, whether it is granted or not."""
+        return next((lease.owner for lease in self.fresh() if lease.wants_motion), None)
+
+
+def _lease(granted: _Granted, state: LeaseState) -> Lease:
+    return Lease(
+        number=granted.grant.number,
+        owner=granted.owner,
+        connection=granted.connection,
+        priority=granted.grant.priority,
+        stamp_ns=state.stamp_ns,
+        expires_ns=state.expires_ns,
+        since=state.since,
+        rate_hz=1e9 / state.interval_ns if state.interval_ns > 0 else 0.0,
+        linear_m_s=state.linear_m_s,
+        angular_rad_s=state.angular_rad_s,
+        held=state.held,
+    )

@@ -1,0 +1,438 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot in operation: what the daemon knows, and everything it can do without waiting.
+
+One object brings machine, leases, core and lines together; its methods run in the daemon's one
+asyncio thread and return at once, but for `drive`, which waits for the loop's word. What has to
+wait for drives or wheels is in `procedures.py`.
+
+Rule of the house: what the core is told is made anew from the state each time (`_control`), so that
+no level can be forgotten.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from motord.api.commands import LeaseGrant
+from motord.api.snapshot import Snapshot
+from motord.base.log import about
+from motord.base.sdnotify import Notifier
+from motord.config import Limits, Robot
+from motord.control.assembly import base_limits
+from motord.control.battery import BatteryLevel, BatteryWatch
+from motord.control.doubt import doubt_text
+from motord.control.leases import Lease, Leases, NoLease
+from motord.control.machine import Event, Facts, Refusal, State, step
+from motord.control.waiting import Waiting
+from motord.local_socket.server import Refused
+from motord.realtime.loop import Control, Loop
+from motord.realtime.types import StopRequests
+from motord_hal.base.clock import within
+from motord_hal.fieldbus.ports import DriveState, EventKind, Line, LineEvent, LineState
+from motord_hal.realtime.exchange import now_ns
+
+_log = logging.getLogger(__name__)
+
+_WORRYING = {
+    EventKind.LINE_LOST,
+    EventKind.DRIVE_QUIET,
+    EventKind.DRIVE_FAULT,
+    EventKind.DRIVE_WARNING,
+}
+_MAY_MOVE = (State.ARMED, State.MOVING)
+_ESTOP_INPUTS = {
+    "active": "the emergency stop's contact ({}) says stop: release the button, or mend the wire",
+    "lost": "the emergency stop's input ({}) cannot be read any more: start the daemon again",
+}
+_LATCHED = (State.FAULT, State.ESTOP)
+_GUARDED = (Event.ARM, Event.RESET)
+_BARE = "estop"
+"""The core's word, where its state was looked at before the request that has led to it."""
+
+
+REASONS_MAX = 8
+"""Of one emergency stop: the first ones, and the newest."""
+WHY_CHARS_MAX = 300
+
+
+def process_name(pid: int) -> str:
+    """For a sentence: its number, and its name where it still runs."""
+    try:
+        name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return f"process {pid}"
+    return f"process {pid}, {printable(name)}"
+
+
+def printable(text: str) -> str:
+    """What a client wrote, fit for one line of the log."""
+    return "".join(one if one.isprintable() else "?" for one in text[:WHY_CHARS_MAX])
+
+
+class Operation:
+    """State, leases and levels of one robot. `lines` is filled before anything runs."""
+
+    def __init__(self, robot: Robot, loop: Loop, notifier: Notifier) -> None:
+        self.robot = robot
+        self.loop = loop
+        self.lines: list[Line] = []
+        self.waiting = Waiting()
+        self.state = State.OFF
+        self.snapshot: Snapshot = loop.read_state()
+        self.leases = Leases(loop)
+        self.limits: Limits = robot.limits
+        self.why: tuple[str, ...] = ()
+        """What led to the fault or the emergency stop that is latched."""
+        self.stops = 0
+        """How often it was brought to rest by a stop, an emergency stop or a fault."""
+        self.battery = BatteryWatch(robot.battery, now_ns()) if robot.battery else None
+        """None: nobody measures it."""
+        self.busy = asyncio.Lock()
+        """Held by a procedure: one at a time."""
+        self.disarming = False
+        """A procedure is taking the power off: STOPPING ends with it."""
+        self._notifier = notifier
+        self._armed = False
+        self._estop = False
+        self.estops = 0
+        """How often an emergency stop came."""
+        self._broken: str | None = None
+        """Why the daemon itself raises a fault."""
+        self._reset_count = 0
+        self._odometry_reset_count = 0
+        self._changed = asyncio.Event()
+        self.stop_requests = StopRequests()
+        """What the loop has received, as of the last look."""
+        self._acknowledged = StopRequests()
+        self.disarm_requested = asyncio.Event()
+        """Set until `acknowledge_disarm`."""
+
+    # ------------------------------------------------------------------------- the machine's steps
+    def facts(self) -> Facts:
+        """What the guards look at, now."""
+        joints = dict(zip(self.robot.joint, self.snapshot.joints, strict=True))
+        words = {name: found for line in self.lines for name, found in line.drive_faults.items()}
+        return Facts(
+            unready_lines=tuple(self._unready()),
+            stale_joints=tuple(name for name, joint in joints.items() if joint.stale),
+            drive_faults=tuple(
+                f"{name}: {', '.join(words.get(name) or ['fault'])}"
+                for name, joint in joints.items()
+                if joint.drive_faults
+            ),
+            commanding=self.leases.wanting(),
+            at_rest=self.snapshot.at_rest,
+            estop_input=self.estop_input(),
+            battery_forbids=self.battery_forbids,
+        )
+
+    def estop_input(self) -> str:
+        """Why the emergency stop's contact stops the robot now; empty: it does not."""
+        pin = self.robot.safety.estop
+        found = self.loop.status().estop_input if pin is not None else ""
+        if pin is None or found not in _ESTOP_INPUTS:
+            return ""
+        return _ESTOP_INPUTS[found].format(f"{pin.gpio_line} of {pin.gpio_chip}")
+
+    @property
+    def battery_forbids(self) -> bool:
+        """The battery is critical, and the robot file says that this stops the robot."""
+        stops = self.robot.safety.on_battery_critical == "stop"
+        return stops and self.battery is not None and self.battery.level is BatteryLevel.CRITICAL
+
+    def check(self, event: Event) -> State:
+        """Where the event would lead. Raises Refused."""
+        target = step(self.state, event, self.facts() if event in _GUARDED else Facts())
+        if isinstance(target, Refusal):
+            raise Refused(target.reason)
+        return target
+
+    def take(self, event: Event) -> State:
+        """Take the step, tell the core and the supervisor. Raises Refused."""
+        target = self.check(event)
+        if target is self.state:
+            return target
+        _log.info("%s (%s, was %s)", target, event, self.state)
+        if target in _LATCHED or event is Event.STOP:
+            self.stops += 1
+        self.state = target
+        self.put_control()
+        self._notifier.status(target)
+        self._notify()
+        return target
+
+    def _unready(self) -> list[str]:
+        return [
+            f"line {line.spec.name} is {line.state}"
+            for line in self.lines
+            if line.state is not LineState.READY
+        ] + [
+            f"{joint} is {drive}"
+            for line in self.lines
+            if line.state is LineState.READY
+            for joint, drive in line.drive_states.items()
+            if drive not in (DriveState.READY, DriveState.ARMED)
+        ]
+
+    # ------------------------------------------------------------------------- what the core hears
+    def put_control(self) -> None:
+        """All levels as they follow from the state, and a heartbeat."""
+        self.loop.put_control(
+            Control(
+                armed=self._armed,
+                stop=self.state is State.STOPPING,
+                estop=self._estop,
+                fault=self._broken is not None,
+                reset_count=self._reset_count,
+                odometry_reset_count=self._odometry_reset_count,
+                machine_state=self.state.number,
+                limits=base_limits(self.limits),
+            )
+        )
+
+    def set_armed(self, armed: bool) -> None:
+        """The level that the core arms on, or disarms."""
+        self._armed = armed
+        self.put_control()
+
+    def ask_reset(self) -> None:
+        """Take back what the daemon itself holds against the robot, and ask the core to clear."""
+        self._estop = False
+        self._broken = None
+        self._armed = False
+        self._reset_count += 1
+        self.put_control()
+
+    def ask_odometry_reset(self) -> None:
+        """The pose to the origin, at the next tick."""
+        self._odometry_reset_count += 1
+        self.put_control()
+
+    def set_limits(self, limits: Limits) -> None:
+        """In force from the next tick on. They have been checked."""
+        self.limits = limits
+        self.put_control()
+
+    # ---------------------------------------------------------------------------------- commanding
+    async def drive(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        linear_m_s: float,
+        angular_rad_s: float,
+    ) -> Lease:
+        """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
+        numbers."""
+        try:
+            lease = await self.leases.submit(
+                owner=owner,
+                connection=connection,
+                priority=priority,
+                lease_s=lease_s,
+                linear_m_s=linear_m_s,
+                angular_rad_s=angular_rad_s,
+            )
+        except NoLease as error:
+            raise Refused(str(error)) from error
+        if self.state not in _MAY_MOVE and lease.wants_motion:
+            how = "wait until it is at rest" if self.state is State.STOPPING else "motord arm"
+            if self.state in _LATCHED:
+                how = "motord reset, then motord arm"
+            raise Refused(f"the state is {self.state}, so the robot does not move: {how}")
+        if lease.held:
+            raise Refused(
+                f"{owner} went on asking for motion while nobody might move: "
+                "send zero once, or nothing for lease_s, then go on"
+            )
+        return lease
+
+    def lease(
+        self,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        rate_max_hz: float | None = None,
+    ) -> LeaseGrant:
+        """A lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
+        try:
+            return self.leases.grant(
+                connection, owner, priority, lease_s, kept=True, rate_max_hz=rate_max_hz
+            )
+        except NoLease as error:
+            raise Refused(str(error)) from error
+
+    def release(self, connection: int, owner: str) -> None:
+        """The owner gives his lease back."""
+        self.leases.release(connection, owner)
+
+    def disconnect(self, connection: int) -> None:
+        """All leases of a connection end with it."""
+        self.leases.disconnect(connection)
+
+    # ---------------------------------------------------------------------------- what is reported
+    def estop(self, pid: int, why: str = "") -> None:
+        """At once, from every state, whatever else is going on. `pid`: who asks; `why`: his words,
+        which take the place of what is known of him without them."""
+        self._estop = True
+        self.estops += 1
+        sender = process_name(pid)
+        anonymous = f"asked for by {sender}"
+        reason = f"{printable(why)} ({sender})" if why else anonymous
+        before = self.why if self.state is State.ESTOP else ()
+        known = reason in before or any(sender in one for one in before if not why)
+        if not known:
+            kept = [one for one in before if one not in (anonymous, _BARE)]
+            self.why = (*kept[: REASONS_MAX - 1], reason)
+            _log.warning("emergency stop: %s", reason)
+        self.take(Event.ESTOP)
+        self.put_control()
+
+    def fault(self, why: str) -> None:
+        """Something that the core cannot see forbids going on under power."""
+        self.look()
+        if not self.state.live:  # nothing to take away, or the core has seen it already
+            return
+        self._broken = why
+        self._latch(Event.FAULT, [why])
+        self.put_control()
+
+    def _latch(self, event: Event, why: list[str]) -> None:
+        if self.state not in _LATCHED:
+            self.why = tuple(why)
+            _log.warning("fault: %s", "; ".join(why), extra=about(event="fault", faults=why))
+        self.take(event)
+
+    def _follow_stop_requests(self) -> None:
+        """The loop goes by them already; the state follows. Only when the levels that this object
+        puts hold a request is it acknowledged, so that nothing moves or arms in between."""
+        now, before = self.loop.stop_requests(), self.stop_requests
+        if now == before or self.state is State.OFF:
+            return
+        self.stop_requests = now
+        if now.estop != before.estop:
+            self.estop(now.pid)
+        if now.stop != before.stop:
+            self.take(Event.STOP)
+        if now.disarm != before.disarm:
+            self.disarm_requested.set()
+        self._acknowledge(replace(now, disarm=self._acknowledged.disarm))
+
+    def acknowledge_disarm(self, requests: StopRequests) -> None:
+        """The power is off, for all that were requested by then."""
+        self._acknowledge(replace(self._acknowledged, disarm=requests.disarm))
+        if requests.disarm == self.stop_requests.disarm:
+            self.disarm_requested.clear()
+
+    def _acknowledge(self, requests: StopRequests) -> None:
+        self._acknowledged = requests
+        self.put_control()
+        self.loop.acknowledge_stops(requests)
+
+    def look(self) -> None:
+        """The core's newest word on the robot: it may only lead to less."""
+        self._follow_stop_requests()
+        try:
+            before, self.snapshot = self.snapshot, self.loop.read_state()
+        except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
+            return
+        snapshot = self.snapshot
+        if snapshot.faults:
+            estop = "estop" in snapshot.faults
+            self.estops += estop and "estop" not in before.faults
+            self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
+            self._armed = False  # the next arming is an edge again
+        elif self.disarm_requested.is_set() and not snapshot.armed:
+            pass  # the loop has disarmed as requested; DISARMED follows when the power is off
+        elif self.state.live and self._armed and not snapshot.armed:
+            _log.warning("the core has disarmed by itself: %s", ", ".join(snapshot.reasons))
+            self._armed = False
+            self.take(Event.DISARMED)
+        elif not snapshot.at_rest:
+            self.take(Event.MOVED)
+        elif self.state is State.STOPPING and not self.disarming:
+            if "stop_requested" in snapshot.reasons:  # else the loop has not seen it yet
+                self.take(Event.STOPPED)
+        else:
+            self.take(Event.RESTED)
+        self._notify()
+
+    def _explained(self, snapshot: Snapshot) -> list[str]:
+        """The faults in words, with names where they are known."""
+        facts = self.facts()
+        details = {
+            "estop": facts.estop_input,
+            "feedback_stale": ", ".join(facts.stale_joints),
+            "drive": "; ".join(facts.drive_faults),
+            "external": self._broken or "",
+            "suspended": "the computer was suspended; look at the robot, then motord reset",
+        }
+        if snapshot.doubt is not None:
+            joint = list(self.robot.joint)[snapshot.doubt.joint]
+            text = doubt_text(snapshot.doubt, joint, snapshot.stamp_ns)
+            details[snapshot.doubt.fault] = text
+        return [
+            f"{fault}: {details[fault]}" if details.get(fault) else fault
+            for fault in snapshot.faults
+        ]
+
+    def on_line_event(self, event: LineEvent) -> None:
+        """Said once by the line, so once in the log; a loss while under power is a fault."""
+        level = logging.WARNING if event.kind in _WORRYING else logging.INFO
+        said_of = about(line=event.line, joints=event.joints, event=event.kind)
+        _log.log(level, "%s", event.text, extra=said_of)
+        self.waiting.note(event)
+        if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
+            self.fault(event.text)
+        elif event.kind is EventKind.DRIVE_FAULT and self.state is State.FAULT:
+            self._name_also(event.text)
+
+    def _name_also(self, why: str) -> None:
+        """A drive that switches itself off may say why only later."""
+        if why not in self.why:
+            self.why = (*self.why, why)
+            _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
+
+    def beat(self) -> None:
+        """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
+        self.look()
+        if self._unready():
+            self.take(Event.LOST)
+        elif not any(joint.stale for joint in self.snapshot.joints):
+            self.take(Event.READY)
+        if self.state.live and not (self.disarming or self.disarm_requested.is_set()):
+            self._cross_check()
+        self.put_control()
+
+    def _cross_check(self) -> None:
+        """Under power, every drive has to be armed: nobody else may have told it otherwise."""
+        unarmed = self._unready() or [
+            f"{joint} is not armed any more"
+            for line in self.lines
+            for joint, drive in line.drive_states.items()
+            if drive is not DriveState.ARMED
+        ]
+        if unarmed:
+            self.fault("; ".join(unarmed))
+
+    # ------------------------------------------------------------------------------------- waiting
+    def _notify(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    async def until(self, condition: Callable[[], bool], deadline_s: float) -> bool:
+        """Wait until the condition holds; it is looked at with each snapshot and each step. False:
+        it did not within the deadline."""
+        try:
+            async with within(deadline_s):
+                while not condition():
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return True

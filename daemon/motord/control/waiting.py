@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps a line or a drive from being armed, in the words of the line's own events."""
+
+from __future__ import annotations
+
+from motord_hal.fieldbus.ports import DriveState, EventKind, Line, LineEvent, LineState
+
+_PRESENT = (DriveState.READY, DriveState.ARMED)
+_HERE_AGAIN = (EventKind.DRIVE_READY, EventKind.DRIVE_BACK)
+
+
+class Waiting:
+    """Remembers the newest event about each line and joint that is not there."""
+
+    def __init__(self) -> None:
+        self._lost: dict[str, str] = {}
+        """By line."""
+        self._quiet: dict[str, str] = {}
+        """By joint."""
+
+    def note(self, event: LineEvent) -> None:
+        """An event of a line."""
+        if event.kind is EventKind.LINE_LOST:
+            self._lost[event.line] = event.text
+        elif event.kind is EventKind.LINE_OPEN:
+            self._lost.pop(event.line, None)
+        for joint in event.joints:
+            if event.kind is EventKind.DRIVE_QUIET:
+                self._quiet[joint] = event.text
+            elif event.kind in _HERE_AGAIN:
+                self._quiet.pop(joint, None)
+
+    def of(self, line: Line) -> str | None:
+        """What this line waits for now; None: it and all of its drives are ready."""
+        if line.state is LineState.CLOSED:
+            name, port = line.spec.name, line.spec.port
+            return self._lost.get(name, f"{name}: {port} is being opened")
+        absent = (name for name, state in line.drive_states.items() if state not in _PRESENT)
+        texts = [self._quiet.get(name, f"{name}: the drive is being configured") for name in absent]
+        return "; ".join(dict.fromkeys(texts)) or None

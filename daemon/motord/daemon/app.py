@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The daemon: loop, lines, local socket, publishers and their watchers in one TaskGroup."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from motord.base.sdnotify import Notifier
+from motord.bus.publish import KINDS, open_publisher
+from motord.bus.publish.samples import Samples
+from motord.config import Robot
+from motord.control.assembly import core_config, line_specs, loop_settings, profiles_of
+from motord.control.health import Health, Heart
+from motord.control.machine import Event
+from motord.control.operation import Operation
+from motord.daemon import procedures, running_file
+from motord.daemon.battery_task import watch_battery
+from motord.daemon.bus_supervisor import BusSupervisor
+from motord.daemon.imu_task import watch_imu
+from motord.daemon.methods import methods
+from motord.daemon.safety_pins import open_guard
+from motord.local_socket.command_sockets import open_command_sockets, open_stop_socket
+from motord.local_socket.server import listening, serve, socket_path
+from motord.realtime.loop import Loop
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import Line, LineState
+from motord_hal.realtime.exchange import Exchange, now_ns
+
+BEAT_MAX_S = 0.05
+BEATS_PER_TIMEOUT = 5
+HEALTH_PERIOD_S = 0.5
+LOOP_WITHIN_S = 0.5
+LINE_WITHIN_S = 2.0
+LINE_WITHIN_CYCLES = 5
+
+_log = logging.getLogger(__name__)
+
+
+async def run(
+    robot: Robot,
+    path: Path | None = None,
+    on_ready: Callable[[Path], None] = lambda _: None,
+    *,
+    starts_bus: bool = True,
+) -> None:
+    """The daemon, until a signal asks it to end: starts disarmed, ends at rest and disarmed.
+    `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
+    started where the robot file has something for it; else somebody else does that.
+
+    Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
+    PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
+    without.
+    """
+    profiles, notifier, health = profiles_of(robot), Notifier(), Health()
+    specs = line_specs(robot, profiles)
+    name, path = robot.robot.name, path or socket_path(robot.robot.name)
+    ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
+    feeds = {key: Samples(name, section.rate_hz) for key, section in ours.items()}
+    publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
+    bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
+    with (
+        _signals() as (end, hurry),
+        listening(path) as listener,
+        running_file.kept(robot, path.parent),
+        open_command_sockets(robot, path) as command_sockets,
+        open_stop_socket(robot, path) as stop_fd,
+        open_guard(robot, {spec.name: spec.cycle_hz for spec in specs}) as guard,
+        Loop(
+            core_config(robot, profiles),
+            loop_settings(robot, command_sockets.fds, guard, stop_fd),
+            name,
+            journal=robot.has_journal,
+        ) as loop,
+    ):
+        operation = Operation(robot, loop, notifier)
+        for spec in specs:
+            operation.lines.append(open_line(spec, Exchange.of_loop(), operation.on_line_event))
+        operation.take(Event.START)
+        async with asyncio.TaskGroup() as tasks:
+            work = [tasks.create_task(line.run()) for line in operation.lines]
+            work.append(tasks.create_task(_watch(operation, feeds)))
+            work.append(tasks.create_task(_beat(operation)))
+            work.append(tasks.create_task(procedures.disarm_on_request(operation)))
+            work.append(tasks.create_task(watch_battery(operation)))
+            work.append(tasks.create_task(watch_imu(operation)))
+            work.append(tasks.create_task(_watch_health(operation, health, notifier)))
+            work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
+            if bus is not None:
+                work.append(tasks.create_task(bus.run()))
+            offered = methods(operation, health, feeds, command_sockets, bus)
+            server = tasks.create_task(
+                serve(listener, offered, operation.disconnect, operation.leases.holds)
+            )
+            _say_hello(operation, path)
+            notifier.ready()
+            on_ready(path)
+            await end.wait()
+            _log.info("ending: the robot comes to rest first")
+            notifier.stopping()
+            server.cancel()
+            await asyncio.wait([server])
+            problems = await procedures.shut_down(operation, hurry)
+            for task in work:
+                task.cancel()
+    if problems:
+        _log.warning("ended, but not all drives are known to be without power: %s", problems[0])
+    else:
+        _log.info("ended: at rest and disarmed")
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
+    """Set by the first signal to end, and by the second."""
+    loop = asyncio.get_running_loop()
+    end, hurry = asyncio.Event(), asyncio.Event()
+    numbers = (
+        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+        # Ctrl-\ and Ctrl-Z: a daemon that is frozen or gone leaves the wheels to the drives
+        *(signal.SIGQUIT, signal.SIGTSTP),
+    )
+
+    def asked() -> None:
+        (hurry if end.is_set() else end).set()
+
+    for number in numbers:
+        loop.add_signal_handler(number, asked)
+    try:
+        yield end, hurry
+    finally:
+        for number in numbers:
+            loop.remove_signal_handler(number)
+
+
+def _say_hello(operation: Operation, path: Path) -> None:
+    """Once: what runs, where it listens, and what the kernel did not grant."""
+    status = operation.loop.status()
+    _log.info(
+        "%s: loop at %g Hz, %s, socket %s",
+        operation.robot.robot.name,
+        operation.robot.loop.rate_hz,
+        status.policy,
+        path,
+    )
+    for refusal in status.refusals.values():
+        _log.warning("%s", refusal)
+
+
+async def _watch(operation: Operation, feeds: Mapping[str, Samples]) -> None:
+    """Whenever the loop has news: the machine first, the publishers after it."""
+    woken = asyncio.Event()
+
+    def wake() -> None:
+        operation.loop.drain()
+        woken.set()
+
+    asyncio.get_running_loop().add_reader(operation.loop.fileno(), wake)
+    try:
+        while True:
+            await woken.wait()
+            woken.clear()
+            operation.look()
+            battery = operation.battery.report(now_ns()) if operation.battery else None
+            for feed in feeds.values():
+                feed.offer(operation.snapshot, battery)
+    finally:
+        asyncio.get_running_loop().remove_reader(operation.loop.fileno())
+
+
+async def _beat(operation: Operation) -> None:
+    """The heart that the core listens to: it stops when asyncio does."""
+    timeout_s = operation.robot.safety.heartbeat_timeout_s
+    while True:
+        operation.beat()
+        await asyncio.sleep(min(timeout_s / BEATS_PER_TIMEOUT, BEAT_MAX_S))
+
+
+async def _watch_health(operation: Operation, health: Health, notifier: Notifier) -> None:
+    """Feeds the supervisor's watchdog as long as loop, lines and (by this very task) asyncio
+    move."""
+    period_s = min(HEALTH_PERIOD_S, (notifier.watchdog_s or 2.0) / 4.0)
+    pin_errno = 0
+    while True:
+        before, pin_errno = pin_errno, operation.loop.status().watchdog_errno
+        if pin_errno not in (0, before):
+            _log.warning("safety.watchdog: its pin: %s", os.strerror(pin_errno))
+        verdict = health.judge(now_ns(), _hearts(operation))
+        for message in verdict.messages:
+            _log.warning("%s", message)
+        if verdict.well:
+            notifier.watchdog()
+        else:
+            operation.fault(f"stands still: {', '.join(verdict.stalled)}")
+        await asyncio.sleep(period_s)
+
+
+def _hearts(operation: Operation) -> list[Heart]:
+    loop = Heart(name="the loop", count=operation.loop.status().ticks, within_s=LOOP_WITHIN_S)
+    return [loop, *(_line_heart(line) for line in operation.lines)]
+
+
+def _line_heart(line: Line) -> Heart:
+    """A line whose port is not there has nothing to go round; it says so by its state."""
+    return Heart(
+        name=f"line {line.spec.name}",
+        count=line.stats().cycles,
+        within_s=max(LINE_WITHIN_S, LINE_WITHIN_CYCLES / line.spec.cycle_hz),
+        excused=line.state is LineState.CLOSED,
+    )

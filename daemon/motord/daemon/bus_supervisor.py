@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps the second process alive, and at arm's length: started by exec, heard by a pipe, ended by
+force when it is silent. What it does or fails to do costs the daemon a line of the log."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from asyncio.subprocess import PIPE, Process
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from motord.base.rate_limited_log import RateLimitedLog
+from motord.config import Robot
+from motord_hal.base.clock import within
+
+SILENT_S = 10.0
+"""It says every second that it lives."""
+READ_BYTES, READ_EVERY_S = 4096, 0.02
+"""So much of what it says is read at a time, and no more often: a pipe that is flooded is its own
+trouble."""
+BEAT_BYTES_MAX = 65536
+BEATS_A_READ_MAX = 8
+END_WITHIN_S = 2.0
+AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
+WELL_AFTER_S = 60.0
+"""Who has lived for so long may come back at once."""
+
+_log = logging.getLogger(__name__)
+
+
+class BusSupervisor:
+    """The second process of one robot."""
+
+    def __init__(self, robot: Robot, path: Path) -> None:
+        """`path`: the local socket."""
+        options = [part for option in robot.overrides for part in ("--set", option)]
+        self._command = [
+            *(sys.executable, "-m", "motord.bus", str(robot.path), *options),
+            *("--socket", str(path), "--supervised"),
+        ]
+        self._figures: dict[str, Any] = {}
+        self._pid: int | None = None
+        self._restarts = 0
+        self._again_s = AGAIN_MIN_S
+        self._voice = RateLimitedLog(_log)
+
+    def report(self) -> dict[str, Any]:
+        """For `status`: process number (None: it is not there now), restarts, and its own word."""
+        return {**self._figures, "pid": self._pid, "restarts": self._restarts}
+
+    async def run(self) -> None:
+        """Until cancelled; then it is ended."""
+        _spare_a_thread()
+        while True:
+            began_s = time.monotonic()
+            try:
+                why = await self._live()
+            except OSError as error:
+                why = f"cannot be started: {error.strerror or error}"
+            if time.monotonic() - began_s > WELL_AFTER_S:
+                self._again_s = AGAIN_MIN_S
+            self._restarts += 1
+            _log.warning(
+                "motord-bus %s; it is started again in %g s, the robot goes on without",
+                why,
+                self._again_s,
+            )
+            await asyncio.sleep(self._again_s)
+            self._again_s = min(2.0 * self._again_s, AGAIN_MAX_S)
+
+    async def _live(self) -> str:
+        """One life of it; returns how it ended."""
+        async with self._started() as (process, output):
+            _log.info("motord-bus runs as process %d", process.pid)
+            try:
+                await self._listen(output)
+            except TimeoutError:
+                return f"was silent for {SILENT_S:g} s"
+            finally:
+                self._pid, self._figures = None, {}
+            await _end(process)
+            return _how_it_ended(process.returncode)
+
+    @contextlib.asynccontextmanager
+    async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
+        """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
+        async with _pipe() as (output, said):
+            try:
+                process = await asyncio.create_subprocess_exec(
+                    *self._command, stdin=PIPE, stdout=said, start_new_session=True
+                )
+            finally:
+                os.close(said)
+            self._pid = process.pid
+            try:
+                yield process, output
+            finally:
+                await _end(process)
+
+    async def _listen(self, output: asyncio.StreamReader) -> None:
+        """Until its end. Raises TimeoutError for who says nothing that counts for so long."""
+        loop, rest = asyncio.get_running_loop(), b""
+        async with within(SILENT_S) as silence:
+            while chunk := await output.read(READ_BYTES):
+                *lines, rest = (rest + chunk).split(b"\n")
+                rest = rest[-BEAT_BYTES_MAX:]
+                if lines and self._hear(lines[-BEATS_A_READ_MAX:]):
+                    silence.reschedule(loop.time() + SILENT_S)
+                await asyncio.sleep(READ_EVERY_S)
+
+    def _hear(self, lines: list[bytes]) -> bool:
+        """Keep the newest figures among them; False: there are none."""
+        for line in reversed(lines):
+            try:
+                self._figures = _figures(line)
+            except (ValueError, RecursionError):
+                self._voice.say(f"motord-bus says what are no figures: {line[:80]!r}")
+            else:
+                return True
+        return False
+
+
+def _figures(line: bytes) -> dict[str, Any]:
+    """Raises ValueError and RecursionError for what could not be told to others as it is."""
+    said = json.loads(line)
+    if not isinstance(said, dict):
+        raise ValueError("no object")
+    json.dumps(said, allow_nan=False)
+    return said
+
+
+@contextlib.asynccontextmanager
+async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
+    """To read from, and the end to write to, which is the caller's. asyncio's own pipe of a child
+    has to be read to its end before the child counts as gone: nobody would read out a flood."""
+    reading, writing = os.pipe()
+    output = asyncio.StreamReader(READ_BYTES)
+    transport, _ = await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(output), os.fdopen(reading, "rb", 0)
+    )
+    try:
+        yield output, writing
+    finally:
+        transport.close()
+
+
+def _spare_a_thread() -> None:
+    """Until Python 3.11 asyncio waits for each child in a thread, whose whole stack of 8 MB the
+    loop's mlockall would pin; later ones use a pidfd by themselves (Linux 5.3)."""
+    if sys.version_info < (3, 12):
+        try:
+            os.close(os.pidfd_open(os.getpid()))
+        except OSError:
+            return
+        watcher = asyncio.PidfdChildWatcher()
+        watcher.attach_loop(asyncio.get_running_loop())
+        asyncio.get_event_loop_policy().set_child_watcher(watcher)
+
+
+async def _end(process: Process) -> None:
+    """It ends when its standard input does; by force if it does not. Nobody waits for long."""
+    if process.returncode is not None:
+        return
+    assert process.stdin is not None  # it was asked for
+    process.stdin.close()
+    try:
+        async with within(END_WITHIN_S):
+            await process.wait()
+    except TimeoutError:
+        process.kill()
+        await process.wait()
+
+
+def _how_it_ended(status: int | None) -> str:
+    if status is None or status >= 0:
+        return f"ended with status {status}"
+    try:
+        return f"was ended by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"was ended by signal {-status}"

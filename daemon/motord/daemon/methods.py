@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the local socket offers: the table of docs/architecture.md."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from motord.api.commands import VERSION
+from motord.bus.publish.samples import Samples
+from motord.config import SocketInput
+from motord.control.health import Health
+from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S
+from motord.control.machine import State
+from motord.control.operation import WHY_CHARS_MAX, Operation
+from motord.daemon import drive_parameters, parameters, procedures, report
+from motord.daemon.bus_supervisor import BusSupervisor
+from motord.local_socket.command_sockets import CommandSockets
+from motord.local_socket.params import Params, names, number, text
+from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnerParams(Params):
+    """Of whom a lease is."""
+
+    owner: str = text(64, r"[\w.:/-]+", default="socket")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseParams(OwnerParams):
+    priority: int | None = number(0, 1000, whole=True, default=None)
+    lease_s: float | None = number(LEASE_MIN_S, LEASE_MAX_S, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveParams(LeaseParams):
+    linear_m_s: float = number()
+    angular_rad_s: float = number()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstopParams(Params):
+    why: str = text(WHY_CHARS_MAX, default="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamesParams(Params):
+    names: tuple[str, ...] = names()
+
+
+def methods(
+    operation: Operation,
+    health: Health,
+    feeds: Mapping[str, Samples],
+    command_sockets: CommandSockets,
+    bus: BusSupervisor | None,
+) -> dict[str, Method]:
+    """By name. The first five only look."""
+    return {
+        "status": _looking(lambda: report.status(operation, health, feeds, bus)),
+        "robot": _looking(lambda: report.description(operation)),
+        "latency": _looking(lambda: report.latency(operation.loop)),
+        "params.list": _looking(
+            lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)
+        ),
+        "params.get": Method(
+            lambda _, params: _get(operation, params.names), NamesParams, commands=False
+        ),
+        "params.set": Method(lambda _, wanted: _set(operation, wanted), None),
+        "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
+        "lease": Method(
+            lambda caller, params: _lease(operation, command_sockets, caller, params), LeaseParams
+        ),
+        "release": Method(lambda who, params: _release(operation, who, params), OwnerParams),
+        "arm": _acting(lambda _: procedures.arm(operation)),
+        "disarm": _acting(lambda _: procedures.disarm(operation)),
+        "stop": _acting(lambda _: procedures.stop(operation)),
+        "estop": Method(
+            lambda caller, params: _estop(operation, caller, params), EstopParams, urgent=True
+        ),
+        "reset": _acting(lambda _: procedures.reset(operation)),
+        "reset_odometry": _acting(lambda _: procedures.reset_odometry(operation)),
+    }
+
+
+def _looking(look: Callable[[], Any]) -> Method:
+    return Method(lambda caller, params: look(), commands=False)  # noqa: ARG005  # a Method's call
+
+
+def _acting(act: Callable[[Caller], Awaitable[State]]) -> Method:
+    async def call(caller: Caller, _: Params) -> dict[str, str]:
+        return {"state": (await act(caller)).value}
+
+    return Method(call)
+
+
+async def _estop(operation: Operation, caller: Caller, params: EstopParams) -> dict[str, str]:
+    return {"state": (await procedures.estop(operation, caller.pid, params.why)).value}
+
+
+def _input(operation: Operation) -> SocketInput:
+    """How the local socket commands. Raises Refused where the robot file has switched it off."""
+    section = operation.robot.local_input
+    if not section.enabled:
+        raise Refused(
+            "the robot file switches off commands from the local socket: set enabled = true in its "
+            '[input.*] of kind = "socket", or command by one of its other inputs (motord status)'
+        )
+    return section
+
+
+async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
+    section = _input(operation)
+    lease = await operation.drive(
+        caller.connection,
+        params.owner,
+        section.priority if params.priority is None else params.priority,
+        section.lease_s if params.lease_s is None else params.lease_s,
+        params.linear_m_s,
+        params.angular_rad_s,
+    )
+    commander = operation.leases.commander()
+    return {
+        "owner": commander.owner if commander else None,
+        "in_command": commander is not None and commander.number == lease.number,
+        "number": lease.number,
+    }
+
+
+def _lease(
+    operation: Operation, command_sockets: CommandSockets, caller: Caller, params: LeaseParams
+) -> dict[str, Any]:
+    """The right to command by datagrams, for as long as this connection lasts. Who is named as an
+    input of the second process is given what that section says."""
+    section = command_sockets.inputs.get(params.owner, command_sockets.section)
+    if section is None:
+        raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
+    priority = section.priority if params.priority is None else params.priority
+    if priority > section.priority:
+        raise RpcError(
+            f"priority {priority} is above the robot file's {section.priority}", INVALID_PARAMS
+        )
+    lease_s = section.lease_s if params.lease_s is None else params.lease_s
+    if params.owner in command_sockets.inputs and lease_s > section.lease_s:
+        raise RpcError(
+            f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
+        )
+    rate_max_hz = section.rate_max_hz
+    grant = operation.lease(caller.connection, params.owner, priority, lease_s, rate_max_hz)
+    number = operation.leases.socket_number(caller.connection, params.owner)
+    return {
+        "token": grant.token.hex(),
+        "number": grant.number,
+        "priority": priority,
+        "lease_s": lease_s,
+        "rate_max_hz": rate_max_hz,
+        "socket": str(command_sockets.paths[number]),
+        "udp_port": command_sockets.udp_port,
+        "version": VERSION,
+    }
+
+
+def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[str, Any]:
+    operation.release(caller.connection, params.owner)
+    return {}
+
+
+async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
+    """Without a name: all limits; drives are asked only for what is named."""
+    of_drives = [name for name in names if name.startswith(drive_parameters.PREFIX)]
+    ours = [name for name in names if name not in of_drives]
+    found = parameters.values(operation.limits, ours) if ours or not names else {}
+    return found | await drive_parameters.values(operation.lines, of_drives)
+
+
+async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
+    """Limits all or none; or registers of drives, one after the other."""
+    of_drives = {
+        name: value for name, value in wanted.items() if name.startswith(drive_parameters.PREFIX)
+    }
+    if of_drives and len(of_drives) < len(wanted):
+        raise RpcError("limits and registers of drives are set one after the other", INVALID_PARAMS)
+    if of_drives:
+        return dict(await drive_parameters.write(operation, of_drives))
+    now = operation.snapshot
+    moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s
+    operation.set_limits(parameters.changed(operation.limits, wanted, *moving))
+    return parameters.values(operation.limits, wanted)

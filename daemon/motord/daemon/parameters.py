@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the running robot by name: `limits.linear_m_s` and its like, as in the robot file.
+
+JSON has no infinity: null stands for "no limit" where the robot file says inf.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from motord.config import Limits
+from motord.config.problems import nearest
+from motord.config.sections.model import REST_MAX_S
+from motord.config.sections.section import numbers_of
+from motord.control.assembly import base_limits
+from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
+from motord.realtime.loop import limits_problem
+
+_PREFIX = "limits."
+_NUMBERS = numbers_of(Limits)
+
+
+def listed(limits: Limits) -> dict[str, dict[str, Any]]:
+    """Every parameter: value, unit, range and what it is."""
+    return {
+        _PREFIX + key: {
+            "value": json_number(getattr(limits, key)),
+            "unit": number.unit,
+            "minimum": number.low,
+            "maximum": number.high,
+            "description": number.description,
+        }
+        for key, number in _NUMBERS.items()
+    }
+
+
+def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]:
+    """By name; no name: all. Raises RpcError for an unknown one."""
+    keys = [_key(name) for name in names] or list(_NUMBERS)
+    return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
+
+
+def changed(
+    limits: Limits, wanted: Mapping[str, Any], linear_m_s: float = 0.0, angular_rad_s: float = 0.0
+) -> Limits:
+    """All of them as one group, whether they were set before or not, for a robot that moves so.
+    Raises RpcError: then none."""
+    asked = {_key(name): _in_range(_key(name), value) for name, value in wanted.items()}
+    made = Limits(**(vars(limits) | asked))
+    if (problem := limits_problem(base_limits(made))) is not None:
+        raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
+    if (rest_s := made.rest_s(linear_m_s, angular_rad_s)) > REST_MAX_S:
+        raise RpcError(
+            f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
+            "and jerk, or less speed",
+            INVALID_PARAMS,
+        )
+    return made
+
+
+def _in_range(key: str, value: Any) -> float:
+    """In the words of `params list`: which value, and the range with its unit."""
+    number, asked = _NUMBERS[key], math.inf if value is None else value
+    if not number.takes(asked):
+        raise RpcError(f"{_PREFIX}{key}: {asked} is out of range ({number.span})", INVALID_PARAMS)
+    return float(asked)
+
+
+def _key(name: str) -> str:
+    key = name.removeprefix(_PREFIX)
+    if not name.startswith(_PREFIX) or key not in _NUMBERS:
+        near = nearest(name, [_PREFIX + known for known in _NUMBERS])
+        hint = f"did you mean {near}?" if near else "params.list names them all"
+        raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
+    return key

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What takes its time because drives and wheels do: arm, disarm, stop, reset, the way down.
+
+Each ends well or leaves the robot with no more power than it had; `Refused` says why. One at a
+time, but for stop and the emergency stop, which wait for nobody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncIterator
+
+from motord.control.machine import Event, State
+from motord.control.operation import Operation
+from motord.local_socket.server import Refused
+from motord_hal.base.clock import within
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.ports import Line
+
+LINES_WITHIN_S = 4.0
+"""For all drives of a line to arm, to disarm, or to clear their faults."""
+CORE_WITHIN_S = 1.0
+"""For the core to follow; the slowest loop ticks every 0.1 s, a line's feedback may take longer."""
+RAMP_MARGIN_S = 1.0
+RAMP_MAX_S = 20.0
+SHUTDOWN_RAMP_MAX_S = 8.0
+
+_log = logging.getLogger(__name__)
+
+
+async def arm(operation: Operation) -> State:
+    """Every drive enabled at zero speed and seen to be so, then the core; else none of them."""
+    if operation.check(Event.ARM) is operation.state:
+        return operation.state
+    async with _alone(operation):
+        try:
+            operation.check(Event.ARM)
+            for line in operation.lines:
+                async with within(LINES_WITHIN_S):
+                    await line.arm()
+            operation.check(Event.ARM)
+            await _arm_core(operation)
+            return operation.take(Event.ARM)
+        except (HalError, TimeoutError, Refused) as error:
+            operation.set_armed(False)
+            await _power_off(operation)
+            raise Refused(f"not armed: {str(error) or 'a drive took too long'}") from error
+
+
+async def _arm_core(operation: Operation) -> None:
+    operation.set_armed(True)
+    if await operation.until(lambda: operation.snapshot.armed, CORE_WITHIN_S):
+        return
+    snapshot = operation.snapshot
+    why = ", ".join(snapshot.faults or snapshot.reasons)
+    raise Refused(f"the core did not arm within {CORE_WITHIN_S:g} s ({why})")
+
+
+async def disarm(operation: Operation) -> State:
+    """Down the ramp, then the power off. Raises Refused where a drive did not say that it is."""
+    async with operation.busy:
+        problems = await _come_down(operation, RAMP_MAX_S, hurry=asyncio.Event())
+    if problems:
+        raise Refused(f"the robot is {operation.state}, but {'; '.join(problems)}")
+    return operation.state
+
+
+async def disarm_on_request(operation: Operation) -> None:
+    """Until cancelled: the loop has received requests to disarm; take the power off for each."""
+    while True:
+        await operation.disarm_requested.wait()
+        requests = operation.stop_requests
+        try:
+            await disarm(operation)
+        except Refused as error:
+            _log.warning("disarm: %s", error)
+        operation.acknowledge_disarm(requests)
+
+
+async def stop(operation: Operation) -> State:
+    """To rest, and armed still. Returns when it rests."""
+    operation.take(Event.STOP)
+    deadline_s = ramp_s(operation, RAMP_MAX_S)
+    if not await operation.until(lambda: operation.state is not State.STOPPING, deadline_s):
+        raise Refused(f"not yet at rest after {deadline_s:.1f} s: motord disarm, or motord estop")
+    return operation.state
+
+
+async def estop(operation: Operation, pid: int, why: str) -> State:
+    """At once; returns when the core has latched it. `pid`: who asks; `why`: may be empty."""
+    operation.estop(pid, why)
+    if not await operation.until(lambda: "estop" in operation.snapshot.faults, CORE_WITHIN_S):
+        raise Refused("the loop has not confirmed the emergency stop: cut the power by hand")
+    return operation.state
+
+
+async def reset(operation: Operation) -> State:
+    """Clear what is latched, in the drives and in the core, if its causes are gone."""
+    operation.check(Event.RESET)
+    async with _alone(operation):
+        operation.check(Event.RESET)
+        estops = operation.estops
+        try:
+            for line in operation.lines:
+                async with within(LINES_WITHIN_S):
+                    await line.clear_faults()
+        except (HalError, TimeoutError) as error:
+            raise Refused(f"not reset: {str(error) or 'a drive took too long'}") from error
+        await operation.until(lambda: not operation.facts().drive_faults, CORE_WITHIN_S)
+        if left := operation.facts().drive_faults:
+            raise Refused(f"not reset, still there: {'; '.join(left)}")
+        operation.check(Event.RESET)
+        _no_other_estop(operation, estops)
+        operation.ask_reset()
+        if not await operation.until(lambda: not operation.snapshot.faults, CORE_WITHIN_S):
+            left = operation.snapshot.faults
+            raise Refused(f"not reset, the cause is still there: {', '.join(left)}")
+        _no_other_estop(operation, estops)
+        state = operation.take(Event.RESET)
+        operation.why = ()
+        return state
+
+
+def _no_other_estop(operation: Operation, estops: int) -> None:
+    """Who pressed it meanwhile was told that it holds."""
+    if operation.estops != estops:
+        raise Refused("not reset: an emergency stop came meanwhile")
+
+
+async def reset_odometry(operation: Operation) -> State:
+    """The pose is the origin when it returns."""
+    epoch = operation.snapshot.odometry_epoch
+    operation.ask_odometry_reset()
+    if not await operation.until(lambda: operation.snapshot.odometry_epoch != epoch, CORE_WITHIN_S):
+        raise Refused("the loop has not reset the odometry")
+    return operation.state
+
+
+async def shut_down(operation: Operation, hurry: asyncio.Event) -> list[str]:
+    """At rest, power off, OFF on the state page. Returns what is not known to be so, in words.
+    `hurry` leaves the ramp out: then the lines brake as they end. A procedure that is under way
+    must have been cancelled before."""
+    async with operation.busy:
+        problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, hurry)
+    for problem in problems:
+        _log.warning("at the end: %s", problem)
+    operation.take(Event.SHUTDOWN)
+    off = State.OFF.number
+    await operation.until(lambda: operation.snapshot.machine_state == off, CORE_WITHIN_S)
+    return problems
+
+
+@contextlib.asynccontextmanager
+async def _alone(operation: Operation) -> AsyncIterator[None]:
+    if operation.busy.locked():
+        raise Refused("something else is under way (arm, disarm or reset): try again")
+    async with operation.busy:
+        yield
+
+
+async def _come_down(operation: Operation, ramp_max_s: float, hurry: asyncio.Event) -> list[str]:
+    """Ramp, disarm the core, then the drives. Returns what went wrong; the state is true anyway."""
+    operation.disarming = True
+    try:
+        operation.take(Event.DISARM)
+        deadline_s = ramp_s(operation, ramp_max_s)
+        rests = await operation.until(
+            lambda: operation.snapshot.at_rest or not operation.snapshot.enabled or hurry.is_set(),
+            deadline_s,
+        )
+        if hurry.is_set():
+            return ["asked not to wait for rest"]
+        if not rests:
+            _log.warning("not at rest after %.1f s: the power goes off anyway", deadline_s)
+        operation.set_armed(False)
+        await operation.until(lambda: not operation.snapshot.armed, CORE_WITHIN_S)
+        problems = await _power_off(operation)
+        operation.take(Event.DISARMED)
+        return problems
+    finally:
+        operation.disarming = False
+
+
+def ramp_s(operation: Operation, most_s: float) -> float:
+    """Within this a robot that brakes as it should is at rest: v / deceleration, twice
+    deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
+    snapshot, limits = operation.snapshot, operation.limits
+    linear, angular = abs(snapshot.setpoint_linear_m_s), abs(snapshot.setpoint_angular_rad_s)
+    brakes_s = max(
+        linear / limits.linear_deceleration_m_s2, angular / limits.angular_deceleration_rad_s2
+    )
+    # one axis may bound the deceleration and the other one the jerk
+    eases_s = max(
+        limits.linear_deceleration_m_s2 / limits.linear_m_s3,
+        limits.angular_deceleration_rad_s2 / limits.angular_rad_s3,
+    )
+    return min(brakes_s + 2.0 * eases_s + RAMP_MARGIN_S, most_s)
+
+
+async def _power_off(operation: Operation) -> list[str]:
+    """All lines at once. Returns what went wrong, in words."""
+    problems: list[str] = []
+    async with asyncio.TaskGroup() as tasks:
+        for line in operation.lines:
+            tasks.create_task(_disarm_line(line, problems))
+    return problems
+
+
+async def _disarm_line(line: Line, problems: list[str]) -> None:
+    try:
+        async with within(LINES_WITHIN_S):
+            await line.disarm()
+    except (HalError, TimeoutError) as error:
+        watched = all(joint.profile.watchdog is not None for joint in line.spec.joints)
+        then = (
+            "its drives stop by their own watchdogs once nothing reaches them"
+            if watched
+            else "a drive of it has no watchdog and may still turn: cut its power"
+        )
+        problems.append(
+            f"{line.spec.name} could not be disarmed ({str(error) or 'it took too long'}): {then}"
+        )

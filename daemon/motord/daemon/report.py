@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the daemon says about itself: `status` and `latency` of the local socket."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from motord.api.commands import CommandReport
+from motord.api.snapshot import Snapshot
+from motord.bus.publish.samples import Samples
+from motord.control.health import Health
+from motord.control.leases import Lease
+from motord.control.operation import Operation
+from motord.daemon.bus_supervisor import BusSupervisor
+from motord.realtime.loop import HistogramKind, Loop, Percentiles
+from motord_hal.fieldbus.ports import Line
+from motord_hal.realtime.exchange import now_ns
+
+_ODOMETRY = (
+    "x_m", "y_m", "heading_rad", "distance_m", "turned_rad", "linear_m_s", "angular_rad_s",
+    "pose_covariance", "twist_covariance",
+)  # fmt: skip
+_COMMAND = (
+    "command_age_s", "wanted_linear_m_s", "wanted_angular_rad_s",
+    "setpoint_linear_m_s", "setpoint_angular_rad_s", "saturation",
+)  # fmt: skip
+
+
+def status(
+    operation: Operation,
+    health: Health,
+    feeds: Mapping[str, Samples],
+    bus: BusSupervisor | None = None,
+) -> dict[str, Any]:
+    """Everything that is known now, ready for JSON."""
+    snapshot = operation.snapshot.to_json()
+    return {
+        "robot": operation.robot.robot.name,
+        "pid": os.getpid(),
+        "state": operation.state.value,
+        "why": list(operation.why),
+        "armed": snapshot["armed"],
+        "at_rest": snapshot["at_rest"],
+        "reasons": snapshot["reasons"],
+        "faults": snapshot["faults"],
+        "stops": operation.stops,
+        "command": {key: snapshot[key] for key in _COMMAND},
+        "odometry": {key: snapshot[key] for key in _ODOMETRY}
+        | {
+            "degraded": snapshot["odometry_degraded"],
+            "epoch": snapshot["odometry_epoch"],
+            "age_s": _age_s(operation.snapshot.odometry_stamp_ns),
+        },
+        "joints": _joints(operation, snapshot["joints"]),
+        "battery": operation.battery.report(now_ns()) if operation.battery else None,
+        "imu": _imu(operation.snapshot, snapshot["imu"]),
+        "loop": _loop(operation),
+        "lines": {line.spec.name: _line(line, operation) for line in operation.lines},
+        "leases": _leases(operation),
+        "inputs": operation.robot.commanders(),
+        "commands": _commands(operation.loop.commands()),
+        "publishers": {
+            name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
+        },
+        "bus": bus.report() if bus else None,
+        "stalls": health.stalls(),
+        "version": snapshot["version"],
+    }
+
+
+def description(operation: Operation) -> dict[str, Any]:
+    """What the robot file says of the robot, for programs that command it and do not have it."""
+    robot = operation.robot
+    return {
+        "robot": robot.robot.name,
+        "joints": list(robot.joint),
+        "track_m": robot.base.track_m,
+        "wheel_radius_m": robot.base.wheel_radius_m,
+        "feedback_timeout_s": robot.safety.feedback_timeout_s,
+        "inputs": robot.commanders(),
+    }
+
+
+def latency(loop: Loop) -> dict[str, Any]:
+    """The loop's histograms since its start: percentiles in microseconds, how many samples they
+    hold, and each bucket that holds some as low_ns, high_ns, samples. They only grow: what two
+    answers differ by came between them."""
+    found = {kind: loop.percentiles(kind) for kind in HistogramKind}
+    return {
+        "lateness_us": _percentiles(found[HistogramKind.LATENESS], 1e3),
+        "step_us": _percentiles(found[HistogramKind.STEP], 1e3),
+        "command_to_core_us": _percentiles(found[HistogramKind.COMMAND], 1e3),
+        "samples": {kind.name.lower(): found[kind].samples for kind in HistogramKind},
+        "buckets": {
+            kind.name.lower(): [[b.low_ns, b.high_ns, b.samples] for b in loop.buckets(kind)]
+            for kind in HistogramKind
+        },
+    }
+
+
+def _age_s(stamp_ns: int) -> float | None:
+    """None: never."""
+    return (now_ns() - stamp_ns) / 1e9 if stamp_ns else None
+
+
+def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | None:
+    """None: there is none, or it was never heard."""
+    if snapshot.imu is None or shown is None:
+        return None
+    return shown | {"age_s": _age_s(snapshot.imu.stamp_ns)}
+
+
+def _joints(operation: Operation, measured: list[dict[str, Any]]) -> dict[str, Any]:
+    states = {name: state for line in operation.lines for name, state in line.drive_states.items()}
+    words = {name: found for line in operation.lines for name, found in line.drive_faults.items()}
+    return {
+        name: {
+            "drive": states[name].value,
+            "fault_words": list(words.get(name, ())),
+            **values,
+        }
+        for name, values in zip(operation.robot.joint, measured, strict=True)
+    }
+
+
+def _loop(operation: Operation) -> dict[str, Any]:
+    loop, running = operation.loop, operation.loop.status()
+    return {
+        "rate_hz": operation.robot.loop.rate_hz,
+        "policy": running.policy,
+        "priority": running.priority,
+        "ticks": running.ticks,
+        "overruns": running.overruns,
+        "page_faults": running.page_faults,
+        "lateness_us": _percentiles(loop.percentiles(HistogramKind.LATENESS), 1e3),
+        "step_ns": _percentiles(loop.percentiles(HistogramKind.STEP), 1.0),
+        "refusals": running.refusals,
+        "estop_input": running.estop_input,
+        "watchdog": running.watchdog,
+    }
+
+
+def _percentiles(found: Percentiles, ns_per_unit: float) -> dict[str, float]:
+    return {
+        "p50": found.p50_ns / ns_per_unit,
+        "p99": found.p99_ns / ns_per_unit,
+        "p99_9": found.p99_9_ns / ns_per_unit,
+        "max": found.max_ns / ns_per_unit,
+    }
+
+
+def _line(line: Line, operation: Operation) -> dict[str, Any]:
+    stats = line.stats()
+    trips = stats.round_trip
+    return {
+        "state": line.state.value,
+        "waits_for": operation.waiting.of(line),
+        "port": line.spec.port,
+        "engine": line.engine,
+        "exchanges": stats.exchanges,
+        "cycles": stats.cycles,
+        "reopened": stats.reopened,
+        "errors": dict(stats.errors),
+        "cycle_hz": stats.cycle_hz,
+        "wire_limit_hz": stats.wire_limit_hz,
+        "round_trip_us": {"p50": trips.p50_us, "p99": trips.p99_us, "max": trips.max_us},
+    }
+
+
+def _commands(report: CommandReport) -> dict[str, Any]:
+    """How many were taken, and how many refused for which reason."""
+    refused = {kind.name.lower(): count for kind, count in report.refused.items()}
+    return {"accepted": report.accepted, "refused": refused}
+
+
+def _leases(operation: Operation) -> list[dict[str, Any]]:
+    """Who commands stands first, and why; the others wait for him."""
+    now = now_ns()
+    living = operation.leases.fresh()
+    return [
+        {
+            "number": lease.number,
+            "owner": lease.owner,
+            "connection": lease.connection,
+            "priority": lease.priority,
+            "expires_in_s": (lease.expires_ns - now) / 1e9,
+            "linear_m_s": lease.linear_m_s,
+            "angular_rad_s": lease.angular_rad_s,
+            "rate_hz": lease.rate_hz,
+            "held": lease.held,
+            "why": _why(lease, living),
+        }
+        for lease in living
+    ]
+
+
+def _why(lease: Lease, living: Sequence[Lease]) -> str:
+    """Why it is in command, or is not."""
+    first, *others = living
+    if lease is not first:
+        which = "a higher priority" if first.priority > lease.priority else "come first"
+        return f"waits: {first.owner} has {which}"
+    if lease.held:
+        return "in command, held: it asked for motion while nothing may move"
+    if not others:
+        return "in command: the only one"
+    if others[0].priority == lease.priority:
+        return "in command: the first of its priority"
+    return "in command: the highest priority"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot file as it was when the daemon started, kept beside its socket: after a crash the
+drives that were driven are to be told, whatever has become of the file meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from motord.client import socket_folders, trusted_owners
+from motord.config import Robot
+from motord_hal.base import bounded
+
+KEPT_BYTES_MAX = 8 * bounded.TOML_BYTES_MAX
+MODE = 0o600
+"""There may be passwords of buses in it."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class RunningFile:
+    """What a daemon runs, or has run, by."""
+
+    file: str
+    """The robot file's whole path."""
+    text: str
+    overrides: tuple[str, ...]
+    """The --set options."""
+
+
+@contextlib.contextmanager
+def kept(robot: Robot, folder: Path) -> Iterator[None]:
+    """Until an end in good order. A robot runs without it where it cannot be kept: that is said."""
+    ours = RunningFile(str(robot.path.absolute()), robot.text, robot.overrides)
+    place = folder / _name(robot.path)
+    try:
+        _write(place, json.dumps(asdict(ours)))
+    except OSError as error:
+        _log.warning("%s: cannot be kept for motord stop-all: %s", place, error.strerror)
+    yield
+    place.unlink(missing_ok=True)
+
+
+def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile | None:
+    """What the daemon that ran last by this file, and did not end in good order, ran by. None:
+    there is none, or it is not ours to read."""
+    for folder in socket_folders() if folders is None else folders:
+        place = folder / _name(robot_file)
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            if place.stat().st_uid in trusted_owners(folder):
+                found = json.loads(bounded.read(place, KEPT_BYTES_MAX))
+                return RunningFile(found["file"], found["text"], tuple(found["overrides"]))
+    return None
+
+
+def forget(robot_file: Path) -> None:
+    """Its drives have been told."""
+    for folder in socket_folders():
+        with contextlib.suppress(OSError):
+            (folder / _name(robot_file)).unlink()
+
+
+def _name(robot_file: Path) -> str:
+    """By the file and not by the robot's name, which stands in it."""
+    path = os.fsencode(robot_file.absolute())
+    return f"{robot_file.stem}.{hashlib.sha256(path).hexdigest()[:16]}.running"
+
+
+def _write(place: Path, text: str) -> None:
+    """At once, or not at all."""
+    new = place.with_suffix(".new")
+    new.unlink(missing_ok=True)
+    with open(
+        os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, MODE), "w", encoding="utf-8"
+    ) as at:
+        at.write(text)
+    new.replace(place)

@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The local socket: JSON-RPC 2.0, one object a line, on a Unix stream socket.
+
+Whoever connects is known by SO_PEERCRED: root, the daemon's own user and members of the socket's
+group may command, everybody else may look. Nobody there can hurt: lines, answers not yet read,
+calls under way and connections are all bounded, and what is beyond is dropped.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import inspect
+import itertools
+import json
+import logging
+import math
+import os
+import socket
+import stat
+import struct
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motord.api.local_rpc import NOT_ALLOWED, REFUSED
+from motord.client import socket_folders
+from motord.local_socket.params import Params, checked
+
+PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
+INTERNAL_ERROR = -32603
+LINE_BYTES_MAX = 16384
+UNREAD_BYTES_MAX = 1 << 20
+CALLS_MAX = 4
+CONNECTIONS_MAX = 32
+SOCKET_MODE = 0o660
+_SO_PEERGROUPS = 59
+"""include/uapi/asm-generic/socket.h, since Linux 4.13"""
+_GROUP_BYTES_MAX = 1024
+"""As much as Python's getsockopt takes: 256 groups."""
+
+_log = logging.getLogger(__name__)
+
+
+class RpcError(Exception):
+    """What goes back as a JSON-RPC error."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Refused(RpcError):
+    """Understood, and no: the message says why and what to do."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason, REFUSED)
+
+
+class SocketInUse(RuntimeError):
+    """Somebody listens there already."""
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who is at the other end. `connection` is never given twice."""
+
+    connection: int
+    pid: int
+    uid: int
+    may_command: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """`call` gives the result, or a coroutine that does; it may raise RpcError."""
+
+    call: Callable[[Caller, Any], Any]
+    params: type[Params] | None = Params
+    """None: any names, as a dictionary."""
+    commands: bool = True
+    """Only for who may command."""
+    urgent: bool = False
+    """Never too many calls to be taken."""
+
+
+# --------------------------------------------------------------------------------- the socket file
+def socket_path(robot: str, folders: Sequence[Path] = ()) -> Path:
+    """Where this robot's socket belongs: the first folder that can be had; none given: the usual
+    ones. Raises OSError."""
+    system, *own = folders or socket_folders()
+    if os.geteuid() == 0:
+        with contextlib.suppress(OSError):
+            system.mkdir(mode=0o755, exist_ok=True)
+    if os.access(system, os.W_OK):
+        return system / f"{robot}.sock"
+    for folder in own:
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            info = folder.lstat()
+            if stat.S_ISDIR(info.st_mode) and info.st_uid == os.geteuid():
+                folder.chmod(0o700)
+                return folder / f"{robot}.sock"
+    raise PermissionError(errno.EACCES, "no folder for the socket can be made", str(own[-1]))
+
+
+@contextlib.contextmanager
+def listening(path: Path) -> Iterator[socket.socket]:
+    """A listening socket at `path`, removed afterwards. What a dead daemon left there is replaced.
+
+    Raises SocketInUse where somebody listens, or where something else than a socket is; OSError for
+    a path that cannot be used.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as listener:
+        _clear_away(path)
+        # The file is made with this mode: nobody else connects before the chmod.
+        os.fchmod(listener.fileno(), SOCKET_MODE)
+        try:
+            listener.bind(str(path))
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        made = path.stat()
+        try:
+            path.chmod(SOCKET_MODE)
+            listener.listen(CONNECTIONS_MAX)
+            yield listener
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(path.stat(), made):
+                    path.unlink()
+
+
+def _clear_away(path: Path) -> None:
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise SocketInUse(f"{path} is there and is no socket: give another --socket")
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)
+            return
+        except FileNotFoundError:
+            return
+    raise SocketInUse(f"a daemon listens at {path} already: stop it, or give another --socket")
+
+
+def _caller(connection: int, peer: socket.socket) -> Caller:
+    """Who is it, and may they command? The group is that of the socket file at this moment."""
+    credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    pid, uid, gid = struct.unpack("3i", credentials)
+    member_of = {gid}
+    with contextlib.suppress(OSError):
+        groups = peer.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUP_BYTES_MAX)
+        member_of.update(struct.unpack(f"{len(groups) // 4}I", groups))
+    with contextlib.suppress(OSError):
+        if os.stat(peer.getsockname()).st_gid in member_of:
+            return Caller(connection, pid, uid, may_command=True)
+    return Caller(connection, pid, uid, may_command=uid in (0, os.geteuid()))
+
+
+# -------------------------------------------------------------------------------------- the server
+async def serve(
+    listener: socket.socket,
+    methods: Mapping[str, Method],
+    on_close: Callable[[int], None],
+    stays: Callable[[int], bool] = lambda _: False,
+) -> None:
+    """Accept and answer until cancelled. `on_close` gets the number of each connection that ends,
+    at once, whatever it is waiting for. `stays`: whether the connection of that number is never
+    dropped to make room; that must be so for fewer than CONNECTIONS_MAX."""
+    connections: dict[int, _Connection] = {}
+    numbers = itertools.count(1)
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                await _readable(listener)
+                if (peer := await _accepted(listener)) is not None:
+                    number = next(numbers)
+                    _make_room(connections, stays)
+                    connections[number] = _Connection(number, peer, methods, on_close)
+                    tasks.create_task(_attend(number, connections))
+    finally:
+        for connection in connections.values():  # cancelled before their task began
+            connection.close()
+
+
+async def _readable(listener: socket.socket) -> None:
+    loop, news = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(listener, news.set)
+    try:
+        await news.wait()
+    finally:
+        loop.remove_reader(listener)
+
+
+async def _accepted(listener: socket.socket) -> socket.socket | None:
+    """Not loop.sock_accept: cancelled in the wrong moment, it loses the connection."""
+    try:
+        peer, _ = listener.accept()
+    except BlockingIOError:
+        return None
+    except OSError as error:  # out of file descriptors: the robot goes on without
+        _log.warning("no new connection: %s", error.strerror)
+        await asyncio.sleep(1.0)
+        return None
+    peer.settimeout(0.0)
+    return peer
+
+
+def _make_room(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> None:
+    if len(connections) >= CONNECTIONS_MAX:
+        idle = [one for number, one in connections.items() if not stays(number)]
+        min(idle, key=lambda one: one.heard_s).drop("room for another")
+
+
+async def _attend(number: int, connections: dict[int, _Connection]) -> None:
+    try:
+        await connections[number].run()
+    finally:
+        del connections[number]
+
+
+class _Connection:
+    """One peer: reads requests in order, answers each when it is done."""
+
+    def __init__(
+        self,
+        number: int,
+        peer: socket.socket,
+        methods: Mapping[str, Method],
+        on_close: Callable[[int], None],
+    ) -> None:
+        self._caller = _caller(number, peer)
+        self._peer = peer
+        self._methods = methods
+        self._on_close = on_close
+        self._calls = 0
+        self._writer: asyncio.StreamWriter | None = None
+        self.heard_s = asyncio.get_running_loop().time()
+
+    def drop(self, why: str) -> None:
+        """End it without waiting for anything."""
+        _log.warning("connection of process %d dropped: %s", self._caller.pid, why)
+        if self._writer is not None:
+            self._writer.transport.abort()
+
+    async def run(self) -> None:
+        """Until the peer ends."""
+        # cancelled in here, asyncio closes the peer
+        reader, self._writer = await asyncio.open_unix_connection(
+            sock=self._peer, limit=LINE_BYTES_MAX
+        )
+        try:
+            async with asyncio.TaskGroup() as calls:
+                while (line := await self._read(reader)) is not None:
+                    self.heard_s = asyncio.get_running_loop().time()
+                    self._take(line, calls)
+                    await asyncio.sleep(0)  # who floods us waits for everybody else
+                self._on_close(self._caller.connection)
+        finally:
+            self._on_close(self._caller.connection)
+            self.close()
+
+    def close(self) -> None:
+        """What the kernel would not take of the answers is not waited for."""
+        if self._writer is None:
+            self._peer.close()
+        elif self._writer.transport.get_write_buffer_size():
+            self._writer.transport.abort()
+        else:
+            self._writer.close()
+
+    async def _read(self, reader: asyncio.StreamReader) -> bytes | None:
+        """A line; None at the end, and after a line too long to be meant well."""
+        try:
+            return await reader.readuntil(b"\n")
+        except asyncio.LimitOverrunError:
+            self._fail(None, f"a line has at most {LINE_BYTES_MAX} bytes", INVALID_REQUEST)
+        except (asyncio.IncompleteReadError, OSError):
+            pass
+        return None
+
+    def _take(self, line: bytes, calls: asyncio.TaskGroup) -> None:
+        """Answer one request; what has to wait becomes a task of its own."""
+        number: Any = None
+        try:
+            request = _request(line)
+            number = request.get("id", _NOBODY)
+            result = self._call(request["method"], request.get("params", {}))
+            if inspect.iscoroutine(result):
+                self._admit(result, urgent=self._methods[request["method"]].urgent)
+                calls.create_task(self._finish(number, result))
+            else:
+                self._answer(number, {"result": result})
+        except RpcError as error:
+            self._fail(number, str(error), error.code)
+
+    def _call(self, name: str, raw: dict[str, Any]) -> Any:
+        method = self._methods.get(name)
+        if method is None:
+            known = ", ".join(self._methods)
+            raise RpcError(f"no method {name!r}; there are: {known}", METHOD_NOT_FOUND)
+        if method.commands and not self._caller.may_command:
+            raise RpcError(
+                f"{name} is for root, the daemon's user and the group of its socket", NOT_ALLOWED
+            )
+        try:
+            params = raw if method.params is None else checked(method.params, raw)
+        except ValueError as error:
+            raise RpcError(f"{name}: {error}", INVALID_PARAMS) from error
+        return method.call(self._caller, params)
+
+    def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
+        if self._calls >= CALLS_MAX and not urgent:
+            call.close()
+            raise Refused(f"{CALLS_MAX} calls of yours are under way: wait for them")
+        self._calls += 1
+
+    async def _finish(self, number: Any, call: Coroutine[Any, Any, Any]) -> None:
+        try:
+            self._answer(number, {"result": await call})
+        except RpcError as error:
+            self._fail(number, str(error), error.code)
+        finally:
+            self._calls -= 1
+
+    def _fail(self, number: Any, message: str, code: int) -> None:
+        self._answer(number, {"error": {"code": code, "message": message}})
+
+    def _answer(self, number: Any, content: dict[str, Any]) -> None:
+        writer = self._writer
+        if writer is None or writer.is_closing() or number is _NOBODY:
+            return
+        answer = {"jsonrpc": "2.0", "id": number, **content}
+        try:
+            said = json.dumps(answer, allow_nan=False)
+        except ValueError as error:  # our own mistake, and no reason to let the robot go
+            _log.exception("an answer to process %d", self._caller.pid)
+            problem = {"code": INTERNAL_ERROR, "message": f"the answer is no JSON: {error}"}
+            said = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
+        writer.write(said.encode() + b"\n")
+        if writer.transport.get_write_buffer_size() > UNREAD_BYTES_MAX:
+            self.drop("it does not read its answers")
+
+
+# ----------------------------------------------------------------------------------------- framing
+_NOBODY = object()
+"""The id of a notification: a request that wants no answer."""
+
+
+def _request(line: bytes) -> dict[str, Any]:
+    """The request in a line, or RpcError."""
+    try:
+        request = json.loads(line, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise RpcError(f"not a JSON object on one line: {error}", PARSE_ERROR) from error
+    if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
+        raise RpcError('not a JSON-RPC 2.0 object: "jsonrpc": "2.0" is missing', INVALID_REQUEST)
+    if not isinstance(request.get("id"), str | int | None):
+        raise RpcError("id is a whole number or a text", INVALID_REQUEST)
+    if not isinstance(request.get("method"), str):
+        raise RpcError("method is the name of a method", INVALID_REQUEST)
+    if not isinstance(request.get("params", {}), dict):
+        raise RpcError("params is an object: parameters go by name", INVALID_PARAMS)
+    return request
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not JSON")
+
+
+def json_number(value: float) -> float | None:
+    """JSON has neither NaN nor infinity, which a drive may well say: None."""
+    return value if math.isfinite(value) else None

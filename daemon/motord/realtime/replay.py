@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The C core by itself, without loop and lines: steps on recorded input, compared bit for bit."""
+
+from __future__ import annotations
+
+import mmap
+import os
+from typing import Any, Self
+
+from _motord_rt import ffi, lib
+
+from motord.api.page_file import PageFile
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import decode
+
+LAYOUT_VERSION: int = lib.JOURNAL_LAYOUT_VERSION
+RECORD_BYTES: int = ffi.sizeof("journal_record")
+CHECKPOINT_BYTES: int = ffi.sizeof("core_state")
+
+
+class ReplayedCore:
+    """A core that is set to a recorded state and stepped with recorded input."""
+
+    def __init__(self) -> None:
+        self._state = ffi.new("core_state *")
+        self._record = ffi.new("journal_record *")
+        self._out = ffi.new("setpoints *")
+        self._snapshot = ffi.new("robot_state *")
+        self.known = False
+        """It has been set to a state."""
+
+    def load(self, checkpoint: bytes) -> None:
+        """Set it to that state. Raises ValueError for one of another size."""
+        if len(checkpoint) != CHECKPOINT_BYTES:
+            raise ValueError(f"a state of {len(checkpoint)} bytes, not {CHECKPOINT_BYTES}")
+        ffi.memmove(self._state, checkpoint, CHECKPOINT_BYTES)
+        self.known = True
+
+    @property
+    def tick(self) -> int:
+        """Of the last step."""
+        tick: int = self._state.tick
+        return tick
+
+    def is_at(self, checkpoint: bytes) -> bool:
+        """Whether its state is that one, bit for bit."""
+        return bytes(ffi.buffer(self._state)) == checkpoint
+
+    def step(self, record: bytes) -> list[str]:
+        """One tick; what came out otherwise than recorded, by name. Raises ValueError for a record
+        of another size."""
+        if len(record) != RECORD_BYTES:
+            raise ValueError(f"a record of {len(record)} bytes, not {RECORD_BYTES}")
+        raw = self._record
+        ffi.memmove(raw, record, RECORD_BYTES)
+        lib.core_step(self._state, ffi.addressof(raw, "input"), raw.dt_s, self._out, self._snapshot)
+        was = ffi.addressof(raw, "out")
+        differs = []
+        if bytes(ffi.buffer(self._out)) != bytes(ffi.buffer(was)):
+            differs = _differences(self._out, was)
+        if not differs and lib.journal_digest(self._snapshot) != raw.digest:
+            differs = ["the snapshot"]
+        return differs
+
+    def now_ns(self) -> int:
+        """The recorded time of the last step."""
+        now_ns: int = self._record.input.now_ns
+        return now_ns
+
+    def snapshot(self) -> Snapshot:
+        """After the last step."""
+        return decode(bytes(ffi.buffer(self._snapshot)))
+
+    def show(self, page: ReplayPage, shift_ns: int) -> None:
+        """The snapshot after the last step, on a state page, its stamps moved by that much."""
+        raw = self._snapshot
+        raw.stamp_ns += shift_ns
+        raw.odometry_stamp_ns += shift_ns if raw.odometry_stamp_ns > 0 else 0
+        page.write(raw)
+
+
+def tick_of(record: bytes) -> int:
+    """The core's tick that made it."""
+    return int.from_bytes(record[:8], "little")
+
+
+def tick_of_state(checkpoint: bytes) -> int:
+    """The core's tick after which it was taken."""
+    raw = ffi.new("core_state *")
+    ffi.memmove(raw, checkpoint, CHECKPOINT_BYTES)
+    tick: int = raw.tick
+    return tick
+
+
+def _differences(now: Any, was: Any) -> list[str]:
+    names = ["stamp_ns", "tick", "enabled", "joint_count"]
+    found = [name for name in names if getattr(now, name) != getattr(was, name)]
+    for number in range(min(was.joint_count, lib.JOINTS_MAX)):
+        found += [
+            f"joint[{number}].{name}"
+            for name in ("velocity_rad_s", "duty", "torque_n_m")
+            if getattr(now.joint[number], name) != getattr(was.joint[number], name)
+        ]
+    return found or ["the bits of a set-point"]
+
+
+class ReplayPage:
+    """A state page that shows a replay, as a daemon's does. A context manager."""
+
+    def __init__(self, robot: str) -> None:
+        """Raises PageInUse where a daemon of that name runs."""
+        self._file = PageFile.open(robot)
+        self.path = self._file.path
+        os.truncate(self._file.fd, lib.PAGE_BYTES)
+        self._memory = mmap.mmap(self._file.fd, lib.PAGE_BYTES)
+        self._page = ffi.from_buffer(self._memory)
+        lib.page_init(self._page)
+
+    def write(self, raw: Any) -> None:
+        """Publish it."""
+        lib.page_write(self._page, raw)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        ffi.release(self._page)
+        self._memory.close()
+        self._file.close()

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""cyclictest (rt-tests) beside the loop: the same rate, priority, processors and time, so that a
+stall of the machine shows in both."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import re
+import shutil
+import signal
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+from motord.tools.latency.process import running
+from motord.tools.latency.report import Bar, Spread
+from motord_hal.base.clock import within
+
+HISTOGRAM_US = 20_000
+"""Later than this is counted as overflow, and told as the maximum."""
+END_DEADLINE_S = 5.0
+
+
+class CyclictestError(Exception):
+    """No usable output; the message is cyclictest's own."""
+
+
+@dataclass(frozen=True, slots=True)
+class CyclictestResult:
+    """`spread_us` is None where cyclictest is missing or was refused; `note` says why."""
+
+    spread_us: Spread | None
+    histogram: tuple[Bar, ...]
+    note: str
+
+
+def command(rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...]) -> list[str]:
+    """Priority 0 needs --policy=other: with -p0 alone, cyclictest raises itself to SCHED_FIFO."""
+    scheduler = [f"-p{priority}"] if priority > 0 else ["--policy=other"]
+    affinity = [f"-a{','.join(map(str, cpu))}"] if cpu else []
+    return [
+        "cyclictest", "-q", "-m", *scheduler, *affinity, f"-i{round(1e6 / rate_hz)}",
+        f"-D{math.ceil(seconds)}", f"-h{HISTOGRAM_US}",
+    ]  # fmt: skip
+
+
+def parse(text: str) -> tuple[Spread, tuple[Bar, ...]]:
+    """The histogram of one thread as `cyclictest -q -h` prints it: `microseconds count` a line,
+    then summary lines that begin with #. Whole microseconds, rounded down, as cyclictest counts.
+    Raises CyclictestError."""
+    counts = {int(us): int(n) for us, n in re.findall(r"^(\d+)[ \t]+(\d+)\s*$", text, re.MULTILINE)}
+    maximum = re.search(r"^# Max Latencies: *(\d+)\s*$", text, re.MULTILINE)
+    overflows = re.search(r"^# Histogram Overflows: *(\d+)\s*$", text, re.MULTILINE)
+    if not counts or maximum is None or overflows is None:
+        raise CyclictestError("its output holds no histogram")
+    samples = sum(counts.values()) + int(overflows.group(1))
+    if samples == 0:
+        raise CyclictestError("it ended before its first cycle")
+    histogram = tuple(Bar(us, us + 1, n) for us, n in sorted(counts.items()) if n)
+    return Spread.of_counts(counts, samples, float(maximum.group(1))), histogram
+
+
+class Beside:
+    """A cyclictest that runs; `result()` ends it and reads what it counted until then."""
+
+    def __init__(self, process: asyncio.subprocess.Process | None, line: list[str]) -> None:
+        self._process, self._line = process, line
+
+    async def result(self) -> CyclictestResult:
+        if self._process is None:
+            return CyclictestResult(None, (), "cyclictest is not installed (package rt-tests)")
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGINT)
+        try:
+            async with within(END_DEADLINE_S):
+                out, err = await self._process.communicate()
+        except TimeoutError:
+            return CyclictestResult(None, (), "cyclictest did not end when it was asked to")
+        try:
+            spread_us, histogram = parse(out.decode(errors="replace"))
+        except CyclictestError as error:
+            words = " ".join(err.decode(errors="replace").split()) or str(error)
+            return CyclictestResult(None, (), f"cyclictest gave no result: {words}")
+        return CyclictestResult(spread_us, histogram, " ".join(self._line))
+
+
+@contextlib.asynccontextmanager
+async def beside(
+    rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...]
+) -> AsyncIterator[Beside]:
+    """Starts cyclictest where it is installed; it is gone after the block, whatever happened."""
+    line = command(rate_hz, seconds, priority, cpu)
+    if shutil.which(line[0]) is None:
+        yield Beside(None, line)
+        return
+    async with running(line) as process:
+        cyclictest = Beside(process, line)
+        try:
+            yield cyclictest
+        finally:
+            # Killed, it would leave its file in /dev/shm behind.
+            if process.returncode is None:
+                await cyclictest.result()

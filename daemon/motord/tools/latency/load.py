@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Something for the machine to do while it is measured. All of it ends with the block."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+LOADS = ("none", "cpu", "io", "gil")
+BURNER = Path(__file__).with_name("burner.py")
+IO_PROCESSES = 2
+START_DEADLINE_S = 20.0
+# A disk where there is one: /tmp is memory on many systems, and its fsync does nothing.
+DISK_DIRECTORIES = ("/var/tmp", "/tmp")  # noqa: S108 private directories are made below it
+
+
+class LoadError(Exception):
+    """The load could not be put on."""
+
+
+@contextlib.contextmanager
+def load(kind: str) -> Iterator[None]:
+    """`cpu`: a process a processor that computes; `io`: processes that write and fsync; `gil`: a
+    thread of this process that never waits; `none`. On when the block begins. Raises LoadError.
+    """
+    with contextlib.ExitStack() as cleanup:
+        if kind == "cpu":
+            burn(cleanup, "cpu", len(os.sched_getaffinity(0)), "-")
+        elif kind == "io":
+            folder = tempfile.TemporaryDirectory(prefix="motord-latency-", dir=disk_directory())
+            burn(cleanup, "io", IO_PROCESSES, cleanup.enter_context(folder))
+        elif kind == "gil":
+            cleanup.enter_context(gil_hog())
+        elif kind != "none":
+            raise ValueError(f"load is one of {', '.join(LOADS)}, not {kind!r}")
+        yield
+
+
+def disk_directory() -> str | None:
+    """None: what tempfile would take."""
+    return next((d for d in DISK_DIRECTORIES if os.access(d, os.W_OK | os.X_OK)), None)
+
+
+def burn(cleanup: contextlib.ExitStack, kind: str, count: int, folder: str) -> None:
+    """In sessions of their own: a Ctrl-C is the measurement's, which then ends them."""
+    processes = []
+    for _ in range(count):
+        process = subprocess.Popen(
+            [sys.executable, "-I", str(BURNER), kind, str(os.getpid()), folder],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
+        cleanup.callback(end, process)
+        processes.append(process)
+    for process in processes:
+        wait_for_first_byte(process)
+
+
+def wait_for_first_byte(process: subprocess.Popen[bytes]) -> None:
+    """The burner says so when it is at work."""
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], START_DEADLINE_S)
+    if not ready or not process.stdout.read(1):
+        raise LoadError(f"a process for the load did not start within {START_DEADLINE_S:.0f} s")
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+@contextlib.contextmanager
+def gil_hog() -> Iterator[None]:
+    """A thread that computes in pure Python and gives the GIL up only when it is taken away."""
+    stop = threading.Event()
+
+    def hog() -> None:
+        total = 0
+        while not stop.is_set():
+            for i in range(1000):
+                total += i * i
+
+    thread = threading.Thread(target=hog, name="latency-gil-hog", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

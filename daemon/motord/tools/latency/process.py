@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A helper process that does not outlive the measurement."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncIterator, Sequence
+
+from motord_hal.base.clock import within
+
+END_DEADLINE_S = 10.0
+
+
+@contextlib.asynccontextmanager
+async def running(command: Sequence[str], pass_fds: Sequence[int] = ()) -> AsyncIterator[Process]:
+    """stdout and stderr are pipes. In a session of its own, because a Ctrl-C is the measurement's,
+    which then ends the process in its own way; killed at the end of the block if it still runs."""
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        stdin=DEVNULL,
+        stdout=PIPE,
+        stderr=PIPE,
+        pass_fds=tuple(pass_fds),
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            async with within(END_DEADLINE_S):
+                await process.communicate()

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sequence of steps that a drive works off in acyclic slots: one exchange a slot."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+
+from motord_hal.base.errors import HalError
+from motord_hal.drives.profile import DriveProfile, Step
+
+_ALL_BITS = 0xFFFFFFFF
+VERIFY_WITHIN_S = 0.5
+"""How long a value that was written may take until it reads back."""
+
+
+class Job:
+    """Steps, how far they are, and the future of whoever waits for the end."""
+
+    def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
+        self.name = name
+        self.steps = tuple(steps)
+        self.urgent = urgent
+        self.failures = 0
+        self.done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.raw = 0
+        """What the newest wait has read."""
+        self.wait_until_s: float | None = None
+        """Deadline of the wait that is the current step; None: it has not begun."""
+        self._index = 0
+
+    @property
+    def step(self) -> Step | None:
+        """The current step; None when all are done."""
+        return self.steps[self._index] if self._index < len(self.steps) else None
+
+    @property
+    def steps_ahead(self) -> tuple[Step, ...]:
+        """From the current step on."""
+        return self.steps[self._index :]
+
+    def advance(self) -> None:
+        self._index += 1
+        self.failures = 0
+        self.wait_until_s = None
+
+    def finish(self) -> None:
+        if not self.done.done():
+            self.done.set_result(None)
+
+    def fail(self, error: HalError) -> None:
+        if not self.done.done():
+            self.done.set_exception(error)
+            self.done.exception()  # whoever started it may not wait for it
+
+    def limit_s(self, slot_s: float, tries: int) -> float:
+        """How long it may take at worst, when a slot comes every `slot_s`."""
+        return sum(step.within_s + slot_s * (tries + 1) for step in self.steps) + slot_s
+
+
+def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
+    """The drive stops by itself after such a silence: as wanted, within what it can; infinity: it
+    has no watchdog."""
+    watchdog = profile.watchdog
+    if watchdog is None:
+        return math.inf
+    return min(max(wanted_s, watchdog.minimum_s), watchdog.maximum_s)
+
+
+def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
+    """The profile's own steps, then its watchdog; every level that they write is read back."""
+    watchdog = profile.watchdog
+    steps = (*profile.configure, *(read_back(step) for step in _unverified(profile)))
+    if watchdog is None:
+        return steps
+    raw = profile.registers[watchdog.register].from_si(watchdog_time_s(profile, watchdog_s))
+    write = Step(register=watchdog.register, value=raw)
+    return (*steps, write, read_back(write))
+
+
+def read_back(write: Step) -> Step:
+    """The wait until the register says what was written."""
+    assert write.value is not None  # a write
+    return Step(register=write.register, equals=write.value & _ALL_BITS, within_s=VERIFY_WITHIN_S)
+
+
+def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
+    """The last write of each level that the profile's own steps do not wait for. Set-points and
+    what other sequences write, too, are commands: what they read as depends on what came after."""
+    others = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
+    commands = {step.register for steps in others for step in steps if step.value is not None}
+    for channel in profile.channels.values():
+        commands |= channel.commands
+    waited = {step.register for step in profile.configure if step.value is None}
+    last = {step.register: step for step in profile.configure if step.value is not None}
+    return tuple(
+        step
+        for name, step in last.items()
+        if step.verify and name not in commands | waited and "r" in profile.registers[name].access
+    )
+
+
+def kept_steps(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The waits for what the same steps have written: true until the drive loses its set-up, as by
+    a power cut too short to be missed."""
+    written = {(step.register, step.value & _ALL_BITS) for step in steps if step.value is not None}
+    return tuple(step for step in steps if (step.register, step.equals) in written)
+
+
+def kept_registers(profile: DriveProfile) -> tuple[str, ...]:
+    """What `kept_steps` of its set-up look at."""
+    return tuple(step.register for step in kept_steps(configure_steps(profile, 0.0)))
+
+
+def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:
+    """The profile's own steps, then a look whether the faults are gone (warnings may stay)."""
+    warnings = sum(
+        1 << fault.bit
+        for fault in profile.faults
+        if fault.severity == "warning" and fault.bit is not None
+    )
+    verify = tuple(
+        Step(
+            register=channel.fault,
+            mask=0xFFFFFFFF & ~warnings,
+            equals=0,
+            within_s=VERIFY_WITHIN_S,
+        )
+        for channel in profile.channels.values()
+        if channel.fault
+    )
+    return (*profile.clear_fault, *verify)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every line does, whoever runs its cycle. This is where a line begins and where it ends:
+whatever ends it, its drives are brought to rest before its medium is closed.
+"""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Generic, Protocol, TypeVar
+
+from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
+from motord_hal.base.retry import Backoff
+from motord_hal.fieldbus.faults import FaultWatch
+from motord_hal.fieldbus.ports import (
+    DriveState,
+    EventKind,
+    LineEvent,
+    LineSpec,
+    LineState,
+    Listener,
+)
+from motord_hal.realtime.exchange import is_fresh
+
+REOPEN_FIRST_S = 0.1
+REOPEN_LIMIT_S = 2.0
+PRESENT = (DriveState.READY, DriveState.ARMED)
+"""Set up, and heard."""
+
+
+def fresh(stamp_ns: int, timeout_s: float) -> bool:
+    """Whether set-points of this time may move anything; 0: there never were any."""
+    return is_fresh(stamp_ns, timeout_s)
+
+
+class DriveOnLine(Protocol):
+    """What a line asks of each of its drives, whatever its engine."""
+
+    @property
+    def state(self) -> DriveState: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def faults(self) -> Mapping[str, FaultWatch]: ...
+    @property
+    def is_stopping(self) -> bool: ...
+    def lose(self, error: HalError) -> None: ...
+    def stand_down(self) -> object: ...
+
+
+class LineTask(abc.ABC):
+    """The life of a medium: opened, worked on, lost, opened again, and closed at last."""
+
+    _drives: Sequence[DriveOnLine] = ()
+    """None where only C knows of them."""
+
+    def __init__(self, spec: LineSpec, listener: Listener) -> None:
+        self.spec = spec
+        self._listener = listener
+        self._is_open = False
+        self._said_lost = False
+        self._losses = 0
+        """How often the medium was lost, or could not be opened."""
+        self._reopened = 0
+        self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
+
+    # ------------------------------------------------------------------------------- its own medium
+    @abc.abstractmethod
+    async def _open_medium(self) -> str:
+        """Open it, with a deadline; returns what is to be said of it. Raises HalError; then, and
+        when it is cancelled, `_close_medium` closes what was opened."""
+
+    @abc.abstractmethod
+    async def _work(self) -> None:
+        """Run the drives, for as long as the medium is there; then PortError says what happened."""
+
+    @abc.abstractmethod
+    async def _shut_down(self) -> None:
+        """Every drive stops, then loses its power, within a deadline; what fails is said."""
+
+    @abc.abstractmethod
+    def _close_medium(self) -> None:
+        """Nothing happens when it is not open."""
+
+    # ------------------------------------------------------------------------------------ the task
+    async def run(self) -> None:
+        """As ports.Line.run. Also where a mistake of this program ends it."""
+        try:
+            while True:
+                await self._open()
+                try:
+                    await self._work()
+                except PortError as error:
+                    self._lose(error)
+        finally:
+            try:
+                if self._is_open:
+                    await self._shut_down()
+            finally:
+                self._close(PortError(f"{self.spec.name} is closed"))
+
+    async def _open(self) -> None:
+        while True:
+            if self._said_lost:
+                await asyncio.sleep(self._backoff.next_s())
+            try:
+                text = await self._open_medium()
+                break
+            except HalError as error:
+                self._lose(error)
+        self._reopened += self._said_lost
+        self._is_open, self._said_lost = True, False
+        self._say_all(EventKind.LINE_OPEN, text)
+
+    def _lose(self, error: HalError) -> None:
+        self._losses += 1
+        self._close(error)
+        if not self._said_lost:
+            self._said_lost = True
+            self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
+
+    def _close(self, error: HalError) -> None:
+        """`error` is for whoever waits for something of a drive."""
+        self._is_open = False
+        self._close_medium()
+        for drive in self._drives:
+            drive.lose(error)
+
+    # --------------------------------------------------------------------------- what it says of it
+    def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
+        self._listener(LineEvent(kind, self.spec.name, joints, text))
+
+    def _say_all(self, kind: EventKind, text: str) -> None:
+        self._say(kind, tuple(joint.name for joint in self.spec.joints), text)
+
+    def _check_open(self) -> None:
+        """Raises PortError."""
+        if not self._is_open:
+            raise PortError(f"{self.spec.name} is not open on {self.spec.port}")
+
+    def _check_fresh(self, stamp_ns: int) -> None:
+        """Nothing is armed without a loop that says what it shall do. Raises HalError."""
+        if not fresh(stamp_ns, self.spec.setpoint_timeout_s):
+            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
+
+
+AnyDrive = TypeVar("AnyDrive", bound=DriveOnLine)
+
+
+class DriveLine(LineTask, Generic[AnyDrive]):
+    """A line with drives that answer: one or more joints each."""
+
+    _drives: Sequence[AnyDrive]
+
+    @property
+    def state(self) -> LineState:
+        if not self._is_open:
+            return LineState.CLOSED
+        if any(drive.state is DriveState.UNKNOWN for drive in self._drives):
+            return LineState.CONFIGURING
+        return LineState.READY
+
+    @property
+    def drive_states(self) -> dict[str, DriveState]:
+        return {name: drive.state for drive in self._drives for name in drive.names}
+
+    @property
+    def drive_faults(self) -> dict[str, tuple[str, ...]]:
+        return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
+
+    def _say_left_on(self, drives: Sequence[AnyDrive], why: str = "") -> None:
+        """They may have power still when the medium is closed; nothing is said of none."""
+        names = tuple(name for drive in drives for name in drive.names)
+        if names:
+            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end"
+            self._say(EventKind.DRIVE_WARNING, names, ": ".join(filter(None, (text, why))))
+
+    # --------------------------------------------------------------------------------- its engine's
+    @abc.abstractmethod
+    def _setpoints_ns(self) -> int:
+        """When the newest set-points were made; what is known of the drives is as new then."""
+
+    @abc.abstractmethod
+    async def _arm(self, drives: Sequence[AnyDrive]) -> None:
+        """Enable these, at zero speed. Raises the first HalError."""
+
+    @abc.abstractmethod
+    async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
+        """Zero and no power: begun at once on all of these, and done also when nobody waits for it
+        any more. Raises the first HalError when all are through."""
+
+    @abc.abstractmethod
+    async def _clear(self, drives: Sequence[AnyDrive]) -> None:
+        """Power off, then the steps that clear a fault. Raises the first HalError."""
+
+    # ---------------------------------------------------------------------------------- its orders
+    async def arm(self) -> None:
+        """As ports.Line.arm. Whatever keeps one drive from being armed disarms all."""
+        self._check_ready_to_arm()
+        armed = False
+        try:
+            await self._arm([one for one in self._drives if one.state is not DriveState.ARMED])
+            armed = True
+        finally:
+            if not armed:
+                for drive in self._drives:
+                    drive.stand_down()
+
+    def _check_ready_to_arm(self) -> None:
+        self._check_open()
+        setpoints_ns = self._setpoints_ns()
+        for drive in self._drives:
+            if drive.state not in PRESENT:
+                raise NoReply(f"{drive} is {drive.state.value}: it cannot be armed")
+            if drive.is_stopping:
+                raise HalError(f"{drive} is still stopping: it cannot be armed")
+            for name, watch in drive.faults.items():
+                if watch.stopping:
+                    raise DriveFault(f"{name} reports {', '.join(watch.words)}")
+        self._check_fresh(setpoints_ns)
+
+    async def disarm(self) -> None:
+        """As ports.Line.disarm. From the call on, every set-point is zero."""
+        self._check_open()
+        await self._stand_down([one for one in self._drives if one.state is not DriveState.QUIET])
+
+    async def clear_faults(self) -> None:
+        """As ports.Line.clear_faults. Drives without a fault are left as they are."""
+        self._check_open()
+        faulty = [one for one in self._drives if any(watch.word for watch in one.faults.values())]
+        await self._clear([drive for drive in faulty if drive.state in PRESENT])
+
+    def _drive_of(self, joint: str) -> AnyDrive:
+        for drive in self._drives:
+            if joint in drive.names:
+                return drive
+        raise LookupError(f'{self.spec.name} has no joint "{joint}"')

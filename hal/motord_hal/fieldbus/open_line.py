@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a line's kind to the class that drives it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from importlib import import_module
+from types import MappingProxyType
+from typing import cast
+
+from motord_hal.ascii.dialect import texts_of, why_not_in_c
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.ports import Line, LineSpec, Listener
+from motord_hal.realtime.exchange import Exchange
+
+Halt = Callable[[LineSpec], Awaitable[list[str]]]
+
+# Tables of strings: a robot loads only the lines that it has.
+KINDS = MappingProxyType(
+    {
+        ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
+        ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
+        ("can", "asyncio"): "motord_hal.can.line:CanLine",
+        ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
+        ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
+        ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
+        ("modbus-rtu", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
+        ("ddsm", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("can", "rt"): "motord_hal.rt_engine.can.line:RtCanLine",
+        ("mcu", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
+        ("roboclaw", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("ascii", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
+    }
+)
+
+RT_CAN_INTERFACES = ("socketcan", "unix")
+"""Of the others only python-can knows how they are reached."""
+
+HALTS = MappingProxyType(
+    {
+        "modbus-rtu": "motord_hal.rt_engine.rs485.halt:halt_line",
+        "ddsm": "motord_hal.rt_engine.rs485.halt:halt_line",
+        "modbus-tcp": "motord_hal.modbus.halt:halt_line",
+        "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
+        "mcu": "motord_hal.mcu.halt:halt_line",
+        "ascii": "motord_hal.ascii.halt:halt_line",
+        "roboclaw": "motord_hal.roboclaw.halt:halt_line",
+        "pwm": "motord_hal.pwm.halt:halt_line",
+        "can": "motord_hal.can.halt:halt_line",
+    }
+)
+"""By kind: what stops the drives of a line that no daemon runs."""
+
+
+def engine_of(spec: LineSpec) -> str:
+    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, of CAN
+    adapters where they are the kernel's, of text where C can say and read it. Raises ProfileError
+    for a wrong template."""
+    if spec.engine != "auto":
+        return spec.engine
+    if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
+        return "asyncio"
+    if spec.kind == "ascii" and why_not_in_c(*texts_of(spec)[1:]):
+        return "asyncio"
+    return "rt" if (spec.kind, "rt") in KINDS else "asyncio"
+
+
+def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
+    """The line for a spec; nothing is opened before its `run()`. Raises HalError for an unknown
+    kind or engine and ProfileError for joints that cannot be together."""
+    engine = engine_of(spec)
+    if spec.kind == "can" and engine == "rt" and engine_of(replace(spec, engine="auto")) != "rt":
+        raise HalError(f'{spec.name}: engine "rt" needs SocketCAN, not {spec.port}')
+    place = KINDS.get((spec.kind, engine))
+    if place is None:
+        engines = [known for kind, known in KINDS if kind == spec.kind]
+        if engines:
+            raise HalError(f'{spec.name}: no engine "{engine}" for {spec.kind}: {engines[0]} only')
+        kinds = ", ".join(dict.fromkeys(kind for kind, _ in KINDS))
+        raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {kinds}')
+    module, _, name = place.partition(":")
+    return cast("Line", getattr(import_module(module), name)(spec, exchange, listener))
+
+
+async def halt_line(spec: LineSpec) -> list[str]:
+    """Quick stop, then power off, on every drive of a line that nobody runs. Returns what was not
+    acknowledged, in words. Raises HalError where the line cannot be had at all."""
+    module, _, name = HALTS[spec.kind].partition(":")
+    halt = cast("Halt", getattr(import_module(module), name))
+    return await halt(spec)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive's profile comes to for its joints, whatever its wire. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.realtime.exchange import JointSetpoint
+
+Wanted = Mapping[int, JointSetpoint]
+"""By joint index; empty: everything zero."""
+REST = JointSetpoint(0.0, 0.0)
+
+
+def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
+    """What the channel takes of it, at the wheel."""
+    if channel.torque_setpoint is not None:
+        return setpoint.torque_n_m
+    return setpoint.velocity_rad_s if channel.velocity_setpoint is not None else setpoint.duty
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
+
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    enabled: bool | None
+    fault_word: int
+
+
+class Plan:
+    """One drive with one or more joints on its channels."""
+
+    def __init__(self, joints: Iterable[JointSpec]) -> None:
+        self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
+        self.profile: DriveProfile = self.joints[0].profile
+        self.unit = self.joints[0].unit
+
+    def channel(self, joint: JointSpec) -> Channel:
+        return self.profile.channels[joint.channel]
+
+    def enabled(self, values: Mapping[str, int]) -> bool | None:
+        """None: the drive cannot say, or has not said yet."""
+        said = self.profile.enabled
+        if said is None or said.register not in values:
+            return None
+        return values[said.register] & said.mask == said.equals
+
+    def setpoints(self, wanted: Wanted) -> dict[str, int]:
+        """Register → raw for the set-points, and for what goes with them. What is missing, NaN or
+        infinite is zero; where a register of its own says the direction, it is the magnitude."""
+        raw = {}
+        for joint in self.joints:
+            channel = self.channel(joint)
+            sign = -1.0 if joint.inverted else 1.0
+            value = of_kind(channel, wanted.get(joint.index, REST))
+            value *= channel.to_motor(joint.gear_ratio) * sign
+            if not math.isfinite(value):
+                value = 0.0
+            if channel.direction is not None:
+                value = abs(value)
+            register = self.profile.registers[channel.setpoint]
+            raw[register.name] = register.from_si(value)
+            raw.update(channel.setpoint_with)
+        return raw

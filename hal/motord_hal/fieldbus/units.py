@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which joints share a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+
+
+def joints_by_unit(spec: LineSpec) -> Iterable[list[JointSpec]]:
+    """Joints by unit. Raises ProfileError where two joints cannot be on one unit."""
+    units: dict[int, list[JointSpec]] = {}
+    for joint in spec.joints:
+        others = units.setdefault(joint.unit, [])
+        for other in others:
+            if other.profile.name != joint.profile.name:
+                raise ProfileError(
+                    f"{spec.name}: {other.name} and {joint.name} share unit {joint.unit} "
+                    f"but not the drive: {other.profile.name}, {joint.profile.name}"
+                )
+            if other.channel == joint.channel:
+                raise ProfileError(
+                    f"{spec.name}: {other.name} and {joint.name} are both channel "
+                    f"{joint.channel} of unit {joint.unit}"
+                )
+        if joint.channel not in joint.profile.channels:
+            raise ProfileError(f"{joint.name}: {joint.profile.name} has no channel {joint.channel}")
+        others.append(joint)
+    return units.values()

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The interface to the threads that drive CAN buses: one a bus, its table, its orders, its report.
+
+The meaning of each field is in csrc/api_can.h; tables, frames and orders are plain values named as
+there.
+"""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.line import Demoted, Mode
+from motord_hal.realtime.thread import (
+    LineLife,
+    Plain,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    life_of,
+)
+
+DRIVES_MAX: int = lib.CAN_DRIVES_MAX
+EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+"""Bits of an identifier: linux/can.h."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanDriveReport:
+    mode: Mode
+    demoted: Demoted
+    wish_seen: int
+    stopping: bool
+    missing: int
+    stops: int
+    cycles: int
+    epoch: int
+    orders_sent: int
+    orders_dropped: int
+    faults: int
+    last_fault: int
+    last_fault_joint: int
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CanReport(LineLife):
+    shut_down: bool
+    cycles: int
+    received: int
+    sent: int
+    tx_full: int
+    bad_frames: int
+    unheard: int
+    cycle_ns: int
+    setpoints_ns: int
+    fault_words: tuple[int, ...]
+    drives: tuple[CanDriveReport, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A frame of a drive, or an error frame of the controller."""
+
+    drive: int
+    """DRIVES_MAX: an error frame."""
+    identifier: int
+    """With its bits."""
+    data: bytes
+
+
+def check_table(name: str, table: Plain) -> None:
+    """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+
+    def first_bad() -> str:
+        found = lib.can_table_check(ffi.new("can_table *", table), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
+
+
+class CanThread(ThreadDoor):
+    """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        super().__init__(line, ffi.new("can_control *"), lib.can_put_control, lib.can_stop)
+        self._exchange = exchange
+        self._drives = 0
+        self._ordered: list[int] = []
+        self._heard = ffi.new("can_received *")
+        self._report = ffi.new("can_report *")
+
+    def start(self, table: Plain, *, before: Plain, **config: int) -> None:
+        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
+        he closes them after `stop`. Raises HalError."""
+        raw = ffi.new("can_table *", table)
+        own = config_of(config, self._exchange) | {"before": before}
+        raw_config = ffi.new("can_config *", own)
+        ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
+        check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
+        self._drives = raw.drive_count
+        self._ordered = [0] * self._drives
+
+    def listen(self, drive: int, *, wanted: bool) -> None:
+        """Whether the frames of a drive are handed on to `take`."""
+        bit = 1 << drive
+        self._control.listen = self._control.listen & ~bit | bit * wanted
+        self._put_control()
+
+    def put_order(self, order: Plain) -> bool:
+        """False: the queue is full. Raises HalError where the thread has ended."""
+        code = lib.can_put_order(self._line, ffi.new("can_order *", order))
+        if code == -errno.EAGAIN:
+            return False
+        check_code(code, "the bus takes no frame")
+        self._ordered[order["drive"]] += 1
+        return True
+
+    def ordered(self, drive: int) -> int:
+        """Orders for a drive since the start; the report says what has become of them."""
+        return self._ordered[drive]
+
+    def take(self) -> Heard | None:
+        """The next frame that is for Python."""
+        raw = self._heard
+        if lib.can_take_received(self._line, raw) != 1:
+            return None
+        packet = raw.packet
+        return Heard(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
+
+    def report(self) -> CanReport:
+        """As the bus has it now."""
+        raw = self._report
+        lib.can_read_report(self._line, raw)
+        return CanReport(
+            **life_of(raw),
+            shut_down=raw.shut_down != 0,
+            cycles=raw.cycles,
+            received=raw.received,
+            sent=raw.sent,
+            tx_full=raw.tx_full,
+            bad_frames=raw.bad_frames,
+            unheard=raw.unheard,
+            cycle_ns=raw.cycle_ns,
+            setpoints_ns=raw.setpoints_ns,
+            fault_words=tuple(raw.fault_word),
+            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
+        )
+
+
+def _drive_report(raw: Any) -> CanDriveReport:
+    return CanDriveReport(
+        mode=Mode(raw.mode),
+        demoted=Demoted(raw.demoted),
+        wish_seen=raw.wish_seen,
+        stopping=raw.stopping != 0,
+        missing=raw.missing,
+        stops=raw.stops,
+        cycles=raw.cycles,
+        epoch=raw.epoch,
+        orders_sent=raw.orders_sent,
+        orders_dropped=raw.orders_dropped,
+        faults=raw.faults,
+        last_fault=raw.last_fault,
+        last_fault_joint=raw.last_fault_joint,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
+    )

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lines' interface to the C core: the clock, and the mailboxes between lines and loop.
+
+Newest wins in each mailbox; a put never waits, and a take gives the newest value whether it is new
+or not. The meaning of each field is in csrc/api.h.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from _motord_rt import ffi, lib
+
+JOINTS_MAX: int = lib.JOINTS_MAX
+LINES_MAX: int = lib.LINES_MAX
+
+_U32 = 0xFFFF_FFFF
+_U64 = 0xFFFF_FFFF_FFFF_FFFF
+_ENABLED_UNKNOWN = 2
+_ALIGNMENT_BYTES = 64
+
+
+def now_ns() -> int:
+    """CLOCK_MONOTONIC in nanoseconds: the clock of every stamp in motord."""
+    return int(lib.clock_now_ns())
+
+
+def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
+    """Neither older than the timeout, nor of the future, nor from before the computer was
+    suspended: the rule of the lines in C and of the core."""
+    return bool(lib.clock_stamp_is_fresh(stamp_ns, round(timeout_s * 1e9)))
+
+
+@dataclass(frozen=True, slots=True)
+class JointSetpoint:
+    """What one wheel is to do: its speed, and the same wish as a duty in -1..1, and as a torque
+    where its drive takes one."""
+
+    velocity_rad_s: float
+    duty: float
+    torque_n_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoints:
+    """What all wheels are to do; `joints` by the joint's index in the core.
+
+    Never written: stamp 0, not enabled, no joints. Who takes it has to look at `stamp_ns`: a loop
+    that died leaves its last word behind.
+    """
+
+    stamp_ns: int
+    tick: int
+    enabled: bool
+    joints: tuple[JointSetpoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """What a drive said last. NaN: it does not say. `enabled` None: it cannot say."""
+
+    stamp_ns: int
+    count: int
+    velocity_rad_s: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    epoch: int
+    enabled: bool | None
+    drive_faults: int
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """What the inertial sensor said last, about the base's axes. Stamp 0: never."""
+
+    stamp_ns: int
+    angular_rad_s: tuple[float, ...]
+    acceleration_m_s2: tuple[float, ...]
+    saturated: bool
+    epoch: int
+
+
+class Exchange:
+    """The mailboxes, from one thread: the buffers that values pass through belong to the object.
+
+    A mailbox has one writer and one reader. Bad indices raise IndexError.
+    """
+
+    def __init__(self, handle: object, memory: object = None) -> None:
+        """Use `of_loop` or `private`. `memory` is kept alive with the object."""
+        self._exchange = handle
+        self._memory = memory
+        self._setpoints = ffi.new("setpoints *")
+        self._feedback = ffi.new("joint_feedback *")
+        self._imu = ffi.new("imu_sample *")
+
+    @classmethod
+    def of_loop(cls) -> Exchange:
+        """The one that the loop of this process reads and writes."""
+        return cls(lib.loop_exchange())
+
+    @classmethod
+    def private(cls) -> Exchange:
+        """One of its own, empty, for tests and tools."""
+        memory = ffi.new("uint8_t[]", lib.exchange_bytes() + _ALIGNMENT_BYTES)
+        address = int(ffi.cast("uintptr_t", memory))
+        aligned = -(-address // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
+        handle = ffi.cast("exchange *", aligned)
+        lib.exchange_init(handle)
+        return cls(handle, memory)
+
+    @property
+    def handle(self) -> object:
+        """For C only: the mailboxes themselves, alive as long as this object."""
+        return self._exchange
+
+    def take_setpoints(self, line: int) -> Setpoints:
+        """The line's side: the newest set-points of all joints."""
+        raw = self._setpoints
+        _check(lib.exchange_take_setpoints(self._exchange, line, raw), "line", line)
+        joints = (raw.joint[i] for i in range(min(raw.joint_count, JOINTS_MAX)))
+        return Setpoints(
+            stamp_ns=raw.stamp_ns,
+            tick=raw.tick,
+            enabled=raw.enabled != 0,
+            joints=tuple(
+                JointSetpoint(joint.velocity_rad_s, joint.duty, joint.torque_n_m)
+                for joint in joints
+            ),
+        )
+
+    def enabled_count(self, line: int) -> int:
+        """How often a line's set-points have become enabled: those of a short while it may never
+        see. Ask it before the take."""
+        return int(lib.exchange_enabled_count(self._exchange, line))
+
+    def wake_line(self, line: int) -> None:
+        """The loop's side, for tests."""
+        if (fd := lib.exchange_line_wake(self._exchange, line)) >= 0:
+            os.eventfd_write(fd, 1)
+
+    def put_setpoints(self, line: int, value: Setpoints) -> None:
+        """The loop's side, for tests and tools. At most JOINTS_MAX joints, else ValueError."""
+        if len(value.joints) > JOINTS_MAX:
+            raise ValueError(f"{len(value.joints)} joints, at most {JOINTS_MAX}")
+        raw = self._setpoints
+        raw.stamp_ns = value.stamp_ns
+        raw.tick = value.tick
+        raw.enabled = value.enabled
+        raw.joint_count = len(value.joints)
+        for place, joint in zip(raw.joint, value.joints, strict=False):
+            place.velocity_rad_s = joint.velocity_rad_s
+            place.duty = joint.duty
+            place.torque_n_m = joint.torque_n_m
+        _check(lib.exchange_put_setpoints(self._exchange, line, raw), "line", line)
+
+    def put_feedback(
+        self,
+        joint: int,
+        *,
+        stamp_ns: int,
+        count: int,
+        velocity_rad_s: float = math.nan,
+        current_a: float = math.nan,
+        voltage_v: float = math.nan,
+        temperature_c: float = math.nan,
+        epoch: int,
+        enabled: bool | None,
+        drive_faults: int,
+    ) -> None:
+        """The line's side. Whole numbers wrap at their width in C: a counter may be negative."""
+        raw = self._feedback
+        raw.stamp_ns = stamp_ns
+        raw.count = count & _U64
+        raw.velocity_rad_s = velocity_rad_s
+        raw.current_a = current_a
+        raw.voltage_v = voltage_v
+        raw.temperature_c = temperature_c
+        raw.epoch = epoch & _U32
+        raw.enabled = _ENABLED_UNKNOWN if enabled is None else int(enabled)
+        raw.drive_faults = drive_faults & _U32
+        _check(lib.exchange_put_feedback(self._exchange, joint, raw), "joint", joint)
+
+    def put_imu(
+        self,
+        *,
+        stamp_ns: int,
+        angular_rad_s: Sequence[float],
+        acceleration_m_s2: Sequence[float],
+        saturated: bool,
+        epoch: int,
+    ) -> None:
+        """Of whoever reads the inertial sensor: about the base's x, y, z."""
+        raw = self._imu
+        raw.stamp_ns = stamp_ns
+        raw.angular_rad_s = angular_rad_s
+        raw.acceleration_m_s2 = acceleration_m_s2
+        raw.saturated = saturated
+        raw.epoch = epoch & _U32
+        lib.exchange_put_imu(self._exchange, raw)
+
+    def take_imu(self) -> ImuSample:
+        """The loop's side, for tests and tools."""
+        raw = self._imu
+        lib.exchange_take_imu(self._exchange, raw)
+        return ImuSample(
+            stamp_ns=raw.stamp_ns,
+            angular_rad_s=tuple(raw.angular_rad_s),
+            acceleration_m_s2=tuple(raw.acceleration_m_s2),
+            saturated=raw.saturated != 0,
+            epoch=raw.epoch,
+        )
+
+    def take_feedback(self, joint: int) -> Feedback:
+        """The loop's side, for tests and tools."""
+        raw = self._feedback
+        _check(lib.exchange_take_feedback(self._exchange, joint, raw), "joint", joint)
+        return Feedback(
+            stamp_ns=raw.stamp_ns,
+            count=raw.count,
+            velocity_rad_s=raw.velocity_rad_s,
+            current_a=raw.current_a,
+            voltage_v=raw.voltage_v,
+            temperature_c=raw.temperature_c,
+            epoch=raw.epoch,
+            enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
+            drive_faults=raw.drive_faults,
+        )
+
+
+def _check(code: int, what: str, index: int) -> None:
+    if code < 0:
+        raise IndexError(f"no {what} {index} in the exchange")

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The interface to the lines that run in C: one thread a line, its table, its asks, its report.
+
+The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
+is done when a person, a fault or a parameter asks for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import errno
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.fieldbus.ports import LineSpec, RoundTrips
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.table import LineFrame, LineTable
+from motord_hal.realtime.thread import (
+    LineLife,
+    ThreadDoor,
+    check_code,
+    check_plain,
+    config_of,
+    cpu_mask,
+    life_of,
+)
+
+DRIVES_MAX: int = lib.LINE_DRIVES_MAX
+ASKS_MAX: int = lib.LINE_ASKS_MAX
+FAULT_WORDS: int = lib.JOINTS_MAX
+
+
+class Mode(enum.IntEnum):
+    OFF = lib.DRIVE_OFF
+    READY = lib.DRIVE_READY
+    ARMED = lib.DRIVE_ARMED
+    QUIET = lib.DRIVE_QUIET
+    BACK = lib.DRIVE_BACK
+    STAND_DOWN = lib.DRIVE_STAND_DOWN
+    """Only as a wish."""
+
+
+class Demoted(enum.IntFlag):
+    SETPOINTS_OLD = lib.DEMOTED_SETPOINTS_OLD
+    NOT_ENABLED = lib.DEMOTED_NOT_ENABLED
+    LEFT_ALONE = lib.DEMOTED_LEFT_ALONE
+    LOST_SETUP = lib.DEMOTED_LOST_SETUP
+    DISABLED_ITSELF = lib.DEMOTED_DISABLED_ITSELF
+    QUIET = lib.DEMOTED_QUIET
+    STILL_ENABLED = lib.DEMOTED_STILL_ENABLED
+
+
+class AnswerKind(enum.IntEnum):
+    OK = lib.ANSWER_OK
+    NO_REPLY = lib.ANSWER_NO_REPLY
+    BAD_REPLY = lib.ANSWER_BAD_REPLY
+    REFUSED = lib.ANSWER_REFUSED
+    EXPIRED = lib.ANSWER_EXPIRED
+    PORT = lib.ANSWER_PORT
+    NEVER_SILENT = lib.ANSWER_NEVER_SILENT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThreadSpec:
+    """The thread's port and place. The file descriptors stay the caller's: he closes them after
+    `LineThread.stop`."""
+
+    fd: int
+    event_fd: int
+    priority: int
+    cpu_mask: int = 0
+    de_fd: int = -1
+    de_active_high: bool = True
+    de_before_ns: int = 0
+    de_after_ns: int = 0
+    may_turn: int = 0
+    """Bit n: drive n was armed before the port was opened; it is told to stop first."""
+
+    @classmethod
+    def of(
+        cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
+    ) -> ThreadSpec:
+        """As the robot file has it."""
+        return cls(
+            fd=fd,
+            event_fd=event_fd,
+            priority=spec.priority,
+            cpu_mask=cpu_mask(spec),
+            de_fd=de_fd,
+            de_active_high=spec.direction.active_high,
+            de_before_ns=round(spec.direction.before_s * 1e9),
+            de_after_ns=round(spec.direction.after_s * 1e9),
+            may_turn=may_turn,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ask:
+    id: int
+    drive: int
+    frame: LineFrame
+    expires_ns: int
+    turnaround_ns: int
+    urgent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    id: int
+    kind: AnswerKind
+    exception: int
+    stamp_ns: int
+    sent_ns: int
+    done_ns: int
+    reply: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    mode: Mode
+    demoted: Demoted
+    wish_seen: int
+    enabled: bool | None
+    """None: it cannot say, or has not said since the last wish."""
+    stopping: bool
+    told_motion: bool
+    may_turn: bool
+    """Armed since it was last set up, also before this start."""
+    stop_waits: bool
+    failures: int
+    last_failure: AnswerKind
+    last_exception: int
+    cycles: int
+    exchanges: int
+    no_reply: int
+    bad_reply: int
+    refused: int
+    late: int
+    """Replies that came after their time."""
+    deadline_ns: int
+    cycle_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class LineReport(LineLife):
+    shut_down: bool
+    exchanges: int
+    answers: int
+    """Good replies and refusals."""
+    noise_bytes: int
+    """Bytes that were no frame."""
+    setpoints_ns: int
+    fault_words: tuple[int, ...]
+    drives: tuple[DriveReport, ...]
+
+
+def check_table(name: str, table: LineTable) -> None:
+    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
+    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+
+    def first_bad() -> str:
+        found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
+        return "" if found == ffi.NULL else ffi.string(found).decode()
+
+    check_plain(name, first_bad)
+
+
+class LineThread(ThreadDoor):
+    """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
+        self._exchange = exchange
+        self._drives = 0
+        self._ask = ffi.new("line_ask *")
+        self._answer = ffi.new("line_answer *")
+        self._report = ffi.new("line_report *")
+        self._histogram = ffi.new("histogram *")
+
+    def start(self, spec: ThreadSpec, table: LineTable) -> None:
+        """Raises HalError."""
+        raw = ffi.new("line_table *", _plain(table))
+        config = ffi.new("line_config *", config_of(dataclasses.asdict(spec), self._exchange))
+        ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
+        check_code(lib.line_start(self._line, config, raw), "the line cannot be started")
+        self._drives = len(table.drive)
+
+    def put_ask(self, ask: Ask) -> bool:
+        """False: the queue is full. Raises HalError where the thread has ended."""
+        raw = self._ask
+        raw.id, raw.drive, raw.urgent = ask.id, ask.drive, ask.urgent
+        raw.expires_ns, raw.turnaround_ns = ask.expires_ns, ask.turnaround_ns
+        raw.frame = _frame(ask.frame)
+        code = lib.line_put_ask(self._line, raw)
+        if code == -errno.EAGAIN:
+            return False
+        check_code(code, "the line takes no request")
+        return True
+
+    def take_answer(self) -> Answer | None:
+        raw = self._answer
+        if lib.line_take_answer(self._line, raw) != 1:
+            return None
+        return Answer(
+            id=raw.id,
+            kind=AnswerKind(raw.kind),
+            exception=raw.exception,
+            stamp_ns=raw.stamp_ns,
+            sent_ns=raw.sent_ns,
+            done_ns=raw.done_ns,
+            reply=bytes(ffi.buffer(raw.reply, raw.reply_bytes)),
+        )
+
+    def report(self) -> LineReport:
+        """As the line has it now."""
+        raw = self._report
+        lib.line_read_report(self._line, raw)
+        return LineReport(
+            **life_of(raw),
+            shut_down=raw.shut_down != 0,
+            exchanges=raw.exchanges,
+            answers=raw.answers,
+            noise_bytes=raw.noise_bytes,
+            setpoints_ns=raw.setpoints_ns,
+            fault_words=tuple(raw.fault_word),
+            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
+        )
+
+    def round_trips(self) -> RoundTrips:
+        """Since the start of the line."""
+        lib.line_histogram_read(self._line, self._histogram)
+        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
+        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
+
+
+def _drive_report(raw: Any) -> DriveReport:
+    return DriveReport(
+        mode=Mode(raw.mode),
+        demoted=Demoted(raw.demoted),
+        wish_seen=raw.wish_seen,
+        enabled=None if raw.enabled > 1 else raw.enabled == 1,
+        stopping=raw.stopping != 0,
+        told_motion=raw.told_motion != 0,
+        may_turn=raw.may_turn != 0,
+        stop_waits=raw.stop_waits != 0,
+        failures=raw.failures,
+        last_failure=AnswerKind(raw.last_failure),
+        last_exception=raw.last_exception,
+        cycles=raw.cycles,
+        exchanges=raw.exchanges,
+        no_reply=raw.no_reply,
+        bad_reply=raw.bad_reply,
+        refused=raw.refused,
+        late=raw.late,
+        deadline_ns=raw.deadline_ns,
+        cycle_ns=raw.cycle_ns,
+    )
+
+
+def _frame(frame: LineFrame) -> dict[str, Any]:
+    values = {field.name: getattr(frame, field.name) for field in dataclasses.fields(frame)}
+    sizes = {"request_bytes": len(frame.request), "match_bytes": len(frame.match)}
+    return values | sizes | {"request": list(frame.request), "match": list(frame.match)}
+
+
+def _plain(value: Any) -> Any:
+    """What cffi makes C structs of; tuples of structs get their count beside them."""
+    if isinstance(value, LineFrame):
+        return _frame(value)
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    plain: dict[str, Any] = {}
+    for field in dataclasses.fields(value):
+        one = getattr(value, field.name)
+        plain[field.name] = _plain(one)
+        if field.name == "harmless":
+            plain["harmless_codes"] = len(one)
+        elif isinstance(one, tuple):
+            plain[f"{field.name}_count"] = len(one)
+    return plain

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The interface to the thread that drives motor bridges. The meaning of each field is in
+csrc/api_bridge.h."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from _motord_rt import ffi, lib
+
+from motord_hal.base.errors import HalError
+from motord_hal.realtime.exchange import Exchange
+
+OUTPUTS_MAX: int = lib.PWM_OUTPUTS_MAX
+MODES = ("coast", "brake", "forward", "reverse")
+"""In the order of the C side."""
+
+
+class Wish(enum.IntEnum):
+    OFF = lib.PWM_OFF
+    STOP = lib.PWM_STOP
+    ARMED = lib.PWM_ARMED
+
+
+class Demoted(enum.IntFlag):
+    OLD = lib.PWM_DEMOTED_OLD
+    NOT_ENABLED = lib.PWM_DEMOTED_NOT_ENABLED
+    LEFT_ALONE = lib.PWM_DEMOTED_LEFT_ALONE
+
+
+_NEVER = Demoted(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pin:
+    """One output."""
+
+    joint: int
+    """Place in the thread's joints."""
+    fd: int
+    """Of a channel's duty_cycle; -1: a GPIO line."""
+    bit: int
+    inverted: bool
+    period_ns: int
+    levels: dict[str, tuple[float, float]]
+    """Mode → (base, slope)."""
+    pumps: bool = False
+    """It changes with every cycle while the motor may move; the levels do not count."""
+
+
+class EncoderKind(enum.IntEnum):
+    NONE = lib.ENCODER_NONE
+    EDGES = lib.ENCODER_EDGES
+    COUNTER = lib.ENCODER_COUNTER
+    TOLD = lib.ENCODER_TOLD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderConfig:
+    """csrc/api_encoder.h has the meanings."""
+
+    kind: EncoderKind
+    fd: int
+    a_offset: int = 0
+    b_offset: int = 0
+    levels: int = 0
+    ceiling: int = 0
+    rad_per_count: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeJoint:
+    index: int
+    """The core's."""
+    brakes_at_rest: bool
+    inverted: bool
+    fault_mask: int
+    encoder: EncoderConfig | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeConfig:
+    outputs_fd: int
+    inputs_fd: int
+    low_inputs: int
+    """Inputs that are active when they are low."""
+    event_fd: int
+    priority: int
+    cpu: tuple[int, ...]
+    period_s: float
+    setpoint_timeout_s: float
+    stopping_s: float
+    epoch: int
+    joints: Sequence[BridgeJoint]
+    pins: Sequence[Pin]
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeReport:
+    running: bool = False
+    armed: bool = False
+    stopping: bool = False
+    demoted: Demoted = _NEVER
+    number: int = 0
+    error: int = 0
+    error_output: int = -1
+    rest_error: int = 0
+    """errno that kept a pin from its level without power; 0: all pins rest."""
+    rest_output: int = -1
+    active_inputs: int = 0
+    cycles: int = 0
+    late_cycles: int = 0
+    writes: int = 0
+    encoder_illegal: int = 0
+    """Pulses that were too short to be told apart."""
+    encoder_lost: int = 0
+    """Edges that the kernel could not keep."""
+
+
+class BridgeThread:
+    """The thread of one line. `start` may be called again after `stop`."""
+
+    def __init__(self, line: int, exchange: Exchange) -> None:
+        self._line = line
+        self._exchange = exchange
+        self._report = ffi.new("bridge_report *")
+        self._number = 0
+
+    def start(self, config: BridgeConfig) -> None:
+        """Raises HalError."""
+        self._number = 0
+        code = lib.pwm_line_start(self._line, _config(config, self._exchange))
+        if code < 0:
+            raise HalError(f"the thread of the bridges did not start: {os.strerror(-code)}")
+
+    def stop(self) -> None:
+        """The pins rest afterwards. Nothing happens when it does not run."""
+        lib.pwm_line_stop(self._line)
+
+    def wish(self, wish: Wish) -> int:
+        """Tell it; the number with which the report says that it was obeyed."""
+        self._number += 1
+        lib.pwm_line_put_control(
+            self._line, ffi.new("bridge_control *", {"wish": int(wish), "number": self._number})
+        )
+        return self._number
+
+    def tell(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
+        """What a board has counted of the joint at that place (EncoderKind.TOLD), and when.
+        `origin`: another number each time the board has begun anew."""
+        sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}
+        lib.pwm_line_put_sample(self._line, joint, ffi.new("encoder_sample *", sample))
+
+    def report(self) -> BridgeReport:
+        raw = self._report
+        if lib.pwm_line_read_report(self._line, raw) < 0:
+            return BridgeReport()
+        return BridgeReport(
+            running=raw.running != 0,
+            armed=raw.armed != 0,
+            stopping=raw.stopping != 0,
+            demoted=Demoted(raw.demoted),
+            number=raw.number,
+            error=raw.error,
+            error_output=raw.error_output,
+            rest_error=raw.rest_error,
+            rest_output=raw.rest_output,
+            active_inputs=raw.active_inputs,
+            cycles=raw.cycles,
+            late_cycles=raw.late_cycles,
+            writes=raw.writes,
+            encoder_illegal=raw.encoder_illegal,
+            encoder_lost=raw.encoder_lost,
+        )
+
+
+def _config(config: BridgeConfig, exchange: Exchange) -> Any:
+    raw = ffi.new("bridge_config *")
+    raw.exchange = exchange.handle
+    raw.outputs_fd, raw.inputs_fd = config.outputs_fd, config.inputs_fd
+    raw.low_inputs = config.low_inputs
+    raw.event_fd, raw.priority = config.event_fd, config.priority
+    raw.cpu_mask = sum(1 << cpu for cpu in config.cpu)
+    raw.period_ns = round(config.period_s * 1e9)
+    raw.setpoint_timeout_ns = round(config.setpoint_timeout_s * 1e9)
+    raw.stopping_ns = round(config.stopping_s * 1e9)
+    raw.epoch = config.epoch
+    raw.joint_count, raw.output_count = len(config.joints), len(config.pins)
+    if len(config.joints) > len(raw.joint) or len(config.pins) > len(raw.output):
+        raise HalError(f"{len(config.joints)} joints and {len(config.pins)} pins are too many")
+    for place, joint in zip(raw.joint, config.joints, strict=False):
+        place.index = joint.index
+        place.rest_mode = lib.BRIDGE_BRAKE if joint.brakes_at_rest else lib.BRIDGE_COAST
+        place.sign = -1.0 if joint.inverted else 1.0
+        place.fault_mask = joint.fault_mask
+        if joint.encoder is not None:
+            place.encoder = dataclasses.asdict(joint.encoder)
+    for place, pin in zip(raw.output, config.pins, strict=False):
+        place.joint, place.fd, place.bit = pin.joint, pin.fd, pin.bit
+        place.inverted, place.period_ns, place.pumps = pin.inverted, pin.period_ns, pin.pumps
+        for number, mode in enumerate(MODES):
+            place.base[number], place.slope[number] = pin.levels[mode]
+    return raw

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the interfaces to the threads of lines in C have in common, whatever the medium.
+
+The meaning of each field is in csrc/api_line.h.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from motord_hal.base.errors import HalError, ProfileError
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.realtime.exchange import Exchange
+
+Plain = Mapping[str, Any]
+
+_PLACE = ("fd", "event_fd", "priority", "cpu_mask")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineLife:
+    """What every report begins with."""
+
+    running: bool
+    error: int
+    policy: int
+    scheduler_errno: int
+    page_faults: int
+
+
+def life_of(raw: Any) -> dict[str, Any]:
+    """The values of a LineLife."""
+    life = raw.life
+    return {
+        "running": life.running != 0,
+        "error": life.error,
+        "policy": life.policy,
+        "scheduler_errno": life.scheduler_errno,
+        "page_faults": life.page_faults,
+    }
+
+
+def cpu_mask(spec: LineSpec) -> int:
+    """Bit n: CPU n."""
+    return sum(1 << cpu for cpu in spec.cpu)
+
+
+def config_of(values: Plain, exchange: Exchange) -> dict[str, Any]:
+    """For a thread's config struct: `values` named as in line_place and beside it."""
+    place = {name: values[name] for name in _PLACE if name in values}
+    rest = {name: value for name, value in values.items() if name not in _PLACE}
+    return rest | {"at": place | {"exchange": exchange.handle}}
+
+
+def check_plain(name: str, find_bad: Callable[[], str]) -> None:
+    """`find_bad`: the first bad field of a table, or nothing. Raises ProfileError for it, and for
+    more than the table has places for."""
+    try:
+        found = find_bad()
+    except (IndexError, OverflowError) as error:
+        raise ProfileError(f"{name}: the line cannot run: {error}") from error
+    if found:
+        raise ProfileError(f"{name}: the line cannot run with {found}")
+
+
+def check_code(code: int, what: str) -> None:
+    """Raises HalError for -errno."""
+    if code < 0:
+        raise HalError(f"{what}: {os.strerror(-code)}")
+
+
+class ThreadDoor:
+    """What asyncio wants of one line's thread. One caller's thread at a time."""
+
+    def __init__(
+        self,
+        line: int,
+        control: Any,
+        put_control: Callable[[int, Any], None],
+        stop: Callable[[int], int],
+    ) -> None:
+        """`control`: a zeroed struct of the medium's own."""
+        self._line = line
+        self._control = control
+        self._send_control = put_control
+        self._stop = stop
+
+    def stop(self) -> None:
+        """The thread has ended when this returns. Nothing happens where there is none."""
+        code = self._stop(self._line)
+        if code != -errno.ESRCH:
+            check_code(code, "the line cannot be stopped")
+
+    def wish(self, drive: int, mode: int) -> int:
+        """Ask for a Mode; returns the wish's count, which the report shows when it was seen."""
+        raw = self._wish_of(drive)
+        raw.count += 1
+        raw.mode = mode
+        self._put_control()
+        return int(raw.count)
+
+    def wished(self, drive: int) -> int:
+        """The count of the newest wish."""
+        return int(self._wish_of(drive).count)
+
+    def allow_arming(self, drive: int, until_ns: int) -> None:
+        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
+        self._wish_of(drive).arming_until_ns = until_ns
+        self._put_control()
+
+    def shut_down(self) -> None:
+        """Quick stop, power off, silence: the report says when it is done."""
+        self._control.shut_down = 1
+        self._put_control()
+
+    def _wish_of(self, drive: int) -> Any:
+        return self._control.drive[drive]
+
+    def _put_control(self) -> None:
+        self._send_control(self._line, self._control)

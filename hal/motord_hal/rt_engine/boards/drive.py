@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board whose cycle runs in C: what asyncio does for it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from motord_hal.base.clock import now_s
+from motord_hal.drives.profile import Step
+from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.mcu import board
+from motord_hal.realtime.board import BoardThread
+from motord_hal.rt_engine.boards.jobs import BoardJobs
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.drive import RtDrive
+
+LOOK_EVERY_S = 0.01
+
+
+class BoardRtDrive(RtDrive):
+    """The one drive of its line. Presence is judged by what C has heard."""
+
+    def __init__(
+        self,
+        jobs: BoardJobs,
+        spec: LineSpec,
+        thread: BoardThread,
+        news: News,
+        say: Say,
+        silence_s: float,
+    ) -> None:
+        super().__init__(0, jobs, spec.watchdog_s, thread, news, say)
+        self.jobs = jobs
+        self._board = thread
+        self._silence_s = silence_s
+
+    def __str__(self) -> str:
+        return f"the board of {', '.join(self.names)}"
+
+    def _why_quiet(self, report: Any) -> str:
+        del report
+        return f"nothing for {self._silence_s * 1e3:.0f} ms"
+
+    async def _present(self) -> None:
+        """Until it speaks. One that was restarted by the opening of its port takes its time."""
+        patience_s = now_s() + board.START_GRACE_S
+        while not self._board.report().drives[0].heard_ns:
+            if now_s() > patience_s:
+                self._failed_setup = True
+                self._is_quiet(f"nothing for {board.START_GRACE_S:g} s")
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    def _arming_steps(self) -> tuple[Step, ...]:
+        """Every frame says zero until it is armed: there is nothing to write before."""
+        return self.jobs.profile.arm
+
+    async def enable(self, began: int) -> None:
+        """As RtDrive.enable, after a power-off that is under way."""
+        if self._powering_off is not None:
+            await asyncio.shield(self._powering_off)
+        await super().enable(began)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Jobs of a board whose cycle runs in C: what is written stays in every frame, and what is waited
+for is in what the board says after it has heard that."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import DriveFault, HalError, NoReply
+from motord_hal.drives.profile import Step
+from motord_hal.mcu.board import WAIT_LEAST_S
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.realtime.board import BoardSays, BoardThread
+from motord_hal.rt_engine.boards.table import Layout, write
+from motord_hal.rt_engine.rs485.request_queue import Check, always
+
+SENT_WITHIN_S = 0.5
+"""So long a write may wait while the port takes nothing."""
+SEEN_WITHIN_S = 1.0
+ARM = "arm"
+"""Of this job nothing is written any more once the board was told to stop."""
+
+
+class BoardJobs:
+    """What can be done with the board of a line, one job at a time; an urgent one does not wait for
+    its turn."""
+
+    def __init__(
+        self, name: str, plan: DrivePlan, layout: Layout, thread: BoardThread, period_s: float
+    ) -> None:
+        self.profile = plan.profile
+        self.joints = plan.joints
+        self.unit = plan.unit
+        self._name = name
+        self._layout = layout
+        self._thread = thread
+        self._period_s = period_s
+        self._turn = asyncio.Lock()
+
+    @property
+    def request_limit_s(self) -> float:
+        """Longest time until a write is on its way, or will never be."""
+        return self._period_s + SENT_WITHIN_S
+
+    def value(self, register: str) -> int | None:
+        """The newest raw value; None: it is not heard."""
+        return self._layout.raw(register, self._says().said)
+
+    async def run(
+        self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
+    ) -> None:
+        """Step by step; `check` is made before each, and again while it lasts. Raises HalError."""
+        if urgent:
+            await self._work(name, steps, check)
+            return
+        async with self._turn:
+            await self._work(name, steps, check)
+
+    async def _work(self, name: str, steps: Sequence[Step], check: Check) -> None:
+        stops = await self._stops() if name == ARM else None
+        for step in steps:
+            check()
+            if step.value is None:
+                await self._wait_for(name, step, check)
+            else:
+                await self._write(name, step.register, step.value, stops)
+
+    def _says(self) -> BoardSays:
+        return self._thread.report().drives[0]
+
+    async def _write(self, name: str, register: str, raw: int, stops: int | None) -> None:
+        """Until a frame with it has gone out."""
+        dropped = self._says().orders_dropped
+        order = {
+            "write": write(self._layout, register, raw),
+            "guarded": int(stops is not None),
+            "stops": stops or 0,
+        }
+        if not self._thread.put_order(order):
+            raise NoReply(f"{self._name}: {name}: too many writes wait for the port")
+        until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
+        while now_s() < until_s:
+            await asyncio.sleep(self._period_s)
+            said = self._says()
+            if said.orders_dropped != dropped:
+                break
+            if said.orders_sent + said.orders_dropped == self._thread.ordered:
+                return
+        raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
+
+    async def _wait_for(self, name: str, step: Step, check: Check) -> None:
+        """Until a word that was said after it had heard all that was written says so."""
+        until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
+        while True:
+            said = self._says()
+            raw = self._layout.raw(step.register, said.said)
+            if said.knows and raw is not None and raw & step.mask == step.equals:
+                return
+            if now_s() > until_s:
+                raise DriveFault(
+                    f"{self._name}: {name}: {step.register} is {raw or 0:#x}, "
+                    f"not {step.equals or 0:#x}, in {step.within_s:g} s"
+                )
+            await asyncio.sleep(self._period_s)
+            check()
+
+    async def _stops(self) -> int:
+        """How often C has stopped the board, all wishes so far included. Raises HalError."""
+        wished = self._thread.wished(0)
+        until_s = now_s() + SEEN_WITHIN_S
+        while now_s() < until_s:
+            said = self._says()
+            if said.wish_seen == wished:
+                return said.stops
+            await asyncio.sleep(self._period_s)
+        raise HalError(f"{self._name}: the line's thread does not answer")

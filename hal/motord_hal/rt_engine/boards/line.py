@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line of a board whose cycle runs in C."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+
+from motord_hal.ascii.dialect import text_bytes
+from motord_hal.base.errors import NoReply, PortError, ProfileError
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.mcu.frames import wire_bytes
+from motord_hal.mcu.pace import period_s, wire_limit_hz
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.realtime.board import BoardReport, BoardThread, check_table
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.thread import cpu_mask
+from motord_hal.rt_engine.base import RtLineBase
+from motord_hal.rt_engine.boards.drive import BoardRtDrive
+from motord_hal.rt_engine.boards.jobs import BoardJobs
+from motord_hal.rt_engine.boards.table import board_table, layout_of
+from motord_hal.serial.port import OpenPort, open_port
+
+
+class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
+    """ports.Line for `kind = "mcu"` and `kind = "ascii"`, engine "rt"."""
+
+    _thread: BoardThread
+
+    def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
+        super().__init__(spec, listener)
+        if len(list(joints_by_unit(spec))) != 1:
+            raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
+        self._thread = BoardThread(spec.index, exchange)
+        plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
+        size_bytes = _wire_bytes(spec, plan)
+        cycle_s = period_s(spec, size_bytes)
+        layout = layout_of(spec, plan, cycle_s)
+        self._wire_limit_hz = wire_limit_hz(spec, size_bytes)
+        self._table = board_table(spec, plan, layout, cycle_s, 1.0 / self._wire_limit_hz)
+        check_table(spec.name, self._table)
+        names = ", ".join(joint.name for joint in plan.joints)
+        jobs = BoardJobs(f"the board of {names}", plan, layout, self._thread, cycle_s)
+        silence_s = self._table["silence_ns"] * 1e-9
+        self._drives = [
+            BoardRtDrive(jobs, spec, self._thread, self._news, self._say, silence_s),
+        ]
+        self._port: OpenPort | None = None
+        self._errors: Counter[str] = Counter()
+        self._exchanges = self._cycles = 0
+        self._round_trips = RoundTrips()
+        self._epoch = 0
+        """What comes after a reopening is new, though its counters may look alike."""
+
+    def stats(self) -> LineStats:
+        """As ports.Line.stats, to this moment. An exchange is a feedback; a round trip is from
+        set-points to the feedback that says that they were heard, without the time that the board
+        kept it."""
+        stats = LineStats(
+            exchanges=self._exchanges,
+            cycles=self._cycles,
+            reopened=self._reopened,
+            errors=dict(self._counted()),
+            wire_limit_hz=self._wire_limit_hz,
+            round_trip=self._round_trips,
+        )
+        if self._report is not None:
+            report = self._thread.report()
+            stats.exchanges += report.received
+            stats.cycles += report.cycles
+            stats.cycle_hz = 1e9 / report.cycle_ns if report.cycle_ns else 0.0
+            stats.errors = dict(self._counted() + _errors(report))
+            stats.round_trip = self._thread.round_trips()
+        return stats
+
+    def _counted(self) -> Counter[str]:
+        """By earlier threads, and by the line itself."""
+        return self._errors + Counter({"port": self._losses})
+
+    # --------------------------------------------------------------------------------- its own port
+    async def _start(self) -> tuple[str, ...]:
+        self._port = open_port(self.spec)
+        self._port.flush()
+        self._thread.start(
+            self._table | {"imu": self._table["imu"] | {"epoch": self._reopened}},
+            fd=self._port.fd,
+            event_fd=self._news.event_fd,
+            priority=self.spec.priority,
+            epoch=self._epoch,
+            cpu_mask=cpu_mask(self.spec),
+        )
+        self._report = self._thread.report()
+        return self._port.facts
+
+    def _close_port(self) -> None:
+        if self._report is not None:
+            last = self._thread.report()
+            self._exchanges += last.received
+            self._cycles += last.cycles
+            self._epoch = last.drives[0].epoch
+            self._errors += _errors(last)
+            self._round_trips = self._thread.round_trips()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _ended(self, report: BoardReport) -> PortError | None:
+        if not report.running:
+            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
+        if report.received:
+            self._backoff.reset()
+        return None
+
+    def _look(self) -> BoardReport:
+        """Take in what the thread says."""
+        report = self._take_report()
+        self._news.looked()
+        return report
+
+    # ---------------------------------------------------------------------------------- parameters
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register: from the newest feedback."""
+        drive = self._drive_of(joint)
+        found = readable(drive.jobs.profile, register)
+        self._check_open()
+        raw = None if drive.state is DriveState.QUIET else drive.jobs.value(register)
+        if raw is None:
+            raise NoReply(f"{drive} has not said its {register}")
+        return found.to_si(raw)
+
+
+def _wire_bytes(spec: LineSpec, plan: DrivePlan) -> int:
+    return (
+        text_bytes(spec)
+        if spec.kind == "ascii"
+        else wire_bytes(max(plan.profile.channels), imu=spec.imu is not None)
+    )
+
+
+def _errors(report: BoardReport) -> Counter[str]:
+    """What never happened is left out."""
+    counts = {
+        "bad_reply": report.bad_frames,
+        "no_room": report.no_room,
+        "no_reply": report.quiet,
+    }
+    return Counter({kind: count for kind, count in counts.items() if count})

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates of lines of text as the pieces that a board's thread in C writes and reads: pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from motord_hal.ascii.dialect import (
+    CURRENT,
+    GYRO_Z,
+    VELOCITY,
+    VOLTAGE,
+    texts_of,
+    why_not_in_c,
+)
+from motord_hal.ascii.text import Text
+from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
+from motord_hal.base.errors import ProfileError
+from motord_hal.drives.profile import Register
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.mcu.frames import RATE_UNIT_RAD_S
+from motord_hal.rt_engine.rs485.table import si_per_raw
+
+Plain = dict[str, Any]
+
+NUMBER_BYTES = 6
+"""Of a number that was read: with its sign more than any counter of 32 bits."""
+_FORMS = MappingProxyType({"d": 1, "f": 2, "g": 3})
+_NO_NUMBER = 0
+_PRECISION = 6
+"""Where a format gives none: that of printf and of Python."""
+_FORMAT = re.compile(
+    r"(?P<sign>[+ ]?)(?P<zeros>0?)(?P<width>\d*)(\.(?P<precision>\d+))?(?P<form>[dfg])"
+)
+
+
+def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
+    """The text of the set-points, from their raw values in this order."""
+    _, said, heard = texts_of(spec)
+    if why := why_not_in_c(said, heard):
+        raise ProfileError(f'{spec.name}: {why}: engine "asyncio" only')
+    factors = _factors(spec, setpoints)
+
+    def number(name: str, form: str) -> Plain:
+        found = _FORMAT.fullmatch(form)
+        assert found is not None  # why_not_in_c
+        precision = found["precision"]
+        return {
+            "form": _FORMS[found["form"]],
+            "sign": ord(found["sign"] or "\0"),
+            "zeros": int(bool(found["zeros"])),
+            "width": int(found["width"] or 0),
+            "precision": _PRECISION if precision is None else int(precision),
+            "number_per_raw": factors[name],
+        }
+
+    return _pieces(said, number)
+
+
+def _factors(
+    spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]
+) -> dict[str, list[float]]:
+    """Field → its number for one raw step of each set-point: all fields are sums of them."""
+    text, said, _ = texts_of(spec)
+    steps = {joint.name: si_per_raw(register) for joint, register in setpoints}
+    if set(said.fields) != {LINEAR, ANGULAR}:
+        return {
+            name: [step * text.scale * (name == one) for one, step in steps.items()]
+            for name in said.fields
+        }
+    at_wheel = {
+        joint.name: steps[joint.name] * (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
+        for joint, _ in setpoints
+    }
+    alone = [twist_of(text, dict.fromkeys(steps, 0.0) | {n: at_wheel[n]}) for n in steps]
+    return {name: [twist[name] for twist in alone] for name in said.fields}
+
+
+def place_of(number: int) -> Plain:
+    """Where the number of a field that is read stands."""
+    return {"byte": NUMBER_BYTES * number, "bytes": NUMBER_BYTES, "is_signed": 1}
+
+
+def read(heard: Text, registers: Mapping[str, Register]) -> Plain:
+    """The text of the feedback; `registers`: what a field is, where it is one."""
+
+    def number(name: str, form: str) -> Plain:
+        del form
+        scaled = name == VOLTAGE or name.endswith((VELOCITY, CURRENT))
+        factor = 1.0 / si_per_raw(registers[name]) if scaled and name in registers else 1.0
+        factor = 1.0 / RATE_UNIT_RAD_S if name == GYRO_Z else factor
+        place = place_of(heard.fields.index(name))
+        return {"form": _FORMS["f"], "place": place, "raw_per_number": factor}
+
+    return _pieces(heard, number)
+
+
+def _pieces(text: Text, number: Callable[[str, str], Plain]) -> Plain:
+    parts = [
+        {"literal_bytes": len(literal), "form": _NO_NUMBER}
+        | ({} if name is None else number(name, form))
+        for literal, name, form in text.parts
+    ]
+    literal = "".join(literal for literal, _, _ in text.parts).encode("ascii")
+    return {"part_count": len(parts), "part": parts, "literal": list(literal)}

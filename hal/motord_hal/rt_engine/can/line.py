@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The CAN line whose cycle runs in C."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections import Counter
+
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import PortError, ProfileError
+from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
+from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
+from motord_hal.can.plan import CanPlan
+from motord_hal.drives.profile import Step
+from motord_hal.fieldbus.job import Job
+from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.realtime.can import (
+    DRIVES_MAX,
+    ERROR,
+    EXTENDED,
+    CanReport,
+    CanThread,
+    Heard,
+    check_table,
+)
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.thread import cpu_mask
+from motord_hal.rt_engine.base import RtLineBase
+from motord_hal.rt_engine.can.drive import CanRtDrive
+from motord_hal.rt_engine.can.jobs import CanJobs
+from motord_hal.rt_engine.can.port import open_socket
+from motord_hal.rt_engine.can.table import can_table
+
+STEADY_S = 1.0
+"""A bus that has worked for so long is reopened at once when it fails again."""
+_IDENTIFIER = 0x1FFF_FFFF
+
+
+class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
+    """ports.Line for `kind = "can"`, engine "rt"."""
+
+    _thread: CanThread
+
+    def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
+        super().__init__(spec, listener)
+        self._thread = CanThread(spec.index, exchange)
+        self._plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
+        if len(self._plans) > DRIVES_MAX:
+            raise ProfileError(f"{spec.name}: {len(self._plans)} drives, at most {DRIVES_MAX}")
+        self._table = can_table(spec, self._plans)
+        check_table(spec.name, self._table)
+        self._drives = [
+            CanRtDrive(
+                index,
+                CanJobs(index, plan, self._thread, 1.0 / spec.cycle_hz, self._take_frames),
+                spec,
+                self._thread,
+                self._news,
+                self._say,
+            )
+            for index, plan in enumerate(self._plans)
+        ]
+        self._bus: socket.socket | None = None
+        self._trouble: PortError | None = None
+        self._bus_off = BusOffWatch(spec.port)
+        self._errors: Counter[str] = Counter()
+        self._warnings = BusWarnings()
+        self._frames = self._cycles = 0
+        self._before = {"epoch": 0, "may_turn": 0}
+        """What comes after a reopening is new, though its counters may look alike; and who was
+        armed may turn still."""
+
+    def stats(self) -> LineStats:
+        """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
+        no round trips: most of what comes was not asked for."""
+        wire = (self.spec.baudrate, self.spec.data_baudrate)
+        free = 1.0 - sum(plan.own_load(*wire) for plan in self._plans)
+        stats = LineStats(
+            exchanges=self._frames,
+            cycles=self._cycles,
+            reopened=self._reopened,
+            errors=dict(self._errors),
+            wire_limit_hz=max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in self._plans),
+        )
+        if self._report is not None:
+            report = self._thread.report()
+            stats.exchanges += report.received
+            stats.cycles += report.cycles
+            stats.cycle_hz = 1e9 / report.cycle_ns if report.cycle_ns else 0.0
+            stats.errors = dict(self._errors + _errors(report))
+        return stats
+
+    # ------------------------------------------------------------------------------- its own medium
+    async def _start(self) -> tuple[str, ...]:
+        identifiers = [
+            one for plan in self._plans for one in (*plan.identifiers, *plan.setpoint_identifiers)
+        ]
+        fd_frames = self.spec.data_baudrate is not None
+        await make_ready(self.spec.port, self._errors, fd_frames=fd_frames)
+        self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)
+        self._trouble = None
+        self._thread.start(
+            self._table,
+            fd=self._bus.fileno(),
+            event_fd=self._news.event_fd,
+            priority=self.spec.priority,
+            before=self._before,
+            cpu_mask=cpu_mask(self.spec),
+        )
+        self._report = self._thread.report()
+        return ()
+
+    def _close_port(self) -> None:
+        if self._report is not None:
+            last = self._thread.report()
+            self._frames += last.received
+            self._cycles += last.cycles
+            self._before = {
+                "epoch": max(drive.epoch for drive in last.drives),
+                "may_turn": sum(one.may_turn << n for n, one in enumerate(last.drives)),
+            }
+            self._errors += _errors(last)
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+    def _ended(self, report: CanReport) -> PortError | None:
+        if self._trouble is not None:
+            return self._trouble
+        if self._bus_off.is_off():  # the frame that says so was lost
+            self._errors["bus_off"] += 1
+            return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
+        if not report.running:
+            self._errors["port"] += 1
+            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
+        if report.cycles > STEADY_S * self.spec.cycle_hz:
+            self._backoff.reset()
+        return None
+
+    def _look(self) -> CanReport:
+        """Take in what the thread says."""
+        self._take_frames()
+        report = self._take_report()
+        self._news.looked()
+        return report
+
+    def _take_frames(self) -> None:
+        while (heard := self._thread.take()) is not None:
+            if heard.drive == DRIVES_MAX:
+                self._note(heard)
+                continue
+            found = self._plans[heard.drive].parse(
+                heard.identifier & _IDENTIFIER,
+                heard.data,
+                extended=heard.identifier & EXTENDED != 0,
+            )
+            if found is None:
+                self._errors["bad_frame"] += 1
+                continue
+            self._drives[heard.drive].jobs.heard(*found)
+
+    def _note(self, heard: Heard) -> None:
+        kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
+        self._errors.update(kinds)
+        for warning in self._warnings.new(kinds, now_s()):
+            text = f"{self.spec.name}: {self.spec.port}: {warning}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
+        if trouble is BusTrouble.BUS_OFF:
+            self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
+            self._news.poke()
+
+    # ---------------------------------------------------------------------------------- parameters
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
+        the next one that comes."""
+        jobs = self._drive_of(joint).jobs
+        found = jobs.plan.readable(register)
+        self._check_open()
+        job = Job("read", (Step(register=register, mask=0, equals=0),))
+        await jobs.finish(job)
+        return found.to_si(job.raw)
+
+
+def _errors(report: CanReport) -> Counter[str]:
+    """What never happened is left out."""
+    counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.unheard}
+    return Counter({kind: count for kind, count in counts.items() if count})

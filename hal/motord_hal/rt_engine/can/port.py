@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The socket of a CAN bus for its thread: SocketCAN's, or unix:PATH, a SOCK_SEQPACKET socket that
+carries the same frames (simulators, tests, programs that stand for a bus)."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+from collections.abc import Iterable
+
+from motord_hal.base.errors import PortError
+from motord_hal.can.address import split_address
+from motord_hal.can.unix_client import SO_TIMESTAMPNS
+from motord_hal.realtime.can import EXTENDED, REMOTE
+
+_FILTER = struct.Struct("=II")
+"""struct can_filter: identifier, mask."""
+_CAN_RAW_ERR_FILTER = 2
+"""linux/can/raw.h"""
+_CAN_RAW_RECV_OWN_MSGS = 4
+"""linux/can/raw.h"""
+_ERRORS_ALL = 0x1FFF_FFFF
+"""linux/can/error.h, CAN_ERR_MASK"""
+
+
+def open_socket(
+    address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
+) -> socket.socket:
+    """Not blocking, heard by who is on the bus from now on; SocketCAN's hears frames of its own,
+    too, when they have left. Raises PortError."""
+    interface, channel = split_address(address)
+    try:
+        if interface == "unix":
+            return _connected(channel)
+        return _bound(channel, identifiers, fd_frames=fd_frames)
+    except OSError as error:
+        words = errno.errorcode.get(error.errno or 0, "")
+        raise PortError(f"{address}: {error.strerror} ({words})") from error
+
+
+def _connected(path: str) -> socket.socket:
+    bus = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+    try:
+        bus.connect(path)
+        bus.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    except OSError:
+        bus.close()
+        raise
+    return bus
+
+
+def _bound(
+    channel: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
+) -> socket.socket:
+    bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+    try:
+        filters = b"".join(_filter(*one) for one in identifiers)
+        bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERRORS_ALL)
+        bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, 1)
+        if fd_frames:
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        bus.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        bus.bind((channel,))
+    except OSError:
+        bus.close()
+        raise
+    return bus
+
+
+def _filter(identifier: int, extended: bool) -> bytes:
+    number = 0x1FFF_FFFF if extended else 0x7FF
+    return _FILTER.pack(identifier | EXTENDED * extended, number | EXTENDED | REMOTE)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The books of a line over all its threads: each starts with empty ones."""
+
+from __future__ import annotations
+
+from motord_hal.fieldbus.ports import LineStats, RoundTrips
+from motord_hal.realtime.line import LineReport, LineThread, Mode
+
+_ERRORS = ("no_reply", "bad_reply", "refused")
+
+
+class Books:
+    """What earlier threads counted, and what the present one does."""
+
+    def __init__(self, wire_limit_hz: float) -> None:
+        self._wire_limit_hz = wire_limit_hz
+        self._exchanges = 0
+        self._cycles = 0
+        self._errors: dict[str, int] = {}
+        self._round_trip = RoundTrips()
+
+    def close(self, thread: LineThread) -> None:
+        """The thread has ended: keep what it counted."""
+        report = thread.report()
+        self._exchanges += report.exchanges
+        self._cycles += _cycles(report)
+        self._errors = _with(self._errors, report)
+        self._round_trip = thread.round_trips()
+
+    def stats(self, report: LineReport | None, thread: LineThread) -> LineStats:
+        """Without what the line counts itself. `report`: None where no thread runs."""
+        stats = LineStats(
+            exchanges=self._exchanges,
+            cycles=self._cycles,
+            errors=dict(self._errors),
+            wire_limit_hz=self._wire_limit_hz,
+            round_trip=self._round_trip,
+        )
+        if report is not None:
+            stats.exchanges += report.exchanges
+            stats.cycles += _cycles(report)
+            stats.errors = _with(self._errors, report)
+            stats.cycle_hz = _cycle_hz(report)
+            stats.round_trip = thread.round_trips()
+        return stats
+
+
+def _cycles(report: LineReport) -> int:
+    return max((drive.cycles for drive in report.drives), default=0)
+
+
+def _cycle_hz(report: LineReport) -> float:
+    """Of the slowest drive that is asked."""
+    asked = (drive for drive in report.drives if drive.mode in (Mode.READY, Mode.ARMED))
+    slowest_ns = max((drive.cycle_ns for drive in asked), default=0)
+    return 1e9 / slowest_ns if slowest_ns else 0.0
+
+
+def _with(errors: dict[str, int], report: LineReport) -> dict[str, int]:
+    """The same with what the report counts; what never happened is left out."""
+    total = dict(errors)
+    for kind in _ERRORS:
+        count = sum(getattr(drive, kind) for drive in report.drives)
+        if count:
+            total[kind] = total.get(kind, 0) + count
+    return total

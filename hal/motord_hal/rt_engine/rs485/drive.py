@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive of a real-time line: it is set up, armed and disarmed here, and watched.
+
+Its cycle and what takes it back to rest are C's (csrc/api_line.h). Here are only wishes, which C
+obeys where it is safe, and sequences of requests.
+"""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+from collections.abc import Callable, Sequence
+from types import MappingProxyType
+from typing import Any, Protocol
+
+from motord_hal.base.clock import NS_PER_S, now_ns, within
+from motord_hal.base.errors import HalError, PortError
+from motord_hal.base.retry import Backoff
+from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.fieldbus.faults import FaultWatch, Say
+from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.realtime.line import AnswerKind, Demoted, DriveReport, LineThread, Mode
+from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.rs485.jobs import DriveJobs
+from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
+
+RETRY_FIRST_S = 0.1
+RETRY_LIMIT_S = 2.0
+OBEYED_WITHIN_S = 1.0
+"""C obeys or refuses a wish within milliseconds; asyncio may hear of it later."""
+
+_STATES = MappingProxyType(
+    {
+        Mode.OFF: DriveState.UNKNOWN,
+        Mode.READY: DriveState.READY,
+        Mode.ARMED: DriveState.ARMED,
+        Mode.QUIET: DriveState.QUIET,
+        Mode.BACK: DriveState.UNKNOWN,
+    }
+)
+_WARNINGS = MappingProxyType(
+    {
+        Demoted.LOST_SETUP: "has lost its set-up: set up again, disarmed",
+        Demoted.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
+        Demoted.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
+    }
+)
+
+
+class DriveSays(Protocol):
+    """What a thread reports of one drive, whatever its medium."""
+
+    @property
+    def mode(self) -> Mode: ...
+    @property
+    def demoted(self) -> Demoted: ...
+    @property
+    def wish_seen(self) -> int: ...
+    @property
+    def stopping(self) -> bool: ...
+    @property
+    def cycles(self) -> int: ...
+    @property
+    def stop_waits(self) -> bool:
+        """It has not been told, or has not acknowledged, all of its newest stop."""
+        ...
+
+
+class Jobs(Protocol):
+    """Sequences of steps with one drive, beside its cycle."""
+
+    profile: DriveProfile
+    joints: tuple[JointSpec, ...]
+    unit: int
+
+    @property
+    def request_limit_s(self) -> float:
+        """Longest time until a request is on the wire, or will never be."""
+        ...
+
+    async def run(
+        self, name: str, steps: Sequence[Step], *, urgent: bool = ..., check: Check = ...
+    ) -> None: ...
+
+
+class Wishes(Protocol):
+    """The way to what C does with a drive."""
+
+    def wish(self, drive: int, mode: Mode) -> int: ...
+    def allow_arming(self, drive: int, until_ns: int) -> None: ...
+
+
+class RtDrive(abc.ABC):
+    """Number `index` of the line's table."""
+
+    def __init__(
+        self, index: int, jobs: Jobs, watchdog_s: float, thread: Wishes, news: News, say: Say
+    ) -> None:
+        self._jobs = jobs
+        self.names = tuple(joint.name for joint in jobs.joints)
+        self.faults = {name: FaultWatch(name, jobs.profile, say) for name in self.names}
+        self._index = index
+        self._setup = configure_steps(jobs.profile, watchdog_s)
+        self._thread = thread
+        self._news = news
+        self._say = say
+        self._report: DriveSays | None = None
+        self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
+        self._failed_setup = False
+        self._said_quiet = False
+        self.stops = 0
+        """How often it was told to stand down: an arming that began before is over."""
+        self._standing_down = 0
+        """The wish by which it was told so last."""
+        self._powering_off: asyncio.Future[None] | None = None
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.names)} (unit {self._jobs.unit})"
+
+    @abc.abstractmethod
+    def _why_quiet(self, report: Any) -> str:
+        """In words, for people."""
+
+    @abc.abstractmethod
+    def _arming_steps(self) -> tuple[Step, ...]:
+        """Zero in its set-points, then the profile's steps, until it says that it is enabled."""
+
+    def _hint(self) -> str:
+        """What else could be the reason, as its medium shows it."""
+        return ""
+
+    @abc.abstractmethod
+    async def _present(self) -> None:
+        """Returns when it is there to be set up, where that can be known before it is asked."""
+
+    # --------------------------------------------------------------------------------- what it is
+    @property
+    def profile(self) -> DriveProfile:
+        return self._jobs.profile
+
+    @property
+    def mode(self) -> Mode:
+        return Mode.OFF if self._report is None else self._report.mode
+
+    @property
+    def state(self) -> DriveState:
+        state = _STATES[self.mode]
+        failed = state is DriveState.UNKNOWN and self._failed_setup
+        return DriveState.QUIET if failed else state
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was told, and the wheel has not been seen at rest since."""
+        return self._report is not None and self._report.stopping
+
+    def lose(self, error: HalError) -> None:
+        """The line is gone: nothing is known of the drive."""
+        self._report = None
+        self._failed_setup = False
+        self.stops += 1
+        self._powered_off(error)
+
+    def update(self, report: DriveSays, fault_words: Sequence[int]) -> None:
+        """Note what C reports, and say what is new."""
+        before = self.mode
+        said = Demoted(0) if self._report is None else self._report.demoted
+        self._report = report
+        if report.cycles:  # else its fault words have not been read
+            for joint in self._jobs.joints:
+                self.faults[joint.name].update(fault_words[joint.index])
+        if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
+            self._is_ready()
+        elif report.mode in (Mode.QUIET, Mode.BACK):
+            self._is_quiet(self._why_quiet(report))
+        for bit in report.demoted & ~said:
+            if bit in _WARNINGS:
+                self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
+
+    def _is_ready(self) -> None:
+        self._backoff.reset()
+        if self._said_quiet:
+            self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
+        else:
+            self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
+        self._said_quiet = False
+
+    def _is_quiet(self, why: str) -> None:
+        if not self._said_quiet:
+            self._said_quiet = True
+            said = "; ".join(filter(None, (why, self._hint())))
+            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {said}")
+
+    # -------------------------------------------------------------------------------- its two tasks
+    async def keep_set_up(self) -> None:
+        """Whenever C holds it for not set up: set it up, and wish it ready. For ever."""
+        while True:
+            await self._news.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
+            try:
+                await self._present()
+                self._failed_setup = False
+                await self._jobs.run("configure", self._setup)
+                await self._obeyed(self._thread.wish(self._index, Mode.READY))
+                continue
+            except PortError:
+                pass  # the line has seen it, too, and ends this task
+            except HalError as error:
+                self._failed_setup = True
+                self._is_quiet(str(error))
+            await asyncio.sleep(self._backoff.next_s())
+
+    async def keep_powered_off(self) -> None:
+        """Whenever it has been told to stand down: power off, ahead of all other requests. For
+        ever."""
+        while True:
+            await self._news.until(lambda: self._powering_off is not None)
+            try:
+                await self._jobs.run("disarm", self._jobs.profile.disarm, urgent=True)
+                await self._obeyed(self._standing_down)
+            except HalError as error:
+                self._powered_off(error)
+            else:
+                self._powered_off(None)
+
+    def _powered_off(self, error: HalError | None) -> None:
+        future, self._powering_off = self._powering_off, None
+        if future is None:
+            return
+        if error is None:
+            future.set_result(None)
+        else:
+            future.set_exception(error)
+            future.exception()  # nobody may be waiting for it
+
+    async def _obeyed(self, wish: int) -> None:
+        """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
+        try:
+            async with within(OBEYED_WITHIN_S):
+                await self._news.until(
+                    lambda: self._report is not None and self._report.wish_seen >= wish
+                )
+        except TimeoutError:
+            raise HalError(f"{self}: the line's thread does not answer") from None
+
+    # --------------------------------------------------------------------------- what it is told
+    def stand_down(self) -> asyncio.Future[None]:
+        """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
+        for it shields it."""
+        self.stops += 1
+        self._standing_down = self._thread.wish(self._index, Mode.STAND_DOWN)
+        self._thread.allow_arming(self._index, 0)
+        if self._powering_off is None:
+            self._powering_off = asyncio.get_running_loop().create_future()
+            self._news.poke()
+        return self._powering_off
+
+    def _check_arming(self, began: int, mode: Mode) -> None:
+        if self.stops != began or self.mode is not mode:
+            raise HalError(f"{self}: stopped while it was being armed")
+
+    async def enable(self, began: int) -> None:
+        """The first half of arming: zero in its set-point registers, its set-up still there, the
+        profile's own steps, and it says that it is enabled. `began`: its stops when the arming
+        began. Raises HalError."""
+
+        def check() -> None:
+            self._check_arming(began, Mode.READY)
+            limit_ns = round(2 * self._jobs.request_limit_s * NS_PER_S)
+            self._thread.allow_arming(self._index, now_ns() + limit_ns)
+
+        await self._jobs.run("arm", self._arming_steps(), check=check)
+        check()
+
+    async def go(self, began: int) -> None:
+        """The second half: from now on it is told the core's set-points. Raises HalError."""
+        self._check_arming(began, Mode.READY)
+        await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
+        if self.mode is not Mode.ARMED:
+            raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+        self._check_arming(began, Mode.ARMED)
+
+    async def write_register(self, register: str, steps: Sequence[Step]) -> float:
+        """Steps that write it and read it back; what is in force then. Raises HalError."""
+        await self._jobs.run("write", steps)
+        return self.profile.registers[register].to_si(steps[0].value or 0)
+
+    async def clear_faults(self) -> None:
+        """Power off, then the profile's steps. Raises DriveFault if a fault stays."""
+        await asyncio.shield(self.stand_down())
+        await self._jobs.run("clear", clear_steps(self._jobs.profile))
+
+
+class SerialDrive(RtDrive):
+    """A drive on a serial line."""
+
+    def __init__(
+        self,
+        index: int,
+        jobs: DriveJobs,
+        watchdog_s: float,
+        thread: LineThread,
+        news: News,
+        say: Say,
+        hint: Callable[[], str],
+    ) -> None:
+        super().__init__(index, jobs, watchdog_s, thread, news, say)
+        self.jobs = jobs
+        self._line_hint = hint
+
+    def _hint(self) -> str:
+        return self._line_hint()
+
+    async def _present(self) -> None:
+        """Only what it answers says so."""
+
+    def _why_quiet(self, report: DriveReport) -> str:
+        return _last_failure(report)
+
+    def _arming_steps(self) -> tuple[Step, ...]:
+        profile = self.jobs.profile
+        said = profile.enabled
+        enabled: tuple[Step, ...] = ()
+        if said is not None:
+            enabled = (
+                Step(
+                    register=said.register,
+                    mask=said.mask,
+                    equals=said.equals,
+                    within_s=VERIFY_WITHIN_S,
+                ),
+            )
+        return (*self.jobs.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
+
+
+def _last_failure(report: DriveReport) -> str:
+    match report.last_failure:
+        case AnswerKind.REFUSED:
+            return exception_text(report.last_exception)
+        case AnswerKind.BAD_REPLY:
+            return "what came is no answer"
+        case AnswerKind.NEVER_SILENT:
+            return "the line is never silent: another master, or noise"
+        case _:
+            return f"nothing within {report.deadline_ns / 1e6:.1f} ms"

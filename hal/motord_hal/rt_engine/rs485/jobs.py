@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sequences of a drive's steps, made of requests in the acyclic slots of its line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import BadReply, DriveFault, NoReply
+from motord_hal.drives.profile import Step
+from motord_hal.realtime.table import LineFrame
+from motord_hal.rt_engine.rs485.frames import DriveFrames
+from motord_hal.rt_engine.rs485.request_queue import Asks, Check, always
+
+
+class DriveJobs:
+    """What can be done with drive number `index` of the line's table, one request at a time."""
+
+    def __init__(self, index: int, frames: DriveFrames, asks: Asks) -> None:
+        self.frames = frames
+        self.profile = frames.profile
+        self.joints = frames.joints
+        self.unit = frames.unit
+        self.tries = max(joint.tries for joint in frames.joints)
+        self._index = index
+        self._asks = asks
+        self._name = ", ".join(joint.name for joint in frames.joints)
+
+    @property
+    def request_limit_s(self) -> float:
+        """Longest time until a request is on the wire, or will never be."""
+        return self._asks.limit_s
+
+    async def run(
+        self,
+        name: str,
+        steps: Sequence[Step],
+        *,
+        urgent: bool = False,
+        check: Check = always,
+    ) -> None:
+        """Step by step; `check` is made right before each request. Raises HalError."""
+        for step in steps:
+            if step.value is None:
+                await self._wait_for(name, step, check)
+                continue
+            for frame in self.frames.writes({step.register: step.value}):
+                await self.ask(frame, urgent=urgent, check=check)
+
+    async def _wait_for(self, name: str, step: Step, check: Check) -> None:
+        give_up_s = None
+        while True:
+            raw = await self.read(step.register, check=check)
+            if raw & step.mask == step.equals:
+                return
+            give_up_s = give_up_s or now_s() + step.within_s
+            if now_s() > give_up_s:
+                raise DriveFault(
+                    f"{self._name} (unit {self.frames.unit}): {name}: {step.register} is {raw:#x} "
+                    f"after {step.within_s:g} s, not {step.equals or 0:#x}"
+                )
+
+    async def read(self, register: str, *, check: Check = always) -> int:
+        """A register's raw value, now. Raises HalError."""
+        reply = await self.ask(self.frames.read(register), check=check)
+        return self.frames.raw(register, reply)
+
+    async def ask(self, frame: LineFrame, *, urgent: bool = False, check: Check = always) -> bytes:
+        """One request, tried again when it was lost. Raises HalError."""
+        turnaround_s = self.frames.profile.turnaround_s
+        tries = 1
+        while True:
+            try:
+                return await self._asks.ask(
+                    self._index, frame, turnaround_s, urgent=urgent, check=check
+                )
+            except (NoReply, BadReply):
+                if tries == self.tries:
+                    raise
+            tries += 1

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The serial line whose cycle runs in C."""
+
+from __future__ import annotations
+
+import os
+
+from motord_hal.base.errors import HalError, PortError, ProfileError
+from motord_hal.fieldbus.parameter import readable
+from motord_hal.fieldbus.ports import LineSpec, LineStats, Listener
+from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
+from motord_hal.rt_engine.base import RtLineBase
+from motord_hal.rt_engine.counters import Books
+from motord_hal.rt_engine.rs485.drive import SerialDrive
+from motord_hal.rt_engine.rs485.jobs import DriveJobs
+from motord_hal.rt_engine.rs485.protocols import frames_of
+from motord_hal.rt_engine.rs485.request_queue import Asks
+from motord_hal.rt_engine.rs485.table import line_table
+from motord_hal.serial.counters import Traffic, Witness
+from motord_hal.serial.port import OpenPort, open_port
+
+SLOT_ALLOWANCE_S = 0.3
+"""On top of the slowest cycle: lost replies of this drive or of its neighbours, and the silence in
+which a late one may still come."""
+
+
+class RtLine(RtLineBase[LineReport, SerialDrive]):
+    """ports.Line for serial lines, engine "rt"."""
+
+    _thread: LineThread
+
+    def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
+        super().__init__(spec, listener)
+        self._thread = LineThread(spec.index, exchange)
+        frames = frames_of(spec)
+        if len(frames) > DRIVES_MAX:
+            raise ProfileError(f"{spec.name}: {len(frames)} drives, at most {DRIVES_MAX}")
+        self._table = line_table(spec, frames)
+        check_table(spec.name, self._table)
+        self._witness = Witness()
+        cycle_s = max(1.0 / spec.cycle_hz, sum(drive.slowest_cycle_s() for drive in frames))
+        self._asks = Asks(spec.name, self._thread, len(frames) * (cycle_s + SLOT_ALLOWANCE_S))
+        self._drives = [
+            SerialDrive(
+                index,
+                DriveJobs(index, drive, self._asks),
+                spec.watchdog_s,
+                self._thread,
+                self._news,
+                self._say,
+                self._quiet_hint,
+            )
+            for index, drive in enumerate(frames)
+        ]
+        self._books = Books(1.0 / sum(drive.cycle_time_s() for drive in frames))
+        self._port: OpenPort | None = None
+        self._may_turn = 0
+        """Bit n: drive n was armed when the port was lost."""
+
+    def stats(self) -> LineStats:
+        """As ports.Line.stats, to this moment."""
+        report = None if self._report is None else self._thread.report()
+        stats = self._books.stats(report, self._thread)
+        stats.reopened = self._reopened
+        if self._losses:
+            stats.errors["port"] = self._losses
+        return stats
+
+    async def _start(self) -> tuple[str, ...]:
+        self._port = open_port(self.spec)
+        thread = ThreadSpec.of(
+            self.spec,
+            fd=self._port.fd,
+            de_fd=self._port.de_fd,
+            event_fd=self._news.event_fd,
+            may_turn=self._may_turn,
+        )
+        self._thread.start(thread, self._table)
+        self._report = self._thread.report()
+        self._witness.forget()
+        self._witness.look(self._port.fd)
+        return self._port.facts
+
+    def _quiet_hint(self) -> str:
+        if self._port is None or self._report is None:
+            return ""
+        return self._witness.hint(self._port.fd, _traffic(self._report))
+
+    def _close_port(self) -> None:
+        if self._report is not None:
+            drives = self._thread.report().drives
+            self._may_turn = sum(one.may_turn << n for n, one in enumerate(drives))
+            self._books.close(self._thread)
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _close(self, error: HalError) -> None:
+        super()._close(error)
+        self._asks.lose(error)
+
+    def _ended(self, report: LineReport) -> PortError | None:
+        if not report.running:
+            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
+        if report.exchanges:
+            self._backoff.reset()
+        return None
+
+    def _look(self) -> LineReport:
+        """Take in what the thread says."""
+        self._asks.take_answers()
+        report = self._take_report()
+        if self._port is not None:
+            self._witness.look(self._port.fd, _traffic(report))
+        self._news.looked()
+        return report
+
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register."""
+        drive = self._drive_of(joint)
+        found = readable(drive.jobs.profile, register)
+        self._check_open()
+        return found.to_si(await drive.jobs.read(register))
+
+
+def _traffic(report: LineReport) -> Traffic:
+    late = sum(drive.late for drive in report.drives)
+    return Traffic(noise_bytes=report.noise_bytes, frames=report.answers, late=late)

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which protocol a line's drives speak."""
+
+from __future__ import annotations
+
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.modbus.codec import frame_time_s
+from motord_hal.modbus.plan import DrivePlan
+from motord_hal.modbus.timing import line_gap_s
+from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+from motord_hal.rt_engine.rs485.frames import DriveFrames
+from motord_hal.rt_engine.rs485.modbus_frames import ModbusFrames
+from motord_hal.rt_engine.rs485.roboclaw_frames import RoboclawFrames
+
+
+def frames_of(spec: LineSpec) -> list[DriveFrames]:
+    """One a unit. Raises ProfileError for joints that cannot be together on the line."""
+    for joint in spec.joints:
+        if joint.profile.protocol != spec.kind:
+            raise ProfileError(
+                f"{joint.name}: {joint.profile.name} speaks {joint.profile.protocol}, "
+                f"and {spec.name} is a {spec.kind} line"
+            )
+    return [_frames(spec, joints) for joints in joints_by_unit(spec)]
+
+
+def _frames(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
+    def wire_time_s(size_bytes: int) -> float:
+        return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)
+
+    if spec.kind == "ddsm":
+        return DdsmFrames(joints, line_gap_s(spec), wire_time_s)
+    if spec.kind == "roboclaw":
+        return RoboclawFrames(joints, line_gap_s(spec), wire_time_s)
+    return ModbusFrames(DrivePlan(joints, line_gap_s(spec), wire_time_s))

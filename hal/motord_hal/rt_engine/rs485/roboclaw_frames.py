@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One RoboClaw as frames for its line (frames.DriveFrames): motord_hal.roboclaw.codec's packets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from motord_hal.drives.profile import DriveProfile, Register, RegisterType, Step
+from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.modbus.codec import Function, Request
+from motord_hal.modbus.plan import DrivePlan, ReadRange, WireTime
+from motord_hal.realtime.table import LineFrame, Seal
+from motord_hal.roboclaw import codec
+from motord_hal.rt_engine.rs485.frames import PlannedFrame
+
+_HEAD_BYTES = 2
+"""Address and command, before the content of a write."""
+_WORD_BYTES = 2
+
+
+def packet_frame(request: Request) -> LineFrame:
+    """A packet with what its answer must look like: it names nobody, so it is all that comes."""
+    reads = request.function is Function.READ_HOLDING
+    return LineFrame(
+        request=codec.build(request),
+        reply_bytes=codec.reply_size(request),
+        match=b"" if reads else codec.ACKNOWLEDGED,
+        request_seal=Seal.NONE if reads else Seal.XMODEM,
+        reply_seal=Seal.ASKED if reads else Seal.NONE,
+        exact=1,
+    )
+
+
+class RoboclawFrames:
+    """One controller with one or two motors, from the plan that the asyncio engine works by."""
+
+    def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
+        self._plan = DrivePlan(
+            [replace(joint, profile=_narrowed(joint.profile)) for joint in joints],
+            gap_s,
+            wire_time_s,
+        )
+        self.joints = self._plan.joints
+        self.profile = self._plan.profile
+        self.unit = self._plan.unit
+        self.cycle_time_s = self._plan.cycle_time_s
+        self.slowest_cycle_s = self._plan.slowest_cycle_s
+
+    def cyclic(self) -> tuple[PlannedFrame, ...]:
+        """As DriveFrames.cyclic."""
+        return tuple(
+            PlannedFrame(
+                packet_frame(exchange.request),
+                self._written(exchange.request),
+                {} if exchange.reads is None else _places(exchange.reads),
+            )
+            for exchange in self._plan.cyclic(self._plan.setpoints({}))
+        )
+
+    def extra(self) -> tuple[PlannedFrame, ...]:
+        """As DriveFrames.extra."""
+        return tuple(
+            PlannedFrame(packet_frame(span.request(self.unit)), {}, _places(span))
+            for span in self._plan.extra
+        )
+
+    def idle(self) -> tuple[LineFrame, ...]:
+        """Speeds of zero hold the wheels, duties of zero let them go."""
+        first = self._plan.cyclic(self._plan.setpoints({}))[0].request
+        if first.address >> 8 != codec.SPEEDS:
+            return ()
+        return (packet_frame(replace(first, address=codec.DUTIES << 8, values=(0, 0))),)
+
+    def zero_steps(self) -> tuple[Step, ...]:
+        return self._plan.zero_steps()
+
+    def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
+        return tuple(map(packet_frame, self._plan.writes(raw)))
+
+    def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
+        """Every packet is for one address."""
+        del raw
+        return ()
+
+    def read(self, name: str) -> LineFrame:
+        return packet_frame(self._reading(self.profile.registers[name]))
+
+    def raw(self, name: str, reply: bytes) -> int:
+        register = self.profile.registers[name]
+        return register.decode(codec.parse(self._reading(register), reply))
+
+    def _reading(self, register: Register) -> Request:
+        return ReadRange(register.address, register.type.words, (register,)).request(self.unit)
+
+    def _written(self, request: Request) -> dict[str, int]:
+        """Where the set-points stand in a packet that writes some."""
+        if not request.values:
+            return {}
+        names = (self._plan.channel(joint).setpoint for joint in self.joints)
+        registers = [self.profile.registers[name] for name in names]
+        command = request.address >> 8
+        return {
+            register.name: _HEAD_BYTES + _byte_of(register)
+            for register in registers
+            if register.address >> 8 == command
+        }
+
+
+def _byte_of(register: Register) -> int:
+    """In the content of its command."""
+    return _WORD_BYTES * (register.address & 0xFF)
+
+
+def _places(span: ReadRange) -> dict[str, int]:
+    return {register.name: _byte_of(register) for register in span.registers}
+
+
+def _narrowed(profile: DriveProfile) -> DriveProfile:
+    """Content of one byte is a byte on the wire, and a word only to who knows no bytes."""
+    sizes = codec.READ_BYTES | codec.WRITE_BYTES
+    registers = {
+        name: replace(one, type=RegisterType.U8) if sizes.get(one.address >> 8) == 1 else one
+        for name, one in profile.registers.items()
+    }
+    return replace(profile, registers=registers)

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the drives of a line to the table that its thread in C runs: pure.
+
+Signs, gears and units are those of `motord_hal.modbus.plan`, which the asyncio engine computes at
+each cycle; here they become one factor a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+
+from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
+from motord_hal.fieldbus.job import configure_steps, kept_steps, watchdog_time_s
+from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
+from motord_hal.modbus.codec import character_bits
+from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
+from motord_hal.modbus.timing import line_gap_s
+from motord_hal.realtime.table import (
+    FieldKind,
+    Form,
+    LineDrive,
+    LineExchange,
+    LineField,
+    LineFrame,
+    LineSetpoint,
+    LineTable,
+    LineWay,
+)
+from motord_hal.rt_engine.decoding import harmless, setpoint_kind, sources_of
+from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
+
+_NS_PER_S = 1e9
+_U32 = 0xFFFF_FFFF
+_FORMS = MappingProxyType({form.name.lower().replace("_", "-"): form for form in Form})
+_ECHO = MappingProxyType({Echo.NO: 0, Echo.YES: 1, Echo.AUTO: 2})
+
+
+def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
+    """The table of a line. C checks it once more and names the first bad field."""
+    bits = character_bits(spec.parity, spec.stop_bits)
+    return LineTable(
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo to look for
+        character_ns=bits * _NS_PER_S / spec.baudrate,
+        gap_ns=round(line_gap_s(spec) * _NS_PER_S),
+        setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
+        rest_velocity_rad_s=spec.rest_velocity_rad_s,
+        broadcast_stop=_broadcast_stop(drives),
+        drive=tuple(drive_table(frames, spec) for frames in drives),
+    )
+
+
+def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:
+    """Only where all are of one kind: what stops one drive may be another register of the next."""
+    first = drives[0]
+    alike = all(frames.profile.name == first.profile.name for frames in drives)
+    if not alike or not first.profile.broadcast_stop:
+        return ()
+    return tuple(
+        frame
+        for step in first.profile.quick_stop
+        if step.value is not None
+        for frame in first.broadcasts({step.register: step.value})
+    )
+
+
+def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
+    """One drive of it."""
+    profile, joints = frames.profile, frames.joints
+    rates_hz = [joint.cycle_hz for joint in joints if joint.cycle_hz is not None]
+    given_s = [joint.reply_timeout_s for joint in joints if joint.reply_timeout_s is not None]
+    watchdog_s = watchdog_time_s(profile, spec.watchdog_s) if profile.watchdog else 0.0
+    kept = kept_steps(configure_steps(profile, spec.watchdog_s))
+    cyclic = frames.cyclic()
+    return LineDrive(
+        tries=max(joint.tries for joint in joints),
+        extra_every=EXTRA_EVERY_CYCLES,
+        period_ns=round(_NS_PER_S / max(rates_hz, default=spec.cycle_hz)),
+        turnaround_ns=round(profile.turnaround_s * _NS_PER_S),
+        reply_timeout_ns=round(max(given_s, default=0.0) * _NS_PER_S),
+        watchdog_ns=round(watchdog_s * _NS_PER_S),
+        probe=_probe(cyclic),
+        cyclic=tuple(_exchange(frames, planned, kept) for planned in cyclic),
+        extra=tuple(_exchange(frames, planned, kept) for planned in _extra(frames)),
+        way=tuple(_ways(frames)),
+        quick_stop=step_frames(frames, profile.quick_stop),
+        disarm=step_frames(frames, profile.disarm),
+        idle=frames.idle(),
+    )
+
+
+def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, ...]:
+    """The writes of a sequence, in order; what it waits for is left out."""
+    return tuple(
+        frame
+        for step in steps
+        if step.value is not None
+        for frame in frames.writes({step.register: step.value})
+    )
+
+
+def _probe(cyclic: Sequence[PlannedFrame]) -> int:
+    """1 + the first exchange that only asks; 0: C takes what there is."""
+    return next((n for n, planned in enumerate(cyclic, 1) if not planned.writes), 0)
+
+
+def _extra(frames: DriveFrames) -> list[PlannedFrame]:
+    """What says whether the drive is enabled comes first."""
+    said = frames.profile.enabled
+    return sorted(frames.extra(), key=lambda p: said is None or said.register not in p.reads)
+
+
+def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]) -> LineExchange:
+    return LineExchange(
+        frame=planned.frame,
+        setpoint=tuple(_setpoints(frames, planned.writes)),
+        field=(
+            *_joint_fields(frames, planned.reads),
+            *_drive_fields(frames.profile, planned.reads, kept),
+        ),
+    )
+
+
+# ---------------------------------------------------------------------------------- set-points out
+def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineSetpoint]:
+    for joint in frames.joints:
+        channel = frames.profile.channels[joint.channel]
+        name = channel.setpoint
+        if name not in places:
+            continue
+        register = frames.profile.registers[name]
+        magnitude = channel.direction is not None
+        sign = -1.0 if joint.inverted and not magnitude else 1.0
+        low, high = raw_limits(register)
+        yield LineSetpoint(
+            joint=joint.index,
+            kind=setpoint_kind(channel),
+            byte=places[name],
+            form=_FORMS[register.type.value],
+            magnitude=int(magnitude),
+            raw_per_si=sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register),
+            raw_min=low,
+            raw_max=high,
+        )
+
+
+def si_per_raw(register: Register) -> float:
+    return register.scale * SI_UNITS[register.unit][1]
+
+
+def raw_limits(register: Register) -> tuple[float, float]:
+    """As Register.from_si holds a value within its own limits and those of its type."""
+    low, high = register.raw_range
+    given = (register.minimum, register.maximum)
+    scaled = [None if limit is None else limit / register.scale for limit in given]
+    if register.scale < 0:
+        scaled.reverse()
+    least, most = scaled
+    return (
+        float(low) if least is None else min(max(least, low), high),
+        float(high) if most is None else min(max(most, low), high),
+    )
+
+
+def _way_joints(frames: DriveFrames) -> list[JointSpec]:
+    channels = frames.profile.channels
+    return [joint for joint in frames.joints if channels[joint.channel].direction is not None]
+
+
+def _ways(frames: DriveFrames) -> Iterable[LineWay]:
+    for joint in _way_joints(frames):
+        channel = frames.profile.channels[joint.channel]
+        way = channel.direction
+        assert way is not None  # _way_joints
+        rest, forward, reverse = (
+            frames.writes({way.register: raw})[0] for raw in (way.rest, way.forward, way.reverse)
+        )
+        yield LineWay(
+            joint=joint.index,
+            kind=setpoint_kind(channel),
+            inverted=int(joint.inverted),
+            rest=rest,
+            forward=forward,
+            reverse=reverse,
+        )
+
+
+# -------------------------------------------------------------------------------------- feedback in
+def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineField]:
+    profile = frames.profile
+    for joint in frames.joints:
+        channel = profile.channels[joint.channel]
+        for kind, name in sources_of(profile, channel):
+            if name in places:
+                yield _joint_field(frames, joint, kind, profile.registers[name], places[name])
+
+
+def _joint_field(
+    frames: DriveFrames, joint: JointSpec, kind: FieldKind, register: Register, byte: int
+) -> LineField:
+    form, mask = _FORMS[register.type.value], register.mask or 0
+    factor, way = si_per_raw(register), 0
+    if kind is FieldKind.COUNT:
+        form, mask = _counter(register, frames.profile.counter_bits)
+    elif kind is FieldKind.VELOCITY:
+        factor *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
+        ways = _way_joints(frames)
+        way = 0 if register.type.signed or joint not in ways else 1 + ways.index(joint)
+    bits, codes = harmless(frames.profile) if kind is FieldKind.FAULT else (0, None)
+    return LineField(
+        joint=joint.index,
+        kind=kind,
+        byte=byte,
+        form=form,
+        mask=mask,
+        way=way,
+        si_per_raw=factor,
+        harmless_bits=bits,
+        is_code=int(codes is not None),
+        harmless=codes or (),
+    )
+
+
+def _counter(register: Register, bits: int) -> tuple[Form, int]:
+    """A counter goes to the core without a sign, and with no more bits than it has."""
+    form = _FORMS[register.type.value.replace("i", "u", 1)]
+    whole = (1 << form.bits) - 1
+    mask = register.mask or whole
+    low = mask & -mask
+    counted = mask & (low * ((1 << bits) - 1))
+    return form, 0 if counted == whole else counted
+
+
+def _drive_fields(
+    profile: DriveProfile, places: Mapping[str, int], kept: tuple[Step, ...]
+) -> Iterable[LineField]:
+    said = profile.enabled
+    wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in kept]
+    if said is not None:
+        wanted.append((FieldKind.ENABLED, said.register, said.mask, said.equals))
+    for kind, name, mask, equals in wanted:
+        if name in places:
+            register = profile.registers[name]
+            yield LineField(
+                kind=kind,
+                byte=places[name],
+                form=_FORMS[register.type.value],
+                mask=register.mask or 0,
+                equals_mask=mask & _U32,
+                equals=equals & _U32,
+            )

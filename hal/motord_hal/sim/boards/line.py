@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated board on a serial port: takes a stream of set-points, sends a stream of feedback."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.modbus.codec import character_bits
+from motord_hal.sim.faults import FaultScript
+from motord_hal.sim.rs485.content import NamedContent
+from motord_hal.sim.rs485.drive import SimulatedDrive
+from motord_hal.sim.rs485.framing import Unaddressed
+from motord_hal.sim.rs485.noise import disturb
+from motord_hal.sim.rs485.port import MasterSettings, Port
+from motord_hal.sim.rs485.wire import Clock, Wire
+
+
+@dataclass(slots=True)
+class BoardCounters:
+    frames: int = 0
+    bad_crc: int = 0
+    """Pieces of what came that were no set-points."""
+    replies: int = 0
+    """Feedback that was sent."""
+    gap_violations: int = 0
+    """None: frames of boards are parted by zeros, not by silence."""
+    bits_hit: int = 0
+    """By noise."""
+    plugged: int = 0
+
+
+class Talk(Protocol):
+    """What a board makes of bytes."""
+
+    feedback_s: float
+    """From one feedback to the next; infinity: there is none."""
+
+    def power_up(self) -> None: ...
+
+    def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
+        """Register → raw of each set-points; None for what was none."""
+        ...
+
+    def feedback(self, content: NamedContent, now_s: float) -> bytes: ...
+
+
+class SimulatedBoard:
+    """As SimulatedLine, with one board on it."""
+
+    def __init__(
+        self,
+        spec: LineSpec,
+        drives: Mapping[int, SimulatedDrive],
+        script: FaultScript,
+        port: Port,
+        talk: Talk,
+    ) -> None:
+        self.spec = spec
+        self.drives = drives
+        self.port = port
+        self.counters = BoardCounters()
+        self._drive = next(iter(drives.values()))
+        self._script = script
+        self._talk = talk
+        self._bits = character_bits(spec.parity, spec.stop_bits)
+        self._reboots = 0
+        self.wire = Wire(port, self._bits / spec.baudrate)
+        self._incoming: deque[tuple[float, bytes]] = deque()
+        self._fed_back_s = 0.0
+
+    # ---------------------------------------------------------------------------------- plugging
+    def plug(self) -> None:
+        """Does nothing while it is plugged. Raises OSError."""
+        if not self.port.plugged:
+            self.port.plug()
+            self.counters.plugged += 1
+            self._quiet()
+
+    def pull(self) -> None:
+        self.port.pull()
+        self._quiet()
+
+    def _quiet(self) -> None:
+        self.wire.quiet()
+        self._incoming.clear()
+
+    # ------------------------------------------------------------------------------- the poll loop
+    def due_s(self, now_s: float) -> float:
+        """When `work` has to be called next, bytes or not."""
+        if not self.port.plugged:
+            return math.inf
+        heard_s = self._incoming[0][0] if self._incoming else math.inf
+        port_s = self.port.due_s(now_s)
+        return min(heard_s, self.wire.due_s(), port_s, self._feedback_due_s)
+
+    @property
+    def _feedback_due_s(self) -> float:
+        return self._fed_back_s + self._talk.feedback_s
+
+    def work(self, now_s: float, clock: Clock | None = None) -> None:
+        """Take in what has come, do what is due."""
+        if not self.port.plugged:
+            return
+        data = self.port.take_in(now_s)
+        if data is None:
+            self._quiet()
+        elif data:
+            self._hear(data, now_s)
+        while self._incoming and self._incoming[0][0] <= now_s:
+            self._obey(self._incoming.popleft()[1], now_s)
+        if now_s >= self._feedback_due_s:
+            self._feed_back(now_s, connected=data is not None)
+        self.wire.work(clock or (lambda: now_s))
+
+    def stats(self) -> dict[str, Any]:
+        return {
+            **asdict(self.counters),
+            "bytes_sent": self.wire.bytes_sent,
+            "reply_lateness_us": self.wire.lateness.percentiles(),
+            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
+        }
+
+    # -------------------------------------------------------------------------- what comes and goes
+    def _hear(self, data: bytes, now_s: float) -> None:
+        """The bytes are over when they would have passed the wire: each way has one of its own."""
+        settings = self.port.settings()
+        if not self._fits(settings):
+            self.counters.bad_crc += 1
+            return
+        before_s = self._incoming[-1][0] if self._incoming else now_s
+        over_s = max(before_s, now_s) + len(data) * self.wire.character_s
+        self._incoming.append((over_s, self._disturbed(data, now_s)))
+
+    def _fits(self, settings: MasterSettings | None) -> bool:
+        return settings is None or settings.baudrate == self.spec.baudrate
+
+    def _disturbed(self, data: bytes, now_s: float) -> bytes:
+        for fault in self._script.states("noise", None, now_s):
+            data, hits = disturb(data, fault.values["ber"], self._bits, fault.random)
+            self.counters.bits_hit += hits
+        return data
+
+    def _obey(self, data: bytes, now_s: float) -> None:
+        if not self._awake():
+            return
+        for written in self._talk.feed(data, now_s):
+            self.counters.frames += 1
+            if written is None:
+                self.counters.bad_crc += 1
+            else:
+                self._drive.obey(written, now_s)
+
+    def _awake(self) -> bool:
+        """False while it has no power; what it knew is lost when that comes back."""
+        if self._drive.on and self._drive.stats.reboots != self._reboots:
+            self._reboots = self._drive.stats.reboots
+            self._talk.power_up()
+        return self._drive.on
+
+    def _feed_back(self, now_s: float, *, connected: bool) -> None:
+        self._fed_back_s = now_s
+        silent = self._script.silent(self._drive.unit, now_s)
+        content = self._drive.registers
+        if not connected or not self._awake() or silent or not isinstance(content, NamedContent):
+            return
+        said = self._talk.feedback(content, now_s)
+        spoiled = self._script.spoil(self._drive.unit, said, Unaddressed(), now_s)
+        if spoiled.frame:
+            self.counters.replies += 1
+            held_s = self._talk.feedback_s if spoiled.held else 0.0
+            heard = self._disturbed(spoiled.frame, now_s)
+            self.wire.send(heard, now_s + spoiled.delay_s + held_s)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of text, from the board's side: the templates of the robot file the other way round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
+from motord_hal.ascii.text import Lines
+from motord_hal.ascii.twist import LINEAR, wheels_of
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.sim.gyro import SimulatedGyro
+from motord_hal.sim.rs485.content import NamedContent
+
+
+class TextTalk:
+    """board_line.Talk of a board that reads text."""
+
+    def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
+        """`gyro`: a sensor on the board."""
+        self._gyro = gyro
+        self._spec, self._said, self._heard = texts_of(spec)
+        self._joints = spec.joints
+        self._profile = spec.joints[0].profile
+        self._feedback_s = 1.0 / spec.cycle_hz if self._heard else math.inf
+        self.power_up()
+
+    def power_up(self) -> None:
+        self.feedback_s = self._feedback_s
+        self._lines = Lines()
+
+    def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
+        del now_s
+        for line in self._lines.feed(data):
+            numbers = self._said.read(line)
+            yield None if numbers is None else self._written(numbers)
+
+    def _written(self, numbers: dict[str, float]) -> dict[str, int]:
+        if LINEAR in numbers:
+            wheels = wheels_of(self._spec, numbers)
+            motors = {
+                j.name: wheels[j.name] * j.gear_ratio * (-1.0 if j.inverted else 1.0)
+                for j in self._joints
+            }
+        else:
+            motors = {name: number / self._spec.scale for name, number in numbers.items()}
+        written = {}
+        for joint in self._joints:
+            channel = self._profile.channels[joint.channel]
+            name = channel.setpoint
+            written[name] = self._profile.registers[name].from_si(motors[joint.name])
+        return written
+
+    def feedback(self, content: NamedContent, now_s: float) -> bytes:
+        del now_s
+        assert self._heard is not None  # without feedback there is no time for it
+        rate_rad_s = self._gyro.measure().angular_rad_s[2] if self._gyro else 0.0
+        numbers = {VOLTAGE: self._si(content, self._profile.bus_voltage), GYRO_Z: rate_rad_s}
+        for joint in self._joints:
+            channel = self._profile.channels[joint.channel]
+            numbers[joint.name + COUNT] = self._si(content, channel.position)
+            numbers[joint.name + VELOCITY] = self._si(content, channel.velocity)
+            numbers[joint.name + CURRENT] = self._si(content, channel.current)
+        return self._heard.say(numbers)
+
+    def _si(self, content: NamedContent, name: str | None) -> float:
+        return self._profile.registers[name].to_si(content.value(name)) if name else 0.0

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated CANopen drive with the state machine of CiA 402-2, 8.3, by the names that the profile
+`cia402` gives its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+from motord_hal.drives.can_profile import Frame, Signal
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.sim.axis import Axis
+from motord_hal.sim.rs485.content import NamedContent
+from motord_hal.sim.rs485.drive import SimulatedDrive
+
+SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
+QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
+_FAULT_RESET = 0x80
+_INVALID = 0x8000_0000
+"""Of a COB-ID: the PDO is off (CiA 301, 7.5.2.35)."""
+_OPERATIONAL = 5
+_SYNCHRONOUS_MAX = 240
+"""Transmission types up to this one go by SYNC (CiA 301, 7.5.2.35)."""
+_NMT_STATES = {1: _OPERATIONAL, 2: 4, 128: 127, 129: 127, 130: 127}
+"""Command → state: CiA 301, 7.2.8.3.1; what is reset ends pre-operational."""
+
+
+def speaks_cia402(profile: DriveProfile) -> bool:
+    """Whether the profile names what this drive needs."""
+    needed = {"control_word", "status_word", "nmt_command", "nmt_state", "mode", "mode_shown"}
+    return profile.can is not None and needed <= profile.registers.keys()
+
+
+class Cia402Drive(SimulatedDrive):
+    """SDO server, NMT slave, PDOs as they were set up, and the state machine."""
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        unit: int,
+        axes: Mapping[int, Axis],
+        *,
+        watchdog_s: float = 0.0,
+    ) -> None:
+        super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
+        self._state = SWITCH_ON_DISABLED
+        self._control = 0
+        self._kept: dict[str, tuple[Frame, bytes]] = {}
+        """PDOs that wait for the next SYNC, by name."""
+        self.registers.make_live("status_word", self._status)
+        assert isinstance(self.registers, NamedContent)  # that of every drive on a CAN bus
+        for one in profile.registers.values():
+            if isinstance(one, Signal) and one.object:
+                self.registers.make_live(one.object, partial(self.registers.value, one.name))
+
+    def sends(self, frame: Frame) -> bool:
+        """Whether it sends this frame now, as it was set up."""
+        stored = self.registers.stored
+        if frame.name == "heartbeat":
+            return stored("producer_heartbeat") > 0
+        if not frame.name.startswith("tpdo_"):
+            return True
+        timed = self._is_synchronous(frame.name) or stored(f"{frame.name}_event_time") > 0
+        return timed and stored(f"{frame.name}_count") > 0 and self._is_on(frame.name)
+
+    def _is_synchronous(self, pdo: str) -> bool:
+        return self.registers.stored(f"{pdo}_type") <= _SYNCHRONOUS_MAX
+
+    def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
+        """As SimulatedDrive.due: a synchronous PDO is acted on with the next SYNC, the newest of
+        each (CiA 301, 7.2.2.2)."""
+        if frame.name == "sync":
+            kept = [*self._kept.values()]
+            self._kept.clear()
+            return [*kept, (frame, data)]
+        if frame.name.startswith("rpdo_") and self._is_synchronous(frame.name):
+            self._kept[frame.name] = (frame, data)
+            return []
+        return [(frame, data)]
+
+    def obeys(self, frame: Frame) -> bool:
+        """Whether it takes this frame now, as it was set up."""
+        return not frame.name.startswith("rpdo_") or self._is_on(frame.name)
+
+    def _is_on(self, pdo: str) -> bool:
+        operational = self.registers.stored("nmt_state") == _OPERATIONAL
+        return operational and not self.registers.stored(f"{pdo}_id") & _INVALID
+
+    def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
+        """As SimulatedDrive.execute_can."""
+        for name, raw in written:
+            if name == "nmt_command":
+                self.registers.put("nmt_state", _NMT_STATES.get(raw, 127))
+            elif name == "mode":
+                self.registers.put("mode_shown", raw)
+        super().execute_can([], now_s)
+        for name, raw in written:
+            if name in ("control_word", "control_object"):
+                self._obey_control(raw)
+        self._apply()
+
+    def _power_up(self) -> None:
+        self._state, self._control = SWITCH_ON_DISABLED, 0
+        self._kept.clear()
+        super()._power_up()
+
+    def _status(self) -> int:
+        motors = self._motors.values()
+        if any(motor.stopped_by_fault for motor in motors):
+            self._state = FAULT
+        elif self._state == OPERATION and not any(motor.switched_on for motor in motors):
+            self._state = SWITCH_ON_DISABLED  # its watchdog has bitten
+        elif self._state == QUICK_STOP_ACTIVE and not any(motor.braking for motor in motors):
+            self._state = SWITCH_ON_DISABLED  # 605Ah, 2
+        return self._state
+
+    def _obey_control(self, word: int) -> None:
+        """One transition a command, in the order of CiA 402-2, table 27."""
+        rising, self._control = word & ~self._control, word
+        state = self._status()
+        if state == FAULT:
+            if rising & _FAULT_RESET:
+                for motor in self._motors.values():
+                    motor.faults.clear()
+                self._state = SWITCH_ON_DISABLED
+            return
+        self._state = _next(state, word)
+        if self._state == QUICK_STOP_ACTIVE:
+            if state != QUICK_STOP_ACTIVE:
+                self._brake()
+        elif (self._state == OPERATION) != (state == OPERATION):
+            self._switch(on=self._state == OPERATION)
+
+
+def _next(state: int, word: int) -> int:
+    """The state after a control word; faults are seen to elsewhere."""
+    if not word & 0x02:  # disable voltage
+        return SWITCH_ON_DISABLED
+    if not word & 0x04:  # quick stop
+        running = state in (OPERATION, QUICK_STOP_ACTIVE)
+        return QUICK_STOP_ACTIVE if running else SWITCH_ON_DISABLED
+    if state == QUICK_STOP_ACTIVE:
+        return state
+    if not word & 0x01:  # shutdown
+        return READY
+    if word & 0x08 and state in (SWITCHED_ON, OPERATION):  # enable operation
+        return OPERATION
+    if state in (READY, SWITCHED_ON, OPERATION):  # switch on, disable operation
+        return SWITCHED_ON
+    return state

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The signals of a simulated drive on a CAN bus, by name, and its frames made of them."""
+
+from __future__ import annotations
+
+from motord_hal.can.codec import build, parse
+from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signals_of
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.sim.rs485.content import NamedContent
+
+
+class CanContent(NamedContent):
+    """What a drive's profile lists, and how its frames carry it."""
+
+    def __init__(self, profile: DriveProfile, table: CanTable) -> None:
+        super().__init__(profile)
+        self.table = table
+        self._signals: dict[str, Signal] = {
+            name: signal for name, signal in profile.registers.items() if isinstance(signal, Signal)
+        }
+        self._in = {name: signals_of(profile.registers, name) for name in table.frames}
+
+    def written(self, frame: Frame, data: bytes) -> list[tuple[str, int]] | None:
+        """Store what a frame says, in the order of its places; what is out of its range, or no
+        number, is left as it was. None: it is another frame."""
+        values = parse(frame, self._in[frame.name], data)
+        if values is None:
+            return None
+        taken = [(name, raw) for name, raw in values.items() if self._in_range(name, raw)]
+        self._raw.update(taken)
+        return taken
+
+    def _in_range(self, name: str, raw: int) -> bool:
+        signal = self._signals[name]
+        low, high = signal.si_limits
+        return low <= signal.to_si(raw) <= high  # false for NaN
+
+    def told(self, frame: Frame) -> bytes:
+        """The frame as the drive says it now."""
+        now = {
+            signal.name: self._live[signal.name]()
+            if signal.name in self._live
+            else self._raw[signal.name]
+            for signal in self._in[frame.name]
+        }
+        return build(frame, self._in[frame.name], now)
+
+    def answers(self, asking: Frame) -> tuple[Frame, ...]:
+        """The frames that are asked for by this one, or confirm it."""
+        own = self.table.frames_from(Sender.DRIVE)
+        return tuple(
+            f for f in own if asking.name in (f.ask, f.answers) or asking.confirm == f.name
+        )

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CAN bus of a simulated robot: drives that send their frames in their time and obey those of the
+master."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import can
+
+from motord_hal.drives.can_profile import Frame, Sender
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.sim.can.content import CanContent
+from motord_hal.sim.can.port import CanPort
+from motord_hal.sim.faults import FaultScript
+from motord_hal.sim.rs485.drive import SimulatedDrive
+from motord_hal.sim.rs485.wire import Clock
+
+TURNAROUND_PART = 0.5
+"""Drives take half of the longest time that their profile names."""
+BUS_OFF_IDENTIFIER = 0x40
+"""CAN_ERR_BUSOFF of linux/can/error.h."""
+TAKE_AT_ONCE = 256
+
+
+@dataclass(slots=True)
+class CanCounters:
+    frames: int = 0
+    """From the master."""
+    unanswered: int = 0
+    """Of those, for nodes that are not here, or in no frame that they know."""
+    sent: int = 0
+    lost: int = 0
+    """Frames that the bus did not take, or a fault."""
+    plugged: int = 0
+
+
+class SimulatedCanLine:
+    """Drives on a bus that the master shares."""
+
+    def __init__(
+        self,
+        spec: LineSpec,
+        drives: Mapping[int, SimulatedDrive],
+        script: FaultScript,
+        port: CanPort,
+    ) -> None:
+        self.spec = spec
+        self.drives = drives
+        self.port = port
+        self.counters = CanCounters()
+        self._script = script
+        self._out: list[tuple[float, int, can.Message]] = []
+        self._order = itertools.count()
+        self._off_until_s = -math.inf
+        self._periods: dict[tuple[int, str], float] = {
+            (unit, frame.name): frame.period_s * (place + 1) / (len(drives) + 1)
+            for place, (unit, drive) in enumerate(drives.items())
+            for frame in _content(drive).table.frames_from(Sender.DRIVE)
+            if frame.period_s
+        }
+        """When each of them is due; the drives' clocks are not in step."""
+
+    # ---------------------------------------------------------------------------------- plugging
+    def plug(self) -> None:
+        """Does nothing while it is plugged. Raises OSError."""
+        if not self.port.plugged:
+            self.port.plug()
+            self.counters.plugged += 1
+
+    def pull(self) -> None:
+        self.port.pull()
+        self._out.clear()
+
+    def go_off(self, until_s: float) -> None:
+        """Bus-off, as the master's controller would tell it; nothing passes until then."""
+        message = can.Message(
+            arbitration_id=BUS_OFF_IDENTIFIER,
+            is_extended_id=False,
+            is_error_frame=True,
+            data=bytes(8),
+        )
+        self.port.put(message)
+        self._off_until_s = until_s
+
+    # ------------------------------------------------------------------------------- the poll loop
+    def due_s(self, now_s: float) -> float:
+        """When `work` has to be called next, frames or not."""
+        if not self.port.plugged:
+            return math.inf
+        next_out_s = self._out[0][0] if self._out else math.inf
+        return min(next_out_s, self.port.due_s(now_s), *self._periods.values(), math.inf)
+
+    def work(self, now_s: float, clock: Clock | None = None) -> None:
+        """Take in what has come, send what is due."""
+        if not self.port.plugged:
+            return
+        del clock
+        for _ in range(TAKE_AT_ONCE):
+            message = self.port.take_in()
+            if message is None:
+                break
+            if now_s >= self._off_until_s and not message.is_error_frame:
+                self._obey(message, now_s)
+        self._speak(now_s)
+        while self._out and self._out[0][0] <= now_s:
+            _, _, message = heapq.heappop(self._out)
+            went = now_s >= self._off_until_s and self.port.put(message)
+            self.counters.sent += went
+            self.counters.lost += not went
+
+    def stats(self) -> dict[str, Any]:
+        return {
+            **asdict(self.counters),
+            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
+        }
+
+    # ----------------------------------------------------------------------------- from the master
+    def _obey(self, message: can.Message, now_s: float) -> None:
+        self.counters.frames += 1
+        known = False
+        for unit, drive in self.drives.items():
+            table = _content(drive).table
+            sender = Sender.DRIVE if message.is_remote_frame else Sender.MOTORD
+            for frame in table.frames_from(sender):
+                named = frame.identifier(unit) == message.arbitration_id
+                if named and frame.is_extended(unit) == message.is_extended_id:
+                    known |= self._execute(unit, frame, message, now_s)
+        self.counters.unanswered += not known
+
+    def _execute(self, unit: int, frame: Frame, message: can.Message, now_s: float) -> bool:
+        """Whether the drive has heard and understood it."""
+        drive = self.drives[unit]
+        if not drive.on or self._script.silent(unit, now_s):
+            return False
+        if any(f.kind == "unheard" and f.strikes(unit, now_s) for f in self._script.faults):
+            return True
+        content = _content(drive)
+        if message.is_remote_frame:
+            drive.execute_can([], now_s)
+            self._reply(unit, frame, now_s)
+            return True
+        data = bytes(message.data)
+        if frame.node_byte is not None and data[frame.node_byte :][:1] not in (
+            b"\0",
+            bytes((unit,)),
+        ):
+            return False
+        taken: list[tuple[str, int]] = []
+        for one, its_data in drive.due(frame, data):
+            if not drive.obeys(one) or (written := content.written(one, its_data)) is None:
+                return False
+            taken += written
+        drive.execute_can(taken, now_s)
+        for answer in content.answers(frame):
+            if drive.sends(answer):
+                self._reply(unit, answer, now_s)
+        return True
+
+    def _reply(self, unit: int, frame: Frame, now_s: float) -> None:
+        turnaround_s = self._script.turnaround_s(unit, now_s)
+        if turnaround_s is None:
+            turnaround_s = TURNAROUND_PART * self.drives[unit].profile.turnaround_s
+        self._say(unit, frame, now_s + turnaround_s, now_s)
+
+    # ----------------------------------------------------------------------------- from the drives
+    def _speak(self, now_s: float) -> None:
+        """What the drives send unasked. A time that was missed is not made up for."""
+        for (unit, name), due_s in self._periods.items():
+            if now_s < due_s:
+                continue
+            drive = self.drives[unit]
+            frame = _content(drive).table.frames[name]
+            self._periods[unit, name] = max(due_s + frame.period_s, now_s)
+            if drive.on and drive.sends(frame) and not self._script.silent(unit, now_s):
+                self._say(unit, frame, now_s, now_s)
+
+    def _say(self, unit: int, frame: Frame, at_s: float, now_s: float) -> None:
+        """Queue the frame as it is now, unless a fault spoils it."""
+        node = unit
+        for fault in self._script.faults:
+            if fault.kind not in ("drop", "delay", "wrong-unit") or not fault.strikes(unit, now_s):
+                continue
+            if fault.kind == "drop":
+                self.counters.lost += 1
+                return
+            if fault.kind == "delay":
+                at_s += fault.values["ms"] / 1000.0
+            else:
+                table = _content(self.drives[unit]).table
+                node = table.node_min + (unit - table.node_min + 1) % (table.node_max + 1)
+        message = can.Message(
+            arbitration_id=frame.identifier(node),
+            is_extended_id=frame.is_extended(node),
+            is_fd=frame.fd,
+            bitrate_switch=frame.fd,
+            data=_content(self.drives[unit]).told(frame),
+        )
+        heapq.heappush(self._out, (at_s, next(self._order), message))
+
+
+def _content(drive: SimulatedDrive) -> CanContent:
+    assert isinstance(drive.registers, CanContent)  # the rig has made it so
+    return drive.registers

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated motor bridge: does at once what its pins say, and for as long as they say it.
+
+No watchdog, no sequences: a bridge has power while its pins give it some, whoever wrote them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from motord_hal.drives.profile import Bridge, DriveProfile
+from motord_hal.sim.axis import Axis, Motor
+from motord_hal.sim.pins.folder import COUNTER_BITS
+from motord_hal.sim.plant import Encoder
+from motord_hal.sim.rs485.drive import SimulatedDrive
+
+LEVEL_TOLERANCE = 1e-4
+"""Of a period: channels are told whole nanoseconds, and half of one is less than this up to
+200 kHz."""
+
+
+def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | None:
+    """Which mode, and the duty from 0 to 1 in it, these levels of all pins are; None: of none.
+    Where a bridge cannot tell braking from coasting, what it does at rest is meant."""
+    for mode in (bridge.rest, "brake", "coast", "forward", "reverse"):
+        pins = {pin: modes[mode] for pin, modes in bridge.levels.items()}
+        duty = _duty(pins, levels)
+        if all(
+            abs(base + slope * duty - levels[pin]) <= LEVEL_TOLERANCE
+            for pin, (base, slope) in pins.items()
+        ):
+            return mode, duty
+    return None
+
+
+def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) -> float:
+    """What the first pin says that tells it."""
+    told = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
+    return max(0.0, min(1.0, next(told, 0.0)))
+
+
+class SimulatedBridge(SimulatedDrive):
+    """Without power until it is told otherwise."""
+
+    def __init__(
+        self,
+        profile: DriveProfile,
+        unit: int,
+        axes: Mapping[int, Axis],
+        *,
+        watchdog_s: float = 0.0,
+    ) -> None:
+        self._mode = "coast"
+        self._duty = 0.0
+        super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
+
+    def enabled(self, channel: int) -> bool:
+        """Whether it gives this motor power, or shorts it."""
+        return super().enabled(channel) and self._mode != "coast"
+
+    def follow(self, mode: str, duty: float) -> None:
+        """What its pins say now."""
+        ways = {"forward": 1.0, "reverse": -1.0}
+        self._mode, self._duty = mode, duty * ways.get(mode, 0.0)
+        self._apply()
+
+    def _follow_setpoint(self, motor: Motor) -> None:
+        # a shorted motor is one at a duty of zero: its own voltage brakes it
+        motor.axis.wheel.push(self._duty * motor.axis.sign, motor.axis.full_duty_rad_s)
+
+    # ------------------------------------------------------------------------------ its encoder
+    def count_edges(self, channel: int, rad_per_count: float) -> None:
+        """Put an encoder on this motor; `rad_per_count` is the wheel's angle, signed."""
+        motor = self._motors[channel]
+        counts_per_turn = round(math.tau / (rad_per_count * motor.axis.motor_per_wheel))
+        motor.encoder = Encoder(counts_per_turn, COUNTER_BITS)
+
+    def count(self, channel: int) -> int | None:
+        return self._motors[channel].count
+
+    def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
+        """The counter is the computer's, which keeps its power."""
+        del keeps_counter
+        super().reboot(now_s, for_s, keeps_counter=True)
+
+    def start_near_wrap(self) -> None:
+        """As SimulatedDrive.start_near_wrap."""
+        for motor in self._motors.values():
+            if motor.encoder is not None:
+                shaft_rad, half = motor.axis.shaft_rad, 1 << (COUNTER_BITS - 1)
+                ahead = motor.encoder.count(shaft_rad + math.tau / 4 * motor.axis.sign)
+                quarter = ahead - motor.encoder.count(shaft_rad)
+                motor.start_at(-((quarter + half) % (2 * half) - half))

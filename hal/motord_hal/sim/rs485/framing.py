@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a line's protocol makes of bytes: when a request is whole and good, who answers it how."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from motord_hal.ddsm import codec as ddsm
+from motord_hal.modbus.codec import (
+    BROADCAST_UNIT,
+    FrameError,
+    build_exception,
+    request_bytes,
+    seal,
+    sealed,
+)
+from motord_hal.roboclaw import codec as roboclaw
+from motord_hal.sim.rs485.drive import SimulatedDrive
+from motord_hal.sim.rs485.slave import Answer, answer, answer_ddsm, answer_roboclaw
+
+
+class Rewriting(Protocol):
+    """What of a protocol a fault has to know."""
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        """Instead of this frame; nothing where the protocol cannot refuse."""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        """A good frame with another unit's address."""
+
+
+class Framing(Rewriting, Protocol):
+    """One protocol of a line."""
+
+    def whole(self, frame: bytes) -> bool:
+        """Whether nothing more can come, so that the silence after it need not be awaited."""
+
+    def good(self, frame: bytes) -> bool:
+        """Whether its check sum fits."""
+
+    def is_broadcast(self, frame: bytes) -> bool: ...
+
+    def is_answered(self, frame: bytes) -> bool:
+        """Whether the unit that it names has something to say to a good frame."""
+
+    def answer(
+        self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+    ) -> Answer | None: ...
+
+
+class ModbusFraming:
+    def whole(self, frame: bytes) -> bool:
+        try:
+            return request_bytes(frame) == len(frame) and sealed(frame)
+        except FrameError:
+            return False
+
+    def good(self, frame: bytes) -> bool:
+        return sealed(frame)
+
+    def is_broadcast(self, frame: bytes) -> bool:
+        return frame[0] == BROADCAST_UNIT
+
+    def is_answered(self, frame: bytes) -> bool:
+        return frame[0] != BROADCAST_UNIT
+
+    def answer(
+        self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+    ) -> Answer | None:
+        return answer(frame, drives, now_s)
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        return build_exception(frame[0], frame[1] & 0x7F, code)
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        return seal(bytes((unit,)) + frame[1:-2])
+
+
+class DdsmFraming:
+    """Ten bytes each way (motord_hal.ddsm.codec)."""
+
+    def whole(self, frame: bytes) -> bool:
+        return len(frame) == ddsm.FRAME_BYTES and self.good(frame)
+
+    def good(self, frame: bytes) -> bool:
+        """A command that is not answered carries no check sum."""
+        bare = len(frame) == ddsm.FRAME_BYTES and not ddsm.is_answered(frame[1])
+        return bare or ddsm.sealed(frame)
+
+    def is_broadcast(self, frame: bytes) -> bool:
+        del frame
+        return False
+
+    def is_answered(self, frame: bytes) -> bool:
+        return ddsm.is_answered(frame[1])
+
+    def answer(
+        self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+    ) -> Answer | None:
+        return answer_ddsm(frame, drives, now_s)
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        del frame, code
+        return b""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        return ddsm.seal(bytes((unit,)) + frame[1:])
+
+
+class RoboclawFraming:
+    """Packets (motord_hal.roboclaw.codec)."""
+
+    def whole(self, frame: bytes) -> bool:
+        return roboclaw.packet_bytes(frame) == len(frame)
+
+    def good(self, frame: bytes) -> bool:
+        try:
+            roboclaw.parse_packet(frame)
+        except roboclaw.PacketError:
+            return False
+        return True
+
+    def is_broadcast(self, frame: bytes) -> bool:
+        del frame
+        return False
+
+    def is_answered(self, frame: bytes) -> bool:
+        del frame
+        return True
+
+    def answer(
+        self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
+    ) -> Answer | None:
+        return answer_roboclaw(frame, drives, now_s)
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        del frame, code
+        return b""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        """The address is in the check sum alone."""
+        return frame[:-1] + bytes((frame[-1] ^ unit,))
+
+
+class Unaddressed:
+    """Of a board alone on its port: nobody else is there, and it refuses nothing."""
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        del frame, code
+        return b""
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        del unit
+        return frame
+
+
+def framing_of(kind: str) -> Framing:
+    """Of a line's kind."""
+    if kind == "roboclaw":
+        return RoboclawFraming()
+    return DdsmFraming() if kind == "ddsm" else ModbusFraming()

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A log that nobody on the network can fill."""
+
+import logging
+
+import pytest
+
+from motord.base import rate_limited_log as sparing
+
+
+def test_a_thousand_of_one_matter_are_one_line(caplog):
+    voice = sparing.RateLimitedLog(logging.getLogger("test"))
+    for _ in range(1000):
+        voice.say("not understood")
+    assert caplog.messages == ["not understood"]
+
+
+def test_how_many_were_not_said_is_said(caplog, monkeypatch):
+    voice = sparing.RateLimitedLog(logging.getLogger("test"))
+    for _ in range(4):
+        voice.say("not understood")
+    now_s = sparing.time.monotonic()
+    monkeypatch.setattr(sparing.time, "monotonic", lambda: now_s + sparing.AGAIN_S)
+    voice.say("not understood")
+    assert caplog.messages == ["not understood", "not understood (3 more)"]
+
+
+@pytest.fixture
+def library():
+    """The log of a library that says each message that it drops, as aiomqtt does."""
+    log = logging.getLogger("test.library")
+    spared = sparing.RateLimitedFilter(log, "input.fleet")
+    log.addFilter(spared)
+    yield log
+    log.removeFilter(spared)
+
+
+def test_a_library_that_says_each_of_a_thousand_fills_no_log(caplog, library):
+    for _ in range(1000):
+        library.warning("Message queue is full. Discarding message.")
+        library.warning("There are %d pending publish calls.", 7)
+    assert caplog.messages == [
+        "input.fleet: Message queue is full. Discarding message.",
+        "input.fleet: There are 7 pending publish calls.",
+    ]
+
+
+def test_an_exception_of_a_library_is_said_with_its_traceback(caplog, library):
+    try:
+        raise IndexError("a mistake")
+    except IndexError:
+        library.exception("it failed")
+    (record,) = caplog.records
+    assert record.exc_info is not None
