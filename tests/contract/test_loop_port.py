@@ -115,13 +115,13 @@ async def test_an_unplugged_port_is_no_mistake_of_the_program(tmp_path, caplog):
     assert [record for record in caplog.records if record.name != "motord"] == []
 
 
-def test_who_has_no_port_on_asyncio_does_not_load_its_transport():
+def test_who_has_no_port_on_asyncio_and_draws_nothing_loads_neither_transport_nor_numpy():
     program = (
-        "import sys, motord.app, motord_hal.lines, motord_hal.rt_engine.line, "
-        "motord_hal.modbus.guard\n"
-        "print('serial_asyncio_fast' in sys.modules)"
+        "import sys, motord.app, motord.bus.__main__, motord.cli.latency, motord_hal.lines, "
+        "motord_hal.rt_engine.line, motord_hal.modbus.guard\n"
+        "print({'numpy', 'serial_asyncio_fast'} & set(sys.modules))"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
     )
-    assert done.stdout == "False\n"
+    assert done.stdout == "set()\n"

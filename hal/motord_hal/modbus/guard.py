@@ -221,7 +221,8 @@ class GuardedClient:
         client.ctx.framer = self._framer
         protocol = cast("asyncio.Protocol", client.ctx)  # it has what a protocol has
         self._port = LoopPort(device_file(self.port), *self._serial, protocol)
-        protocol.connection_made(self._port.transport)  # the transport says so later than we may send
+        # the transport says so itself, but not before the event loop turns
+        protocol.connection_made(self._port.transport)
         self._client = client
         self._witness.forget()
         self._noise_bytes = 0
