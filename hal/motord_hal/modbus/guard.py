@@ -182,6 +182,7 @@ class GuardedClient:
         self.gap_s = silent_interval_s(baudrate, bits) if gap_s is None else gap_s
         self._client: AsyncModbusSerialClient | AsyncModbusTcpClient | None = None
         self._port: LoopPort | None = None
+        self._lost = "went away"
         self._framer: Strict = StrictFramer(echo)
         self._lock = asyncio.Lock()
         self._last_byte_s = 0.0
@@ -223,7 +224,7 @@ class GuardedClient:
         self._port = LoopPort(device_file(self.port), *self._serial, protocol)
         # the transport says so itself, but not before the event loop turns
         protocol.connection_made(self._port.transport)
-        self._client = client
+        self._client, self._lost = client, "went away"
         self._witness.forget()
         self._noise_bytes = 0
         self._last_byte_s = now_s()
@@ -331,10 +332,7 @@ class GuardedClient:
             return Answer((), stamp_ns, round_trip_s)
         if reply is None:
             if not self.connected:
-                raise PortError(f"{self.port} went away")
-            if self._port is not None and self._port.is_stuck:
-                self.close()  # a set-point that goes out later must not move anything
-                raise PortError(f"{self.port} takes no bytes")
+                raise PortError(f"{self.port} {self._lost}")
             if self._framer.refused:
                 raise BadReply(f"{what}: {self._framer.refused}")
             raise NoReply(f"{what}: nothing within {round_trip_s * 1e3:.1f} ms")
@@ -345,6 +343,9 @@ class GuardedClient:
 
     def _leave_alone(self, request: Request, within_s: float) -> None:
         """After a failure or a cancellation: silence for one more reply time of this unit."""
+        if self._port is not None and self._port.is_stuck:
+            self.close()  # a set-point that goes out later must not move anything
+            self._lost = "takes no bytes"
         self._noise_bytes += self._heard_bytes
         now = now_s()
         sent = self._sent_s + self.wire_time_s(len(build_request(request)))

@@ -64,7 +64,9 @@ class LoopPort(Serial):
 
     @property
     def is_stuck(self) -> bool:
-        """Whether bytes wait to go out that should have gone long ago."""
+        """Whether bytes wait to go out that should have gone long ago; of a port that is usable."""
+        if not self.is_usable:
+            return False
         if self.transport.get_write_buffer_size():
             return True
         try:
@@ -81,7 +83,7 @@ class LoopPort(Serial):
 
     def let_go(self) -> None:
         """Close it at once. Of a port that is stuck, what was not sent yet never will be."""
-        if self.is_usable and self.is_stuck:
+        if self.is_stuck:
             with contextlib.suppress(termios.error):
                 self.reset_output_buffer()
         self.transport.flush()
