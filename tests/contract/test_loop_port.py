@@ -62,7 +62,7 @@ def all_of(master):
             return came
 
 
-@pytest.mark.timeout(60)  # what fails here may be an event loop that turns for ever
+@pytest.mark.timeout(30)  # what fails here may be an event loop that turns for ever
 @pytest.mark.parametrize("by", ["its deadline", "a cancellation"])
 async def test_a_full_port_holds_nothing_up_and_sends_nothing_old_later(by, tmp_path, ends):
     master, slave = ends

@@ -86,7 +86,7 @@ class LoopPort(Serial):
         if self.is_stuck:
             with contextlib.suppress(termios.error):
                 self.reset_output_buffer()
-        self.transport.flush()
+        self.transport.flush()  # one that closed by itself may still want to write
         if not self.transport.is_closing():
             self.transport.abort()
         self.close()
