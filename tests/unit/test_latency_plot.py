@@ -11,10 +11,19 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.tools.latency.plot import PlotMissing, coarse, plot, require_matplotlib
+from motord.tools.latency.plot import (
+    FLOOR_US,
+    LOOP,
+    PlotMissing,
+    coarse,
+    outline,
+    plot,
+    require_matplotlib,
+)
 from motord.tools.latency.report import NOTHING, Bar, LatencyReport, Spread, Window
 
 image = pytest.importorskip("matplotlib.image")
+figure = pytest.importorskip("matplotlib.figure")
 
 MACHINE = {"kernel": "6.1", "preempt_rt": True, "virtual": False}
 
@@ -81,6 +90,14 @@ def test_microseconds_are_joined_to_buckets_of_the_loops_width_and_none_is_lost(
     for bar in joined:
         width_us = bar.high_us - bar.low_us
         assert width_us == 1 or math.isclose(width_us, 2 ** int(math.log2(bar.low_us)) / 16)
+
+
+def test_a_gap_between_buckets_is_a_gap_in_the_outline():
+    axes = figure.Figure().subplots()
+    outline(axes, [Bar(0.0, 0.5, 7), Bar(4, 5, 1), Bar(5, 6, 2), Bar(8, 9, 3)], LOOP, "loop")
+    counts, edges, _ = axes.patches[-1].get_data()
+    assert list(edges) == [FLOOR_US, FLOOR_US * 1.06, 4, 5, 6, 8, 9]
+    assert [None if math.isnan(count) else count for count in counts] == [7, None, 1, 2, None, 3]
 
 
 def test_without_matplotlib_the_cure_is_named_before_anything_is_measured(monkeypatch, tmp_path):

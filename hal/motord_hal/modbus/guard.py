@@ -21,16 +21,14 @@ import asyncio
 import contextlib
 import logging
 import math
-import os
-import termios
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerBase, FramerRTU
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from serial import Serial, SerialException
 
 from motord_hal.base.clock import now_s, sleep_until_s, within
 from motord_hal.base.errors import BadReply, NoReply, PortError, Refused
@@ -53,6 +51,9 @@ from motord_hal.modbus.codec import (
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.sysfs import device_file
 
+if TYPE_CHECKING:
+    from motord_hal.serial.loop_port import LoopPort
+
 SCHEDULING_ALLOWANCE_S = 0.02
 """Added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's latency
 timer as delivered), and the event loop may be late by some milliseconds."""
@@ -65,7 +66,6 @@ URGENT_UNIT_S = 0.05
 """An urgent request waits so much longer than its gap at a line that is never silent, and so long
 for a unit that is to be left alone. Then it goes out all the same: a stop that may collide is
 better than one that is never sent."""
-_PARITY = {"none": "N", "even": "E", "odd": "O"}
 
 # One failing try is no line in the log: the line says once when a drive goes quiet.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -181,6 +181,8 @@ class GuardedClient:
         bits = character_bits(parity, stop_bits)
         self.gap_s = silent_interval_s(baudrate, bits) if gap_s is None else gap_s
         self._client: AsyncModbusSerialClient | AsyncModbusTcpClient | None = None
+        self._port: LoopPort | None = None
+        self._lost = "went away"
         self._framer: Strict = StrictFramer(echo)
         self._lock = asyncio.Lock()
         self._last_byte_s = 0.0
@@ -202,48 +204,37 @@ class GuardedClient:
 
     @property
     def connected(self) -> bool:
-        return self._client is not None and self._client.connected
+        usable = self._port is None or self._port.is_usable
+        return usable and self._client is not None and self._client.connected
 
     async def open(self) -> None:
         """Open the port for ourselves alone. Raises PortError."""
+        from motord_hal.serial.loop_port import LoopPort  # only who has a port needs its libraries
+
         self.close()
-        baudrate, parity, stop_bits = self._serial
         client = AsyncModbusSerialClient(
-            device_file(self.port),
-            baudrate=baudrate,
-            parity=_PARITY[parity],
-            stopbits=stop_bits,
+            self.port,
             timeout=10.0,  # never met: every request has a deadline of its own, far below
             retries=0,
             reconnect_delay=0,
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = self._framer
-        with contextlib.ExitStack() as undo:
-            undo.callback(client.close)
-            try:
-                with keeping_cancellation():
-                    connected = await client.connect()
-            except (ValueError, termios.error) as error:
-                raise PortError(f"{self.port} does not take {baudrate} baud: {error}") from error
-            if not connected:
-                raise PortError(f"{self.port} cannot be opened: {self._why()}")
-            undo.pop_all()
-        self._client = client
+        protocol = cast("asyncio.Protocol", client.ctx)  # it has what a protocol has
+        self._port = LoopPort(device_file(self.port), *self._serial, protocol)
+        # the transport says so itself, but not before the event loop turns
+        protocol.connection_made(self._port.transport)
+        self._client, self._lost = client, "went away"
         self._witness.forget()
         self._noise_bytes = 0
         self._last_byte_s = now_s()
         self._unit_quiet_until_s.clear()
 
-    def _why(self) -> str:
-        try:
-            os.close(os.open(self.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
-        except OSError as error:
-            return error.strerror or str(error)
-        return "another program has it open, or it is no serial port"
-
     def close(self) -> None:
         """Let the port go; nothing happens when it is not open."""
+        if self._port is not None:
+            self._port.let_go()
+            self._port = None
         if self._client is not None:
             self._client.close()
             self._client = None
@@ -291,7 +282,7 @@ class GuardedClient:
         self._sent_s = now_s()
         with (
             keeping_cancellation(),
-            contextlib.suppress(TimeoutError, ModbusException, SerialException),
+            contextlib.suppress(TimeoutError, ModbusException),
         ):
             async with within(limit_s):
                 await self._send(request)
@@ -341,7 +332,7 @@ class GuardedClient:
             return Answer((), stamp_ns, round_trip_s)
         if reply is None:
             if not self.connected:
-                raise PortError(f"{self.port} went away")
+                raise PortError(f"{self.port} {self._lost}")
             if self._framer.refused:
                 raise BadReply(f"{what}: {self._framer.refused}")
             raise NoReply(f"{what}: nothing within {round_trip_s * 1e3:.1f} ms")
@@ -352,6 +343,9 @@ class GuardedClient:
 
     def _leave_alone(self, request: Request, within_s: float) -> None:
         """After a failure or a cancellation: silence for one more reply time of this unit."""
+        if self._port is not None and self._port.is_stuck:
+            self.close()  # a set-point that goes out later must not move anything
+            self._lost = "takes no bytes"
         self._noise_bytes += self._heard_bytes
         now = now_s()
         sent = self._sent_s + self.wire_time_s(len(build_request(request)))
@@ -388,23 +382,18 @@ class GuardedClient:
 
     def quiet_hint(self) -> str:
         """What the UART's driver has to say of a drive that is quiet; empty: nothing."""
-        port = self._serial_port()
-        return "" if port is None else self._witness.hint(port.fileno(), self._traffic)
-
-    def _serial_port(self) -> Serial | None:
-        transport = self._client.ctx.transport if self._client else None
-        port: Serial | None = getattr(transport, "sync_serial", None)
-        return port if port is not None and port.is_open else None
+        if self._port is None or not self.connected:
+            return ""
+        return self._witness.hint(self._port.fileno(), self._traffic)
 
     def _drain(self) -> None:
         """Throw away what nobody asked for, and note when it came. Raises PortError."""
-        port = self._serial_port()
-        if port is None:
+        if self._port is None or not self.connected:
             raise PortError(f"{self.port} is not open")
-        self._witness.look(port.fileno(), self._traffic)
+        self._witness.look(self._port.fileno(), self._traffic)
         try:
-            if port.read(4096):
+            if self._port.drain():
                 self._last_byte_s = now_s()
-        except SerialException as error:
+        except PortError:
             self.close()
-            raise PortError(f"{self.port} went away: {error}") from error
+            raise

@@ -83,16 +83,17 @@ def open_exclusively(path: str) -> int:
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise PortError(f"{path} cannot be opened: {_reason(path, error)}") from error
+        raise PortError(f"{path} cannot be opened: {reason(path, error)}") from error
     try:
         claim(fd)
     except OSError as error:
         os.close(fd)
-        raise PortError(f"{path} cannot be opened: {_reason(path, error)}") from error
+        raise PortError(f"{path} cannot be opened: {reason(path, error)}") from error
     return fd
 
 
-def _reason(path: str, error: OSError) -> str:
+def reason(path: str, error: OSError) -> str:
+    """Why a port cannot be opened, and what to do."""
     if busy(error):
         return f"another program has it open: {', '.join(holders(path)) or 'who, cannot be seen'}"
     if isinstance(error, PermissionError):

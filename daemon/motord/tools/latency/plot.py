@@ -87,31 +87,31 @@ def plain_numbers(axis: Axis) -> None:
 def coarse(histogram: Sequence[Bar]) -> list[Bar]:
     """cyclictest's microseconds in buckets as wide as the loop's, 16 an octave, so that the heights
     compare; below 16 µs its microseconds are wider than those."""
-    counts: dict[tuple[int, int], int] = {}
-    for bar in histogram:
-        low_us = int(bar.low_us)
-        width_us = 1 << max(low_us.bit_length() - 5, 0)
-        edges_us = low_us // width_us * width_us, (low_us // width_us + 1) * width_us
-        counts[edges_us] = counts.get(edges_us, 0) + bar.count
-    return [Bar(low, high, count) for (low, high), count in sorted(counts.items())]
+    import numpy as np
+
+    low_us = np.array([bar.low_us for bar in histogram], dtype=int)
+    width_us = 1 << np.maximum(np.frexp(low_us)[1] - 5, 0)
+    start_us, first, place = np.unique(
+        low_us // width_us * width_us, return_index=True, return_inverse=True
+    )
+    counts = np.bincount(place, [bar.count for bar in histogram]).astype(int)
+    end_us = start_us + width_us[first]
+    return [Bar(*bar) for bar in zip(start_us, end_us, counts, strict=True)]
 
 
 def outline(axes: Axes, histogram: Sequence[Bar], colour: str, label: str) -> None:
     """Buckets side by side; a gap between two of them is a gap in the picture."""
-    edges: list[float] = []
-    counts: list[float] = []
-    for bucket in histogram:
-        low_us, high_us = max(bucket.low_us, FLOOR_US), max(bucket.high_us, FLOOR_US * 1.06)
-        if edges and low_us > edges[-1]:
-            counts.append(math.nan)
-            edges.append(low_us)
-        elif not edges:
-            edges.append(low_us)
-        counts.append(float(bucket.count))
-        edges.append(high_us)
-    if counts:
-        axes.stairs(counts, edges, fill=True, color=colour, alpha=0.35, baseline=ONE_TICK)
-        axes.stairs(counts, edges, color=colour, linewidth=1.2, baseline=ONE_TICK, label=label)
+    import numpy as np
+
+    if not histogram:
+        return
+    low_us = np.maximum([bucket.low_us for bucket in histogram], FLOOR_US)
+    high_us = np.maximum([bucket.high_us for bucket in histogram], FLOOR_US * 1.06)
+    behind_gap = np.flatnonzero(low_us[1:] > high_us[:-1]) + 1
+    edges = np.insert(np.append(low_us[0], high_us), behind_gap + 1, low_us[behind_gap])
+    counts = np.insert([float(bucket.count) for bucket in histogram], behind_gap, math.nan)
+    axes.stairs(counts, edges, fill=True, color=colour, alpha=0.35, baseline=ONE_TICK)
+    axes.stairs(counts, edges, color=colour, linewidth=1.2, baseline=ONE_TICK, label=label)
 
 
 def draw_timeline(axes: Axes, report: LatencyReport) -> None:

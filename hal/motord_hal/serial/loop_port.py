@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A serial port of pyserial under the asyncio transport of pyserial-asyncio-fast.
+
+Four things of theirs (pyserial 3.5, pyserial-asyncio-fast 0.16) are gone round here:
+
+- pyserial tries for ever, in the event loop, where a port that must not block is full;
+- the transport closes the port later and in a thread, where the next opener would find it taken;
+- before that it waits until everything has gone out, which a port that is stuck never does;
+- a write that fails because the adapter went away is logged as a mistake of the program.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import termios
+import threading
+
+from serial import Serial, SerialException
+from serial_asyncio_fast import SerialTransport
+
+from motord_hal.base.errors import PortError
+from motord_hal.serial.port import reason
+
+READ_BYTES = 4096
+WAITING_BYTES_MAX = 256
+"""The longest frame of MODBUS over Serial Line (V1.02, 2.5.1). One request at a time is sent: where
+more than one waits to go out after its time, the port is stuck."""
+_PARITY = {"none": "N", "even": "E", "odd": "O"}
+
+
+class LoopPort(Serial):
+    """A port for ourselves alone; what comes goes to `protocol`."""
+
+    def __init__(
+        self,
+        path: str,
+        baudrate: int,
+        parity: str,
+        stop_bits: int,
+        protocol: asyncio.Protocol,
+    ) -> None:
+        """Raises PortError."""
+        self._one_closes = threading.Lock()
+        self._failed = ""
+        try:
+            super().__init__(
+                path, baudrate, 8, _PARITY[parity], stop_bits, timeout=0, exclusive=True
+            )
+        except SerialException as error:
+            why = "it is no serial port"
+            if error.errno:  # of the kind that an errno has in Python
+                why = reason(path, OSError(error.errno, os.strerror(error.errno)))
+            raise PortError(f"{path} cannot be opened: {why}") from error
+        except (ValueError, termios.error) as error:
+            raise PortError(f"{path} does not take {baudrate} baud: {error}") from error
+        self.transport = SerialTransport(asyncio.get_running_loop(), protocol, self)
+
+    @property
+    def is_usable(self) -> bool:
+        """Once False, it stays so: the port went away, or was closed."""
+        return not self.transport.is_closing() and not self._failed
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether bytes wait to go out that should have gone long ago; of a port that is usable."""
+        if not self.is_usable:
+            return False
+        if self.transport.get_write_buffer_size():
+            return True
+        try:
+            return self.out_waiting > WAITING_BYTES_MAX
+        except OSError:
+            return False  # it went away, as the reader will find
+
+    def drain(self) -> bytes:
+        """What came and was not handed on yet. Raises PortError."""
+        try:
+            return bytes(self.read(READ_BYTES))
+        except SerialException as error:
+            raise PortError(f"{self.name} went away: {error}") from error
+
+    def let_go(self) -> None:
+        """Close it at once. Of a port that is stuck, what was not sent yet never will be."""
+        if self.is_stuck:
+            with contextlib.suppress(termios.error):
+                self.reset_output_buffer()
+        self.transport.flush()  # one that closed by itself may still want to write
+        if not self.transport.is_closing():
+            self.transport.abort()
+        self.close()
+
+    # ------------------------------------------------------------------- what the transport calls
+    def write(self, data: bytes) -> int:  # type: ignore[override]  # of what pymodbus sends
+        """Never waits: of a full port the transport hears BlockingIOError."""
+        try:
+            return os.write(self.fileno(), data)
+        except BlockingIOError:
+            raise
+        except OSError as error:
+            self._failed = error.strerror or str(error)
+            return len(data)
+
+    def flush(self) -> None:
+        """Nobody waits for what has not gone out."""
+
+    def close(self) -> None:
+        """As Serial.close, which two threads must not enter: a descriptor closed twice may be
+        another file's by then."""
+        with self._one_closes:
+            super().close()
