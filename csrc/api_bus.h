@@ -4,7 +4,7 @@
  * without Python. Like api.h: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
-enum { RECEIVERS_MAX = 4, TWIST_RAW_MAX = 4096, LEASE_TOKEN_BYTES = 16 };
+enum { RECEIVERS_MAX = 4, TWISTS_HEARD_MAX = 64, TWIST_RAW_MAX = 4096, LEASE_TOKEN_BYTES = 16 };
 
 /* ------------------------------------------------------------------------------------ geometry_msgs/TwistStamped */
 typedef struct {
@@ -60,8 +60,9 @@ int receiver_start(int number, int32_t reader, int event_fd);
 /* Joins. 0, -ESRCH: it does not run; -ETIMEDOUT: it does not end, and is lost. */
 int receiver_stop(int number);
 void receiver_read(int number, receiver_report *out);
-/* The next command that was taken: 1 or 0. Those of whom nobody asks for long are left out. */
-int receiver_next(int number, twist_heard *out);
+/* The oldest commands that were taken and not told yet, up to `room`; their number. Those of whom nobody asks for long are
+ * left out. */
+int receiver_take_heard(int number, twist_heard *out, int room);
 
 /* A sign of life of Python's event loop: without one for 2 s the thread sends nothing. */
 void receiver_alive(int number);

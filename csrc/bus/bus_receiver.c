@@ -16,7 +16,7 @@
 #include "ring.h"
 #include "rt.h"
 
-enum { TAKEN_AT_ONCE = 8, HEARD_PLACES = 64 };
+enum { TAKEN_AT_ONCE = 8 };
 
 static const uint32_t ANY_STATE = 0x7f;   /* DDS_ANY_STATE */
 static const int64_t NS_PER_S = 1000000000, WAIT_NS = INT64_C(2000000000);
@@ -57,7 +57,7 @@ static struct {
 typedef struct {
     outlet out;
     ring heard;
-    twist_heard heard_place[HEARD_PLACES];
+    twist_heard heard_place[TWISTS_HEARD_MAX];
     uint8_t raw[TWIST_RAW_MAX];
     pthread_t thread;
     int32_t reader, waitset, guard, condition;
@@ -146,7 +146,7 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
     }
     twist_heard heard = {.writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s,
                          .angular_rad_s = twist.angular_rad_s};
-    (void)ring_put(&r->heard, r->heard_place, HEARD_PLACES, &heard, sizeof heard);
+    (void)ring_put(&r->heard, r->heard_place, TWISTS_HEARD_MAX, &heard, sizeof heard);
     r->taken_ns = now_ns;
     r->taken++;
 }
@@ -312,10 +312,14 @@ void receiver_read(int number, receiver_report *out)
     }
 }
 
-int receiver_next(int number, twist_heard *out)
+int receiver_take_heard(int number, twist_heard *out, int room)
 {
     receiver *r = numbered(number);
-    return r != NULL && ring_take(&r->heard, r->heard_place, HEARD_PLACES, out, sizeof *out);
+    int count = 0;
+    while (r != NULL && count < room && ring_take(&r->heard, r->heard_place, TWISTS_HEARD_MAX, &out[count], sizeof *out)) {
+        count++;
+    }
+    return count;
 }
 
 /* -------------------------------------------------------------------------------------------------------- its lease */

@@ -93,7 +93,7 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
         tempfile.TemporaryDirectory() as made,
         slave(SPEC_GAP_US) as judge,
         _hogs_of_bus(bus_hogs),
-        daemon(Path(made), judge.port, hogs or bus_hogs, INPUT, begin=hogs > 0) as robot,
+        daemon(Path(made), judge.port, hogs or bus_hogs, INPUT, begin=False) as robot,
         writer() as write,
     ):
         pid = _until(lambda: robot.status()["bus"]["pid"], "motord-bus")
@@ -103,8 +103,8 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
             lambda: robot.status()["bus"].get("inputs", {}).get("ros2", {}).get("lease"), "lease"
         )
         _until(lambda: write(0.0), "reader of cmd_vel")
-        if bus_hogs:
-            os.kill(pid, signal.SIGUSR1)
+        if hogs or bus_hogs:
+            os.kill(robot.status()["pid"] if hogs else pid, signal.SIGUSR1)
         time.sleep(max(PAUSE_S))
         begun, written = robot.status()["commands"]["accepted"], 0
         while written < count:

@@ -44,6 +44,14 @@ command_timeout_s = 2.0
 feedback_timeout_s = 2.0
 heartbeat_timeout_s = 5.0
 
+[safety.feedback]  # the slave is no wheel: its position stands still
+direction_s = 0.0
+stall_s = 0.0
+following_s = 0.0
+runaway_s = 0.0
+implausible_s = 0.0
+jumps_max = 0
+
 [line.bench]
 kind = "modbus-rtu"
 port = "{port}"

@@ -4,6 +4,7 @@ ours, and clients of services that get no answer."""
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -57,18 +58,25 @@ class Discovered:
             "reader": BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
         }
 
-    def look(self, read: Mapping[str, str], written: Mapping[str, str]) -> None:
-        """Types that we have, by topic."""
-        self._look("writer", read)
-        self._look("reader", written)
+    async def look(self, read: Mapping[str, str], written: Mapping[str, str]) -> None:
+        """Types that we have, by topic. Each endpoint is a turn of the event loop by itself: the
+        binding makes some forty calls for it, and where other threads want Python's lock each of
+        them waits for it."""
+        sides: tuple[tuple[Side, Mapping[str, str]], ...] = (("writer", read), ("reader", written))
+        for side, ours in sides:
+            for _ in range(_LOOK_AT_MOST):
+                if not self._look_at_next(side, ours):
+                    break
+                await asyncio.sleep(0)
         self._unanswered.say()
 
-    def _look(self, side: Side, ours: Mapping[str, str]) -> None:
+    def _look_at_next(self, side: Side, ours: Mapping[str, str]) -> bool:
+        """False: there is none."""
         try:
-            found = self._readers[side].take(N=_LOOK_AT_MOST)
+            found = self._readers[side].take(N=1)
         except DDSException as error:
             self._voices[side].say(f"DDS does not tell of {side}s: {error.msg}")
-            return
+            return False
         for one in found:
             topic = one.topic_name
             if topic in ours and (said := other_type_said(topic, side, ours[topic], one.type_name)):
@@ -77,3 +85,4 @@ class Discovered:
                 gid = one.key.bytes
                 if client_of(one.qos) is None and not answered(gid):
                     self._unanswered.add(gid, self._services[topic])
+        return bool(found)

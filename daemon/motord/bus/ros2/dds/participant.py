@@ -324,7 +324,8 @@ class Participant:
             await asyncio.sleep(_LOOK_EVERY_S)
             for endpoint in endpoints:
                 endpoint.say_mismatch()
-            discovered.look(self._read, self._written)
+                await asyncio.sleep(0)
+            await discovered.look(self._read, self._written)
 
     def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
         """In a thread of its own: tell the loop of arrivals, one word at a time."""

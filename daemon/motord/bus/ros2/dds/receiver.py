@@ -98,11 +98,12 @@ class Receiver:
         self._lib.receiver_read(self._number, report)
         return report
 
-    def heard(self) -> Iterator[Any]:
-        """Each twist_heard that has not been told yet."""
-        one = self._ffi.new("twist_heard *")
-        while self._lib.receiver_next(self._number, one):
-            yield one
+    def heard(self) -> Any:
+        """Each twist_heard that has not been told yet. One call: where other threads want Python's
+        lock, each call waits for it."""
+        room = self._lib.TWISTS_HEARD_MAX
+        found = self._ffi.new("twist_heard[]", room)
+        return found[0 : self._lib.receiver_take_heard(self._number, found, room)]
 
     # ------------------------------------------------------------------------------ its lease
     def alive(self) -> None:
