@@ -4,7 +4,7 @@
  * without Python. Like api.h: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
-enum { RECEIVERS_MAX = 4, TWISTS_HEARD_MAX = 64, TWIST_RAW_MAX = 4096, LEASE_TOKEN_BYTES = 16 };
+enum { RECEIVERS_MAX = 4, RECEIVED_TWISTS_MAX = 64, TWIST_RAW_MAX = 4096, LEASE_TOKEN_BYTES = 16 };
 
 /* ------------------------------------------------------------------------------------ geometry_msgs/TwistStamped */
 typedef struct {
@@ -47,7 +47,7 @@ typedef struct {
     int64_t taken_ns;
     double linear_m_s;
     double angular_rad_s;
-} twist_heard;
+} received_twist;
 
 /* The C library of Cyclone DDS, by path. 0 or -ELIBACC: not there, or without a function that is needed. */
 int receiver_library(const char *path);
@@ -60,9 +60,8 @@ int receiver_start(int number, int32_t reader, int event_fd);
 /* Joins. 0, -ESRCH: it does not run; -ETIMEDOUT: it does not end, and is lost. */
 int receiver_stop(int number);
 void receiver_read(int number, receiver_report *out);
-/* The oldest commands that were taken and not told yet, up to `room`; their number. Those of whom nobody asks for long are
- * left out. */
-int receiver_take_heard(int number, twist_heard *out, int room);
+/* The oldest commands that were sent and not read yet, at most `room`. Returns how many. A full ring drops new ones. */
+int receiver_take_received(int number, received_twist *out, int room);
 
 /* A sign of life of Python's event loop: without one for 2 s the thread sends nothing. */
 void receiver_alive(int number);

@@ -32,7 +32,7 @@ int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen);
 /* Python's event loop runs. */
 void outlet_alive(outlet *o, int64_t now_ns);
 /* A twist of the receiver's own: counted in `direct` when it was sent. -EHOSTDOWN: Python has stood still for OUTLET_ALIVE_NS,
- * so that nobody who asks it for a stop is heard; the lease lapses then, and the wheels come to rest. */
+ * so a stop request by ROS 2 would not be handled. The lease lapses then, and the wheels come to rest. */
 int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns);
 
 #endif

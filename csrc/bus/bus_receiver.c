@@ -56,8 +56,8 @@ static struct {
 
 typedef struct {
     outlet out;
-    ring heard;
-    twist_heard heard_place[TWISTS_HEARD_MAX];
+    ring received;
+    received_twist received_place[RECEIVED_TWISTS_MAX];
     uint8_t raw[TWIST_RAW_MAX];
     pthread_t thread;
     int32_t reader, waitset, guard, condition;
@@ -144,9 +144,9 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
         count_lost(r, error);
         return;
     }
-    twist_heard heard = {.writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s,
+    received_twist received = {.writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s,
                          .angular_rad_s = twist.angular_rad_s};
-    (void)ring_put(&r->heard, r->heard_place, TWISTS_HEARD_MAX, &heard, sizeof heard);
+    (void)ring_put(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &received, sizeof received);
     r->taken_ns = now_ns;
     r->taken++;
 }
@@ -166,7 +166,7 @@ static void tell(const receiver *r)
 {
     const uint64_t one = 1;
     if (write(r->event_fd, &one, sizeof one) < 0) {
-        return;   /* full: it is told already */
+        return;   /* full: it was notified before */
     }
 }
 
@@ -218,7 +218,7 @@ int receiver_claim(void)
         if (atomic_compare_exchange_strong(&receivers[number].claimed, &free_now, true)) {
             receiver *r = &receivers[number];
             outlet_init(&r->out);
-            memset(&r->heard, 0, sizeof r->heard);
+            memset(&r->received, 0, sizeof r->received);
             r->taken = r->unleased = r->hung = r->full = r->broken = 0;
             for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
                 r->refused[kind] = 0;
@@ -312,11 +312,12 @@ void receiver_read(int number, receiver_report *out)
     }
 }
 
-int receiver_take_heard(int number, twist_heard *out, int room)
+int receiver_take_received(int number, received_twist *out, int room)
 {
     receiver *r = numbered(number);
     int count = 0;
-    while (r != NULL && count < room && ring_take(&r->heard, r->heard_place, TWISTS_HEARD_MAX, &out[count], sizeof *out)) {
+    while (r != NULL && count < room &&
+           ring_take(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &out[count], sizeof *out)) {
         count++;
     }
     return count;

@@ -42,7 +42,7 @@ class Wrong(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Wishes:
-    """What who starts the bridge has said."""
+    """What the node's parameters ask for."""
 
     robot: str | None = None
     """None: the only one that runs here."""
@@ -56,11 +56,13 @@ class Wishes:
 
 async def serve(wishes: Wishes, node: Node) -> None:
     """Until cancelled. Raises Wrong."""
-    path, told = await _described(wishes)
-    _log.info("%s: robot %s", path, told["robot"])
-    robot = _robot(told)
-    section = SimpleNamespace(stamped=wishes.stamped, lease_s=_input(told, wishes.input)["lease_s"])
-    runtime = BridgeStation(robot, path, told, wishes.limits)
+    path, description = await _described(wishes)
+    _log.info("%s: robot %s", path, description["robot"])
+    robot = _robot(description)
+    section = SimpleNamespace(
+        stamped=wishes.stamped, lease_s=_input(description, wishes.input)["lease_s"]
+    )
+    runtime = BridgeRuntime(robot, path, description, wishes.limits)
     # It asks the section for no more than that.
     commands = Ros2Commands(wishes.input, cast("Ros2Input", section), runtime, node)
     async with asyncio.TaskGroup() as tasks:
@@ -70,50 +72,56 @@ async def serve(wishes: Wishes, node: Node) -> None:
 
 async def _described(wishes: Wishes) -> tuple[Path, dict[str, Any]]:
     """The daemon's socket, and what it says of its robot, as soon as there is a daemon."""
-    said = ""
+    last_error = ""
     while True:
         try:
             path = wishes.socket or find_socket(wishes.robot)
             return path, await call(path, "robot")
         except ClientError as error:
-            if str(error) != said:
-                said = str(error)
+            if str(error) != last_error:
+                last_error = str(error)
                 _log.warning("waiting for a daemon: %s", error)
         await asyncio.sleep(ASK_AGAIN_S)
 
 
-def _input(told: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _input(description: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     """The input of that name. Raises Wrong."""
-    for found in told["inputs"]:
+    for found in description["inputs"]:
         if found["name"] == name and found["kind"] == KIND:
             return cast("Mapping[str, Any]", found)
-    raise Wrong(f'the robot file of {told["robot"]} has no [input.{name}] with kind = "{KIND}"')
+    raise Wrong(
+        f'the robot file of {description["robot"]} has no [input.{name}] with kind = "{KIND}"'
+    )
 
 
-def _robot(told: Mapping[str, Any]) -> Robot:
+def _robot(description: Mapping[str, Any]) -> Robot:
     """As much of a robot file as the commands read."""
-    base = SimpleNamespace(track_m=told["track_m"], wheel_radius_m=told["wheel_radius_m"])
+    base = SimpleNamespace(
+        track_m=description["track_m"], wheel_radius_m=description["wheel_radius_m"]
+    )
     made = SimpleNamespace(
-        robot=SimpleNamespace(name=told["robot"]),
-        joint=tuple(told["joints"]),
+        robot=SimpleNamespace(name=description["robot"]),
+        joint=tuple(description["joints"]),
         base=base,
-        safety=SimpleNamespace(feedback_timeout_s=told["feedback_timeout_s"]),
+        safety=SimpleNamespace(feedback_timeout_s=description["feedback_timeout_s"]),
     )
     return cast("Robot", made)
 
 
-class BridgeStation(Runtime):
+class BridgeRuntime(Runtime):
     """Of a robot whose file is not here."""
 
     def __init__(
-        self, robot: Robot, path: Path, told: Mapping[str, Any], limits: Mapping[str, float]
+        self, robot: Robot, path: Path, description: Mapping[str, Any], limits: Mapping[str, float]
     ) -> None:
         super().__init__(robot, path)
-        self._told, self._limits = told, limits
+        self._description, self._limits = description, limits
 
     def source(self, name: str) -> Source:
         """As Runtime.source."""
-        self.sources[name] = BridgeSource(self.path, name, self.robot, self._told, self._limits)
+        self.sources[name] = BridgeSource(
+            self.path, name, self.robot, self._description, self._limits
+        )
         return self.sources[name]
 
     def _adapters(self) -> dict[str, Adapter]:
@@ -137,15 +145,15 @@ class BridgeSource(Source):
         path: Path,
         owner: str,
         robot: Robot,
-        told: Mapping[str, Any],
+        description: Mapping[str, Any],
         limits: Mapping[str, float],
     ) -> None:
         super().__init__(path, owner)
-        self._robot, self._told, self._limits = robot, told, limits
+        self._robot, self._description, self._limits = robot, description, limits
 
     async def _grant(self, ask: Ask) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
-        if await ask("robot", {}) != self._told:
+        if await ask("robot", {}) != self._description:
             raise Wrong("the robot file is another than at the start of this bridge: start it anew")
 
         async def on_this_connection(method: str, **params: Any) -> Any:

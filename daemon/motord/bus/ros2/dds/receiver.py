@@ -26,7 +26,7 @@ NEWEST_FEW = Quality(depth=8, reliable=False)
 TRIED = ("11.",)
 """Versions of the binding whose C library is known to have what is called, as it is called."""
 ALIVE_EVERY_S = 0.2
-_HUNG = "this process stood still, and would not have heard a stop"
+_HUNG = "the event loop of motord-bus did not run for 2 s, so a stop would not have been handled"
 _BROKEN = "the daemon's command socket does not take it"
 
 _log = logging.getLogger(__name__)
@@ -98,12 +98,12 @@ class Receiver:
         self._lib.receiver_read(self._number, report)
         return report
 
-    def heard(self) -> Any:
-        """Each twist_heard that has not been told yet. One call: where other threads want Python's
-        lock, each call waits for it."""
-        room = self._lib.TWISTS_HEARD_MAX
-        found = self._ffi.new("twist_heard[]", room)
-        return found[0 : self._lib.receiver_take_heard(self._number, found, room)]
+    def received(self) -> Any:
+        """Each received_twist that was not read yet. One call reads all of them, because each call
+        waits for the GIL when other threads are busy."""
+        room = self._lib.RECEIVED_TWISTS_MAX
+        found = self._ffi.new("received_twist[]", room)
+        return found[0 : self._lib.receiver_take_received(self._number, found, room)]
 
     # ------------------------------------------------------------------------------ its lease
     def alive(self) -> None:
@@ -140,8 +140,8 @@ class Twists:
         gate: CommandGate,
         taken: Callable[[int, tuple[float, float], float], None],
     ) -> None:
-        """`taken` is told of each command that the daemon has got: by which writer (DDS's number
-        of it), linear m/s and angular rad/s, and when (time.monotonic)."""
+        """`taken` is called for each command that the daemon received: the writer's DDS handle, the
+        twist in m/s and rad/s, and the time (time.monotonic)."""
         self._receiver = Receiver(made, reader.entity)
         self._gate = gate
         self._taken = taken
@@ -171,7 +171,7 @@ class Twists:
     def look(self) -> None:
         """Tell what has come since. Raises OSError when DDS fails."""
         report = self._receiver.news()
-        for one in self._receiver.heard():
+        for one in self._receiver.received():
             command = (one.linear_m_s, one.angular_rad_s)
             self._taken(one.writer, command, one.taken_ns * 1e-9)
         source = self._gate.source
