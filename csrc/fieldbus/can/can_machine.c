@@ -317,7 +317,8 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].mode == DRIVE_ARMED && can_differs(m, i);
     }
-    m->early = differs && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
+    bool queued = m->hears_own && m->motion_since_ns != 0;   /* a pulled cable would keep more motion for later */
+    m->early = differs && !queued && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
 }
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)

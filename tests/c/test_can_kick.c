@@ -1,0 +1,117 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Drives on a bus whose line the loop has woken: what is new does not wait for its cycle. */
+#include "can_wire.h"
+
+/* The loop has woken the line. */
+static void kick(double velocity_rad_s)
+{
+    w.velocity_rad_s = velocity_rad_s;
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        w.machine.newest.joint[j] = (joint_setpoint){velocity_rad_s, velocity_rad_s, velocity_rad_s};
+    }
+    can_machine_kick(&w.machine, w.now_ns);
+}
+
+static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
+{
+    begin_with(2);
+    arm(0);
+    arm(1);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    int64_t due_ns = w.machine.cycle.due_ns;
+    forget_sent();
+    kick(1.0);   /* nothing new */
+    step();
+    CHECK(w.sent_count == 0);
+    kick(2.0);
+    CHECK(w.sent_count == 0);
+    step();
+    CHECK(w.sent_count == 2 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200);
+    CHECK(w.machine.cycle.due_ns == due_ns);
+    step();   /* once */
+    CHECK(w.sent_count == 2);
+}
+
+static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    forget_sent();
+    for (int32_t i = 0; i < 500; i++) {
+        kick(1.0 + 0.01 * i);
+        say_motion(0, 1.0F, 1.0F);
+        say_state(0, 8);
+        step();
+        w.now_ns += MS;
+    }
+    CHECK(count_sent(SPEED) >= 80 && count_sent(SPEED) <= 2 * 50 + EARLY_AT_ONCE + 1);
+}
+
+static void a_stop_goes_out_at_once_however_much_was_said_before(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    forget_sent();
+    w.machine.cycle.early_ns = w.now_ns + 10 * w.machine.table.period_ns;
+    kick(2.0);
+    step();
+    CHECK(w.sent_count == 0);
+    kick(0.0);
+    step();
+    CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
+    kick(1.0);
+    step();
+    CHECK(w.sent_count == 1);
+}
+
+static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.machine.hears_own = true;
+    can_machine_left(&w.machine);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();   /* a motion frame waits from now on: the cable is out */
+    forget_sent();
+    w.now_ns += MS;
+    kick(2.0);
+    step();
+    CHECK(w.sent_count == 0);
+    can_machine_left(&w.machine);
+    kick(3.0);
+    step();
+    CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
+}
+
+static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
+{
+    begin_with(1);
+    wish(0, DRIVE_READY);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    forget_sent();
+    kick(2.0);
+    step();
+    CHECK(w.sent_count == 0);
+}
+
+int main(void)
+{
+    a_new_set_point_goes_out_at_once_to_all_that_are_armed();
+    set_points_that_change_all_the_time_double_the_frames_at_most();
+    a_stop_goes_out_at_once_however_much_was_said_before();
+    motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
+    a_kick_tells_a_drive_that_is_not_armed_nothing();
+    return checks_report("can_kick");
+}
