@@ -2,7 +2,7 @@
  * How a line ends: rest, then power off, then silence, each at its time at the latest. */
 #include "line_wire.h"
 
-static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000;
+static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000, UNHEARD_END_NS = 2980LL * 1000000;
 
 static void look_at(int64_t now_ns)
 {
@@ -65,10 +65,34 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     CHECK(w.machine.shut == 1 && w.machine.drive[0].stopping);
     look_at(begun_ns + REST_NS);
     CHECK(w.machine.shut == 2 && !w.machine.drive[0].stopping && w.machine.drive[0].stop == STOP_POWER_OFF);
+    w.machine.drive[0].stop_told = w.machine.drive[1].stop_told = (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
     CHECK(w.machine.shut == 2 && !w.machine.news);
     look_at(begun_ns + END_NS);
     CHECK(w.machine.shut == 3 && w.machine.news);
+}
+
+/* One that is not heard may hear: a silent neighbour does not take its time away. */
+static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
+{
+    for (int told = 0; told < 2; told++) {
+        begin_with(2, 0);
+        uint32_t frames = w.machine.table.drive[1].disarm_count;
+        w.machine.control.shut_down = 1;
+        int64_t begun_ns = w.now_ns;
+        look_at(begun_ns);
+        look_at(begun_ns);
+        CHECK(w.machine.shut == 2 && frames > 0);
+        w.machine.drive[0].stop = STOP_NOTHING;
+        w.machine.drive[1].stop_told = (1U << (frames - 1)) - 1;
+        look_at(begun_ns + END_NS);
+        CHECK(w.machine.shut == 2);
+        w.machine.drive[1].stop_told |= told ? 1U << (frames - 1) : 0;
+        look_at(begun_ns + UNHEARD_END_NS - 1);
+        CHECK(w.machine.shut == (told ? 3 : 2));
+        look_at(begun_ns + UNHEARD_END_NS);
+        CHECK(w.machine.shut == 3);
+    }
 }
 
 /* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */
@@ -95,6 +119,7 @@ int main(void)
     an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_is();
     the_power_goes_off_when_every_stop_and_every_broadcast_is_done();
     what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes();
+    the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever();
     eight_drives_are_all_there_are();
     return checks_report("line end");
 }

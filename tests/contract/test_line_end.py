@@ -19,8 +19,13 @@ WHEEL = JointSpec(index=0, name="wheel", profile=find_profile("speed-register"),
 
 
 @pytest.fixture(params=ENGINES)
-async def peer(tmp_path, request):
-    peer = ScriptedSlave(tmp_path / "port", engine=request.param)
+def engine(request):
+    return request.param
+
+
+@pytest.fixture
+async def peer(tmp_path, engine):
+    peer = ScriptedSlave(tmp_path / "port", engine=engine)
     unit = peer.units[1] = Unit(registers_of("speed-register"))
 
     def switch(address, value):
@@ -103,3 +108,43 @@ async def test_a_drive_that_hears_but_is_not_heard_is_switched_off_at_the_end(pe
         mute(peer)
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
     assert "wheel not switched off at the end" in rig.events[-1].text
+
+
+LEARNT_AFTER = 10
+"""Requests of a drive, until a line knows how long its answers take."""
+
+
+def slow(peer, reply, after_s=0.018):
+    """From now on each reply comes so long after its request."""
+    peer.tricks.clear()
+
+    def later(request, honest):
+        peer.tricks.append(later)
+        return [(after_s, reply(honest))]
+
+    peer.tricks.append(later)
+
+
+@pytest.mark.parametrize(("drives", "torn_after_s"), [(1, 0.018), (1, 0.07), (8, 0.018)])
+async def test_each_drive_is_sent_its_whole_power_off_though_none_is_heard(
+    tmp_path, engine, drives, torn_after_s
+):
+    """Where each write that is not answered costs a good part of the end."""
+    peer = ScriptedSlave(tmp_path / "port", engine=engine)
+    profile, units = find_profile("bld-305s"), range(1, drives + 1)
+    peer.units = {unit: Unit(registers_of("bld-305s")) for unit in units}
+    speed, run = (profile.registers[name].address for name in ("target_velocity", "run_command"))
+    wheels = [JointSpec(index=n - 1, name=f"w{n}", profile=profile, unit=n) for n in units]
+    async with running(spec_of(peer, wheels), in_haste=True) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, dict.fromkeys(range(drives), 20.0)
+        await until(lambda: all(peer.written(speed, unit)[-1] > 0 for unit in units))
+        slow(peer, lambda honest: honest)
+        heard = len(peer.heard)
+        await until(lambda: len(peer.heard) >= heard + LEARNT_AFTER * drives)
+        slow(peer, lambda honest: honest[:-1], torn_after_s)
+        mark = len(peer.heard)
+    peer.pull()
+    told = {(h.request.unit, h.request.address, *h.request.values) for h in peer.heard[mark:]}
+    assert {(unit, register, 0) for unit in units for register in (speed, run)} <= told
+    assert "not switched off at the end" in rig.events[-1].text

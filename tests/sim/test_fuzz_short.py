@@ -11,9 +11,9 @@ FUZZ = Path(__file__).resolve().parents[1] / "fuzz/fuzz.py"
 SEED = 3
 
 
-def fuzz(target, runs):
+def fuzz(target, runs, seed=SEED):
     return subprocess.run(
-        [sys.executable, str(FUZZ), "--runs", str(runs), "--seed", str(SEED), target],
+        [sys.executable, str(FUZZ), "--runs", str(runs), "--seed", str(seed), target],
         capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
 
@@ -24,6 +24,12 @@ def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
     assert run.returncode == 0, run.stderr
     assert f"seed {SEED}" in run.stderr
     assert "no problem" in run.stderr
+
+
+def test_a_drive_that_answers_late_and_torn_is_sent_all_of_its_power_off():
+    """The third life of this seed had only time for the half of it."""
+    run = fuzz("guard", 150, seed=2142689052)
+    assert run.returncode == 0, run.stderr
 
 
 def test_a_target_that_there_is_not_is_named():

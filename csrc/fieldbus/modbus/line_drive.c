@@ -22,7 +22,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 {
     line_drive_state *drive = &m->drive[number];
     drive->stop = kind;
-    drive->stop_place = drive->stop_done = 0;
+    drive->stop_place = drive->stop_done = drive->stop_told = 0;
     drive->stop_failures = 0;
     drive->stop_refused = false;
     drive->stage = STAGE_IDLE;
@@ -416,7 +416,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
         drive->stop_refused |= is_of_newest_stop(m, number);
         stop_frame_done(m, number);   /* it is there and will not: the next frame may do */
     } else if (m->shut != 0 && is_of_newest_stop(m, number)) {
-        drive->stop_place++;
+        drive->stop_told |= 1U << drive->stop_place++;
     }
 }
 

@@ -3,6 +3,9 @@
 #include "line_machine.h"
 #include "pace.h"
 
+/* Beyond the end's time: until each drive was sent its whole power-off once. One that is not heard may hear. */
+static const int64_t SHUT_UNHEARD_NS = 2500 * LINE_MS;
+
 static void shut_down_begin(line_machine *m, int64_t now_ns)
 {
     m->shut = 1;
@@ -21,11 +24,19 @@ static void shut_down_begin(line_machine *m, int64_t now_ns)
     }
 }
 
+static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
+{
+    const line_drive_state *drive = &m->drive[number];
+    uint32_t all = (1U << m->table.drive[number].disarm_count) - 1;
+    return drive->stop == STOP_NOTHING || (drive->stop == STOP_POWER_OFF && (drive->stop_told | drive->stop_done) == all);
+}
+
 static void shut_down_go_on(line_machine *m, int64_t now_ns)
 {
-    bool stopping = m->broadcasts > 0;
+    bool stopping = m->broadcasts > 0, told = true;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         stopping |= m->drive[i].stopping || m->drive[i].stop != STOP_NOTHING;
+        told = told && was_sent_its_power_off(m, i);
     }
     if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
         m->shut = 2;
@@ -33,7 +44,7 @@ static void shut_down_go_on(line_machine *m, int64_t now_ns)
             m->drive[i].stopping = false;
             line_stop_now(m, i, STOP_POWER_OFF);
         }
-    } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
+    } else if (m->shut == 2 && (!stopping || now_ns >= (told ? m->shut_by_ns : m->shut_by_ns + SHUT_UNHEARD_NS))) {
         m->shut = 3;
         m->news = true;
     }

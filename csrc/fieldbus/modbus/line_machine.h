@@ -78,6 +78,7 @@ typedef struct {
     uint32_t stop;              /* line_stop_kind: frames that go before all else */
     uint32_t stop_place;        /* the frame that is told next, or has been told */
     uint32_t stop_done;         /* bit n: frame n was acknowledged, or is refused for good */
+    uint32_t stop_told;         /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
     bool stop_refused;          /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;

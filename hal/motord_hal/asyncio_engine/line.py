@@ -28,9 +28,9 @@ from motord_hal.realtime.exchange import Exchange
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
-POWER_OFF_EACH_S = 0.1
-"""So long the power-off of one drive may take that does not answer, beyond SHUTDOWN_WITHIN_S where
-there are many: each is sent its power-off at least once."""
+POWER_OFF_WITHIN_S = 2.5
+"""So long it may take until each drive was sent its whole power-off once, also beyond
+SHUTDOWN_WITHIN_S: one that is not heard may hear."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
@@ -157,22 +157,28 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await self._switch_all_off(left, end_s)
 
     async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
-        """Until each has got it, or it is too late. Whoever has got it is taken from `left`."""
+        """Each once, then until each has got it, or it is too late. Whoever has got it is taken
+        from `left`."""
         why = self.deaf
         try:
-            async with within(max(end_s - now_s(), POWER_OFF_EACH_S * len(left))):
+            async with within(POWER_OFF_WITHIN_S):
+                await self._switch_each_off(left)
+            async with within(end_s - now_s()):
                 while left:
-                    # all of them, also where a mistake with one ends it
-                    async with contextlib.AsyncExitStack() as each:
-                        for drive in reversed(left):
-                            each.push_async_callback(self._try_to_switch_off, drive, left)
-                    await asyncio.sleep(STOPPING_CYCLE_S if left else 0.0)
+                    await asyncio.sleep(STOPPING_CYCLE_S)
+                    await self._switch_each_off(left)
         except TimeoutError:
             pass  # what is left is said
         except PortError as error:
             why = str(error)
         finally:
             self._say_left_on(left, why)
+
+    async def _switch_each_off(self, left: list[AnyDrive]) -> None:
+        """Once; all of them, also where a mistake with one ends it. Raises PortError."""
+        async with contextlib.AsyncExitStack() as each:
+            for drive in reversed(left):
+                each.push_async_callback(self._try_to_switch_off, drive, left)
 
     async def _try_to_switch_off(self, drive: AnyDrive, left: list[AnyDrive]) -> None:
         if await self._switch_off(drive):

@@ -62,7 +62,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._left_alone = False
         """Its watchdog has bitten since it was armed."""
         self._power_off_left: Sequence[Step] = ()
-        """What is left of a power-off that is told once at a time."""
+        """What was not answered of a power-off at the end."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
@@ -324,12 +324,15 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._forget_enabled()
 
     async def tell_power_off(self) -> bool:
-        """As AsyncioDrive.tell_power_off: to its first failure. The next time it begins behind that
-        one: the drive may hear us though we do not hear it."""
+        """As AsyncioDrive.tell_power_off: all of it, whatever is not answered, for the drive may
+        hear us though we do not hear it. The next time only what was not answered."""
         self._powerless()
-        left = await self._write_now(self._power_off_left or self.plan.profile.disarm)
-        self._power_off_left = (*left[1:], *left[:1])
-        return not left
+        left, unanswered = self._power_off_left or self.plan.profile.disarm, []
+        while left := await self._write_now(left):
+            unanswered.append(left[0])
+            left = left[1:]
+        self._power_off_left = unanswered
+        return not unanswered
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
         """As AsyncioDrive._write_now: from the one on that was not answered."""

@@ -20,8 +20,8 @@ from motord_hal.fieldbus.ports import LineSpec, Listener
 from motord_hal.rt_engine.notifier import News
 from motord_hal.rt_engine.rs485.drive import DriveSays, RtDrive
 
-SHUTDOWN_WITHIN_S = 0.6
-"""The thread itself needs 0.5 s at most."""
+SHUTDOWN_WITHIN_S = 3.1
+"""The thread itself needs 0.5 s, and 3 s at most where drives do not answer."""
 
 
 class LineSays(Protocol):
