@@ -57,6 +57,9 @@ check: $(VENV)/built $(VENV)/check
 	@$(VENV)/bin/ruff check . >&2
 	@$(VENV)/bin/mypy >&2
 	@$(VENV)/bin/lint-imports --no-logo >&2
+	@$(VENV)/bin/clang-format --dry-run --Werror $(shell find csrc docs tests -name '*.[ch]') >&2
+	@$(VENV)/bin/cppcheck -q -j2 --std=c11 -D_GNU_SOURCE --enable=warning,portability,performance \
+		--error-exitcode=1 $(addprefix -I,$(shell find csrc -type d)) csrc >&2
 	@$(MAKE) -C tests/c warnings >&2
 	@$(PYTHON) -m pytest -q -p no:randomly tests/test_tidy.py
 

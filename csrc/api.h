@@ -15,42 +15,42 @@ enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 6
 /* ------------------------------------------------------------------------------------------------ reasons
  * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
 enum {
-    REASON_LINEAR_VELOCITY      = 1 << 0,   /* [limits] linear_m_s */
-    REASON_LINEAR_ACCELERATION  = 1 << 1,   /* [limits] linear_m_s2 */
-    REASON_LINEAR_DECELERATION  = 1 << 2,   /* [limits] linear_deceleration_m_s2 */
-    REASON_LINEAR_JERK          = 1 << 3,   /* [limits] linear_m_s3 */
-    REASON_ANGULAR_VELOCITY     = 1 << 4,   /* the same four, angular */
+    REASON_LINEAR_VELOCITY = 1 << 0,     /* [limits] linear_m_s */
+    REASON_LINEAR_ACCELERATION = 1 << 1, /* [limits] linear_m_s2 */
+    REASON_LINEAR_DECELERATION = 1 << 2, /* [limits] linear_deceleration_m_s2 */
+    REASON_LINEAR_JERK = 1 << 3,         /* [limits] linear_m_s3 */
+    REASON_ANGULAR_VELOCITY = 1 << 4,    /* the same four, angular */
     REASON_ANGULAR_ACCELERATION = 1 << 5,
     REASON_ANGULAR_DECELERATION = 1 << 6,
-    REASON_ANGULAR_JERK         = 1 << 7,
-    REASON_WHEEL_SATURATED      = 1 << 8,   /* a wheel's limit scaled the whole twist: curvature kept */
-    REASON_DUTY_CLAMPED         = 1 << 9,   /* [joint] duty_min / duty_max */
-    REASON_DUTY_SLEW            = 1 << 10,  /* [joint] duty_slew_per_s */
-    REASON_NOT_ARMED            = 1 << 16,  /* the state machine has not armed, or the core has disarmed */
-    REASON_STOP_REQUESTED       = 1 << 17,  /* control.stop */
-    REASON_COMMAND_STALE        = 1 << 18,  /* no command, or older than its lifetime or command_timeout_s */
-    REASON_COMMAND_NOT_FINITE   = 1 << 19,  /* NaN or infinity in the command: read as zero */
-    REASON_FAULT                = 1 << 20,  /* a latched fault: see robot_state.faults */
+    REASON_ANGULAR_JERK = 1 << 7,
+    REASON_WHEEL_SATURATED = 1 << 8,     /* a wheel's limit scaled the whole twist: curvature kept */
+    REASON_DUTY_CLAMPED = 1 << 9,        /* [joint] duty_min / duty_max */
+    REASON_DUTY_SLEW = 1 << 10,          /* [joint] duty_slew_per_s */
+    REASON_NOT_ARMED = 1 << 16,          /* the state machine has not armed, or the core has disarmed */
+    REASON_STOP_REQUESTED = 1 << 17,     /* control.stop */
+    REASON_COMMAND_STALE = 1 << 18,      /* no command, or older than its lifetime or command_timeout_s */
+    REASON_COMMAND_NOT_FINITE = 1 << 19, /* NaN or infinity in the command: read as zero */
+    REASON_FAULT = 1 << 20,              /* a latched fault: see robot_state.faults */
 };
-enum { REASONS_TO_STAND = 0x1F0000 };       /* NOT_ARMED and all after it: it is to rest, whatever was asked for */
+enum { REASONS_TO_STAND = 0x1F0000 }; /* NOT_ARMED and all after it: it is to rest, whatever was asked for */
 
 /* Faults are latched: cleared only by a rising reset_count with every cause gone and a command of zero. */
 enum {
-    FAULT_ESTOP           = 1 << 0,   /* control.estop was seen */
-    FAULT_HEARTBEAT_LOST  = 1 << 1,   /* asyncio has not beaten for heartbeat_timeout_s while armed */
-    FAULT_FEEDBACK_STALE  = 1 << 2,   /* a joint has not been heard for feedback_timeout_s while armed */
-    FAULT_DRIVE           = 1 << 3,   /* a drive reports a fault (joint_feedback.drive_faults) while armed */
-    FAULT_DRIVE_DISABLED  = 1 << 4,   /* a drive says it is not enabled while armed: nobody asked for that */
-    FAULT_TIME_STEP       = 1 << 5,   /* dt was NaN, infinite, zero or negative */
-    FAULT_EXTERNAL        = 1 << 6,   /* control.fault: raised by the daemon (a line lost, a check failed) */
-    FAULT_STATE           = 1 << 7,   /* a value inside the core was not finite: never expected, always rest */
-    FAULT_OVERSPEED       = 1 << 8,   /* a wheel that a torque turns is far beyond its limit: a wrong sign, a slope */
-    FAULT_DIRECTION       = 1 << 9,   /* a wheel turns against its set-point */
-    FAULT_STALL           = 1 << 10,  /* a wheel does not turn */
-    FAULT_FOLLOWING_ERROR = 1 << 11,  /* a wheel is much slower than its set-point and comes no nearer */
-    FAULT_RUNAWAY         = 1 << 12,  /* a wheel is much faster than its set-point: the power goes off at once */
-    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13,   /* a counter jumps, or its speed is not the one that the drive reports */
-    FAULT_SUSPENDED       = 1 << 14,  /* the computer was suspended: set-points are zero at once */
+    FAULT_ESTOP = 1 << 0,                 /* control.estop was seen */
+    FAULT_HEARTBEAT_LOST = 1 << 1,        /* asyncio has not beaten for heartbeat_timeout_s while armed */
+    FAULT_FEEDBACK_STALE = 1 << 2,        /* a joint has not been heard for feedback_timeout_s while armed */
+    FAULT_DRIVE = 1 << 3,                 /* a drive reports a fault (joint_feedback.drive_faults) while armed */
+    FAULT_DRIVE_DISABLED = 1 << 4,        /* a drive says it is not enabled while armed: nobody asked for that */
+    FAULT_TIME_STEP = 1 << 5,             /* dt was NaN, infinite, zero or negative */
+    FAULT_EXTERNAL = 1 << 6,              /* control.fault: raised by the daemon (a line lost, a check failed) */
+    FAULT_STATE = 1 << 7,                 /* a value inside the core was not finite: never expected, always rest */
+    FAULT_OVERSPEED = 1 << 8,             /* a wheel that a torque turns is far beyond its limit: a wrong sign, a slope */
+    FAULT_DIRECTION = 1 << 9,             /* a wheel turns against its set-point */
+    FAULT_STALL = 1 << 10,                /* a wheel does not turn */
+    FAULT_FOLLOWING_ERROR = 1 << 11,      /* a wheel is much slower than its set-point and comes no nearer */
+    FAULT_RUNAWAY = 1 << 12,              /* a wheel is much faster than its set-point: the power goes off at once */
+    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the drive reports */
+    FAULT_SUSPENDED = 1 << 14,            /* the computer was suspended: set-points are zero at once */
 };
 /* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
 enum { FAULTS_OF_FEEDBACK = 0x3E00 };
@@ -63,49 +63,49 @@ typedef enum { STOP_RAMP = 0, STOP_BRAKE = 1, STOP_HOLD = 2, STOP_COAST = 3 } st
  * COAST drives off at once; the core disarms */
 
 typedef struct {
-    double velocity_u_s;        /* > 0, finite */
-    double acceleration_u_s2;   /* > 0, finite: away from zero */
-    double deceleration_u_s2;   /* > 0, finite: towards zero */
-    double jerk_u_s3;           /* > 0; INFINITY: no limit */
+    double velocity_u_s;      /* > 0, finite */
+    double acceleration_u_s2; /* > 0, finite: away from zero */
+    double deceleration_u_s2; /* > 0, finite: towards zero */
+    double jerk_u_s3;         /* > 0; INFINITY: no limit */
 } axis_limits;
 
 typedef struct {
-    axis_limits linear;         /* u = m */
-    axis_limits angular;        /* u = rad */
+    axis_limits linear;  /* u = m */
+    axis_limits angular; /* u = rad */
 } base_limits;
 
 typedef struct {
-    double dead_band;           /* 0..1: duty at which the motor just turns; the output jumps over it */
-    double duty_min;            /* -1..0: 0 for an output that cannot reverse */
-    double duty_max;            /*  0..1 */
-    double slew_per_s;          /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
-    double full_duty_rad_s;     /* > 0: wheel speed at duty 1 (open-loop map) */
+    double dead_band;       /* 0..1: duty at which the motor just turns; the output jumps over it */
+    double duty_min;        /* -1..0: 0 for an output that cannot reverse */
+    double duty_max;        /*  0..1 */
+    double slew_per_s;      /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
+    double full_duty_rad_s; /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
 /* Of a joint whose drive takes a torque: the speed loop is the core's. All at the wheel. */
 typedef struct {
-    double gain_n_m_s_per_rad;      /* >= 0: torque for a speed error */
-    double integral_n_m_per_rad;    /* >= 0: torque for the sum of it, an angle */
-    double torque_max_n_m;      /* >= 0; 0: the drive takes no torque */
+    double gain_n_m_s_per_rad;   /* >= 0: torque for a speed error */
+    double integral_n_m_per_rad; /* >= 0: torque for the sum of it, an angle */
+    double torque_max_n_m;       /* >= 0; 0: the drive takes no torque */
 } speed_loop_config;
 
 typedef struct {
-    double side;                /* -1 left, +1 right */
-    double wheel_radius_m;      /* > 0 */
-    double velocity_min_rad_s;  /* <= 0: 0 for a joint that cannot reverse */
-    double velocity_max_rad_s;  /* > 0 */
-    double rad_per_count;       /* signed, not 0: gear and inversion are in it. Unused without a counter */
-    uint32_t counter_bits;      /* 8, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
+    double side;               /* -1 left, +1 right */
+    double wheel_radius_m;     /* > 0 */
+    double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
+    double velocity_max_rad_s; /* > 0 */
+    double rad_per_count;      /* signed, not 0: gear and inversion are in it. Unused without a counter */
+    uint32_t counter_bits;     /* 8, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
                                    from the set-point where the drive measures none */
-    uint32_t line;              /* 0..LINES_MAX-1: who carries this joint */
+    uint32_t line;             /* 0..LINES_MAX-1: who carries this joint */
     pwm_config pwm;
     speed_loop_config speed_loop;
     plausible_config plausible;
 } joint_config;
 
 typedef struct {
-    uint32_t joint_count;       /* 2..JOINTS_MAX, at least one on each side */
-    double track_m;             /* > 0: effective distance of the sides (skid: with the slip factor in it) */
+    uint32_t joint_count; /* 2..JOINTS_MAX, at least one on each side */
+    double track_m;       /* > 0: effective distance of the sides (skid: with the slip factor in it) */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */
@@ -115,126 +115,126 @@ typedef struct {
     stop_action on_fault;       /* every latched fault but the e-stop */
     stop_action on_estop;
     /* odometry error model, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4 */
-    double distance_variance_m2_per_m;     /* > 0: variance of one side's travel per metre of it */
-    double turn_variance_rad2_per_rad;     /* > 0: heading variance per radian turned (scrub, track error) */
-    double pose_variance_floor_m2;         /* > 0: x and y start here and never fall below */
-    double heading_variance_floor_rad2;    /* > 0 */
-    double twist_variance_floor_m2_s2;     /* > 0 */
-    double twist_variance_floor_rad2_s2;   /* > 0 */
+    double distance_variance_m2_per_m;   /* > 0: variance of one side's travel per metre of it */
+    double turn_variance_rad2_per_rad;   /* > 0: heading variance per radian turned (scrub, track error) */
+    double pose_variance_floor_m2;       /* > 0: x and y start here and never fall below */
+    double heading_variance_floor_rad2;  /* > 0 */
+    double twist_variance_floor_m2_s2;   /* > 0 */
+    double twist_variance_floor_rad2_s2; /* > 0 */
     gyro_config gyro;
     joint_config joint[JOINTS_MAX];
 } core_config;
 
 /* ------------------------------------------------------------------------------------------------- inputs */
 typedef struct {
-    int64_t stamp_ns;           /* when the command was given; older than the timeout: rest */
-    int64_t expires_ns;         /* end of the lease it was given under; later than this: rest */
-    uint64_t sequence;          /* grows with each command of the arbiter */
+    int64_t stamp_ns;   /* when the command was given; older than the timeout: rest */
+    int64_t expires_ns; /* end of the lease it was given under; later than this: rest */
+    uint64_t sequence;  /* grows with each command of the arbiter */
     double linear_m_s;
     double angular_rad_s;
 } twist_command;
 
 typedef struct {
-    int64_t heartbeat_ns;       /* last beat of asyncio */
-    uint32_t armed;             /* level; the core arms on its rising edge and only when all is well */
-    uint32_t stop;              /* level: come to rest, stay armed */
-    uint32_t estop;             /* level; latched by the core */
-    uint32_t fault;             /* level: raise FAULT_EXTERNAL */
-    uint32_t reset_count;       /* a change asks to clear latched faults */
-    uint32_t odometry_reset_count;   /* a change sets the pose to the origin */
-    uint32_t machine_state;     /* the daemon's state, copied to the state page; the core does not read it */
-    uint32_t owner;             /* who is in command (lease number), copied likewise */
-    base_limits limits;         /* replace the configured ones as a group; refused by base_limits_check: kept */
+    int64_t heartbeat_ns;          /* last beat of asyncio */
+    uint32_t armed;                /* level; the core arms on its rising edge and only when all is well */
+    uint32_t stop;                 /* level: come to rest, stay armed */
+    uint32_t estop;                /* level; latched by the core */
+    uint32_t fault;                /* level: raise FAULT_EXTERNAL */
+    uint32_t reset_count;          /* a change asks to clear latched faults */
+    uint32_t odometry_reset_count; /* a change sets the pose to the origin */
+    uint32_t machine_state;        /* the daemon's state, copied to the state page; the core does not read it */
+    uint32_t owner;                /* who is in command (lease number), copied likewise */
+    base_limits limits;            /* replace the configured ones as a group; refused by base_limits_check: kept */
 } core_control;
 
 /* what a drive may say beside position; a value it does not say is NaN */
 typedef struct {
-    int64_t stamp_ns;           /* middle of the exchange that brought it; 0: never heard */
-    uint64_t count;             /* raw position counter, lowest counter_bits valid */
+    int64_t stamp_ns; /* middle of the exchange that brought it; 0: never heard */
+    uint64_t count;   /* raw position counter, lowest counter_bits valid */
     double velocity_rad_s;
     double current_a;
     double voltage_v;
     double temperature_c;
-    uint32_t epoch;             /* another number: the counter's origin may have moved; seed again */
-    uint32_t enabled;           /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
-    uint32_t drive_faults;      /* the drive's fault word; 0 none */
+    uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
+    uint32_t enabled;      /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
+    uint32_t drive_faults; /* the drive's fault word; 0 none */
     uint32_t reserved;
 } joint_feedback;
 
 typedef struct {
-    int64_t now_ns;             /* this tick */
+    int64_t now_ns; /* this tick */
     twist_command command;
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
     imu_sample imu;
-    uint32_t suspended;         /* 1: the computer was suspended since the tick before */
+    uint32_t suspended; /* 1: the computer was suspended since the tick before */
     uint32_t reserved;
 } core_input;
 
 /* ------------------------------------------------------------------------------------------------ outputs */
 typedef struct {
-    double velocity_rad_s;      /* 0 unless armed */
-    double duty;                /* -1..1, the same wish through the PWM map; 0 unless armed */
-    double torque_n_m;          /* at the wheel, the same wish through the speed loop; 0 unless armed */
+    double velocity_rad_s; /* 0 unless armed */
+    double duty;           /* -1..1, the same wish through the PWM map; 0 unless armed */
+    double torque_n_m;     /* at the wheel, the same wish through the speed loop; 0 unless armed */
 } joint_setpoint;
 
 typedef struct {
-    int64_t stamp_ns;           /* the tick that made it; a line sends zero when this is old */
+    int64_t stamp_ns; /* the tick that made it; a line sends zero when this is old */
     uint64_t tick;
-    uint32_t enabled;           /* 0: the line takes the power off its drives now */
+    uint32_t enabled; /* 0: the line takes the power off its drives now */
     uint32_t joint_count;
     joint_setpoint joint[JOINTS_MAX];
 } setpoints;
 
 typedef struct {
-    double position_rad;        /* sum of all counted turns since start, never jumps */
-    double velocity_rad_s;      /* measured, NaN before the first measure */
+    double position_rad;   /* sum of all counted turns since start, never jumps */
+    double velocity_rad_s; /* measured, NaN before the first measure */
     double setpoint_rad_s;
     double duty;
     double current_a;
     double voltage_v;
     double temperature_c;
-    double feedback_age_s;      /* INFINITY: never heard */
+    double feedback_age_s; /* INFINITY: never heard */
     uint32_t drive_faults;
-    uint32_t enabled;           /* as in joint_feedback */
-    uint32_t stale;             /* 1: older than feedback_timeout_s */
-    uint32_t jumps;             /* counter jumps refused so far */
+    uint32_t enabled; /* as in joint_feedback */
+    uint32_t stale;   /* 1: older than feedback_timeout_s */
+    uint32_t jumps;   /* counter jumps refused so far */
 } joint_state;
 
 /* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1. */
 typedef struct {
-    int64_t stamp_ns;           /* this tick */
+    int64_t stamp_ns; /* this tick */
     uint64_t tick;
-    uint32_t machine_state;     /* as in core_control */
+    uint32_t machine_state; /* as in core_control */
     uint32_t owner;
-    uint32_t reasons;           /* REASON_* */
-    uint32_t faults;            /* FAULT_*, latched */
-    uint32_t armed;             /* the core's own word */
-    uint32_t enabled;           /* what the drives are told */
-    uint32_t at_rest;           /* set-points are zero and every fresh wheel is slower than rest_velocity_rad_s */
+    uint32_t reasons; /* REASON_* */
+    uint32_t faults;  /* FAULT_*, latched */
+    uint32_t armed;   /* the core's own word */
+    uint32_t enabled; /* what the drives are told */
+    uint32_t at_rest; /* set-points are zero and every fresh wheel is slower than rest_velocity_rad_s */
     uint32_t joint_count;
     uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */
     uint32_t odometry_epoch;    /* odometry resets so far */
     double dt_s;
-    double command_age_s;       /* INFINITY: never */
-    double wanted_linear_m_s;   /* the command as it came in, 0 when stale or not finite */
+    double command_age_s;     /* INFINITY: never */
+    double wanted_linear_m_s; /* the command as it came in, 0 when stale or not finite */
     double wanted_angular_rad_s;
     double setpoint_linear_m_s; /* after limits and saturation */
     double setpoint_angular_rad_s;
-    double saturation;          /* common factor, 1: none */
-    int64_t odometry_stamp_ns;  /* the newest feedback that is in the pose */
+    double saturation;         /* common factor, 1: none */
+    int64_t odometry_stamp_ns; /* the newest feedback that is in the pose */
     double x_m;
     double y_m;
-    double heading_rad;         /* -pi..pi */
-    double distance_m;          /* travelled, never falls */
-    double turned_rad;          /* sum of |turn|, never falls */
-    double linear_m_s;          /* measured */
+    double heading_rad; /* -pi..pi */
+    double distance_m;  /* travelled, never falls */
+    double turned_rad;  /* sum of |turn|, never falls */
+    double linear_m_s;  /* measured */
     double angular_rad_s;
     double pose_covariance[6];  /* xx, xy, xh, yy, yh, hh in m2, m rad, rad2 */
     double twist_covariance[3]; /* vv, vw, ww */
     joint_state joint[JOINTS_MAX];
     imu_state imu;
-    feedback_doubt doubt;       /* the first of FAULTS_OF_FEEDBACK, until the reset */
+    feedback_doubt doubt; /* the first of FAULTS_OF_FEEDBACK, until the reset */
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
@@ -242,14 +242,14 @@ enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXES = 2 };
 
 typedef struct {
     double velocity_u_s;
-    double acceleration_u_s2;   /* of the last step */
+    double acceleration_u_s2; /* of the last step */
 } limit_state;
 
 /* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON bit of the limit that
  * bound it, 0 when it has arrived. The goal is within the limits of velocity; one that is not finite counts as zero.
  * slewed: the base whose duty slews bind too, or NULL. urgent: leave out the jerk limits (faults). dt_s > 0. */
-uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
-                   double dt_s, bool urgent);
+uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s, double dt_s,
+                   bool urgent);
 
 /* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
@@ -267,24 +267,24 @@ pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_
 
 typedef struct {
     double integral_n_m;
-    uint32_t overspeed;         /* 1: no torque any more, until the power has been off */
+    uint32_t overspeed; /* 1: no torque any more, until the power has been off */
     uint32_t reserved;
 } speed_loop_state;
 
 /* The torque that brings a wheel to a speed, within torque_max_n_m. What is not finite: 0. dt_s > 0. */
-double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s,
-                       double measured_rad_s, double dt_s);
+double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s, double measured_rad_s,
+                       double dt_s);
 
 /* signed difference of two raw counters of 8..64 bits, the short way round */
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
 typedef struct {
     joint_odometry joint[JOINTS_MAX];
-    int64_t stamp_ns;           /* of the last integration */
+    int64_t stamp_ns; /* of the last integration */
     uint32_t degraded;
     uint32_t epoch;
-    uint32_t blind;             /* 1: no wheel of one side is heard, nothing is integrated */
-    uint32_t by_gyro;           /* 1: the last turn was the gyro's */
+    uint32_t blind;   /* 1: no wheel of one side is heard, nothing is integrated */
+    uint32_t by_gyro; /* 1: the last turn was the gyro's */
     double x_m;
     double y_m;
     double heading_rad;
@@ -302,22 +302,22 @@ void odometry_init(odometry_state *state, const core_config *config);
 void odometry_reset(odometry_state *state, const core_config *config);
 /* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
  * measure nothing. */
-void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
-                   const uint32_t *stale, const joint_setpoint *setpoint);
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
+                   const joint_setpoint *setpoint);
 
 /* What follows from a command under the limits in force; kept, because commands are rarer than ticks. */
 typedef struct {
-    double command_linear_m_s;  /* as it came in */
+    double command_linear_m_s; /* as it came in */
     double command_angular_rad_s;
-    double wanted_linear_m_s;   /* as it is understood: 0 when not finite */
+    double wanted_linear_m_s; /* as it is understood: 0 when not finite */
     double wanted_angular_rad_s;
-    double linear_m_s;          /* as far as limits and wheels let it go */
+    double linear_m_s; /* as far as limits and wheels let it go */
     double angular_rad_s;
     double saturation;
     uint32_t command_reasons;
     uint32_t reasons;
-    uint32_t zero;              /* 1: a finite command of zero */
-    uint32_t known;             /* 0: the last four are not up to date */
+    uint32_t zero;  /* 1: a finite command of zero */
+    uint32_t known; /* 0: the last four are not up to date */
 } core_goal;
 
 /* The wheels' part of the last tick: holds as long as the twist is the same and no duty is on its way. */
@@ -339,7 +339,7 @@ typedef struct {
     uint64_t heartbeat_window_ns;
     core_goal goal;
     core_wheels wheels;
-    limit_state axis[AXES];     /* of the twist that the wheels are told */
+    limit_state axis[AXES]; /* of the twist that the wheels are told */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
     plausible_state plausible[JOINTS_MAX];
@@ -347,19 +347,19 @@ typedef struct {
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
     uint64_t tick;
     uint32_t armed;
-    uint32_t armed_seen;        /* control.armed of the tick before: arming wants an edge */
+    uint32_t armed_seen; /* control.armed of the tick before: arming wants an edge */
     uint32_t reset_seen;
     uint32_t odometry_reset_seen;
     uint32_t faults;
-    uint32_t holding;           /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
-    uint32_t commanded;         /* a fresh command has come since arming */
-    uint32_t silent;            /* a joint is stale */
-    uint32_t slow;              /* no wheel that is heard turned faster than rest_velocity_rad_s */
-    uint32_t at_rest;           /* after the last tick */
-    uint32_t slewed;            /* 1: a joint has a duty slew */
-    uint32_t torques;           /* 1: a joint's drive takes a torque */
-    int64_t armed_ns;           /* the tick that armed */
-    int64_t zero_since_ns;      /* holding: the tick from which on the set-points have been zero; 0: they are not */
+    uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+    uint32_t commanded;    /* a fresh command has come since arming */
+    uint32_t silent;       /* a joint is stale */
+    uint32_t slow;         /* no wheel that is heard turned faster than rest_velocity_rad_s */
+    uint32_t at_rest;      /* after the last tick */
+    uint32_t slewed;       /* 1: a joint has a duty slew */
+    uint32_t torques;      /* 1: a joint's drive takes a torque */
+    int64_t armed_ns;      /* the tick that armed */
+    int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;
 
 /* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static storage of
@@ -382,23 +382,23 @@ typedef struct {
     uint64_t bucket[HISTOGRAM_BUCKETS];
 } histogram;
 
-uint32_t histogram_bucket(int64_t value_ns);           /* negative: 0 */
-int64_t histogram_bucket_floor_ns(uint32_t bucket);    /* smallest value that falls into it */
+uint32_t histogram_bucket(int64_t value_ns);        /* negative: 0 */
+int64_t histogram_bucket_floor_ns(uint32_t bucket); /* smallest value that falls into it */
 void histogram_clear(histogram *h);
-void histogram_add(histogram *h, int64_t value_ns);    /* one writer; relaxed atomics, so any thread may read */
+void histogram_add(histogram *h, int64_t value_ns); /* one writer; relaxed atomics, so any thread may read */
 void histogram_copy(histogram *to, const histogram *from);
-int64_t histogram_percentile_ns(const histogram *h, double fraction);   /* 0..1; 0 when empty; never above max_ns */
+int64_t histogram_percentile_ns(const histogram *h, double fraction); /* 0..1; 0 when empty; never above max_ns */
 
 /* ------------------------------------------------------------------------------------------------ exchange
  * All mailboxes between asyncio, the line engines and the loop: newest wins, triple buffers, one writer and
  * one reader each, the writer never waits. */
 typedef struct exchange exchange;
 size_t exchange_bytes(void);
-void exchange_init(exchange *x);                       /* memory aligned to 64 bytes */
-void exchange_put_control(exchange *x, const core_control *control);      /* asyncio → loop */
-int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback);   /* line → loop */
-void exchange_put_imu(exchange *x, const imu_sample *sample);             /* whoever reads the sensor → loop */
-int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);  /* loop → line */
+void exchange_init(exchange *x);                                                        /* memory aligned to 64 bytes */
+void exchange_put_control(exchange *x, const core_control *control);                    /* asyncio → loop */
+int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback); /* line → loop */
+void exchange_put_imu(exchange *x, const imu_sample *sample);                           /* whoever reads the sensor → loop */
+int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);                /* loop → line */
 /* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
  * -EINVAL for a bad index. Never written: all zero. */
 int exchange_take_control(exchange *x, core_control *out);
@@ -415,78 +415,78 @@ int exchange_line_wake(const exchange *x, uint32_t line);
 /* ---------------------------------------------------------------------------------------------- state page
  * Shared memory, one writer, any number of readers, who need no lock and cannot disturb. docs/state-page.md */
 enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
-int page_init(void *page);                             /* PAGE_BYTES, aligned to 64 */
+int page_init(void *page); /* PAGE_BYTES, aligned to 64 */
 void page_write(void *page, const robot_state *state);
 /* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */
 int page_read(const void *page, robot_state *out);
 
 /* ------------------------------------------------------------------------------------------- pins of safety
  * Descriptors of GPIO v2 line requests of one line each; they stay the caller's. */
-enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 };   /* the input; LOST stops like ACTIVE */
+enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 }; /* the input; LOST stops like ACTIVE */
 typedef struct {
-    uint32_t estop;             /* 1: estop_fd is an input, not blocking, with edges to the level that stops */
+    uint32_t estop; /* 1: estop_fd is an input, not blocking, with edges to the level that stops */
     int32_t estop_fd;
-    uint32_t estop_high;        /* the level that stops */
-    uint32_t watchdog;          /* 1: watchdog_fd is an output that changes while all threads live */
+    uint32_t estop_high; /* the level that stops */
+    uint32_t watchdog;   /* 1: watchdog_fd is an output that changes while all threads live */
     int32_t watchdog_fd;
     uint32_t watchdog_every_ticks;
     int64_t heartbeat_timeout_ns;
-    int64_t line_timeout_ns[LINES_MAX];   /* to take set-points again while drives are enabled; 0: there is no such line */
+    int64_t line_timeout_ns[LINES_MAX]; /* to take set-points again while drives are enabled; 0: there is no such line */
 } guard_config;
 
 /* ---------------------------------------------------------------------------------------------------- loop
  * One loop a process: its state is static, so that the thread needs no memory. */
 typedef struct {
-    double rate_hz;             /* 10..20000 */
-    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
-    uint32_t notify_every_ticks;/* eventfd is written every so many ticks, and when a reason to stand, faults, armed or
+    double rate_hz;              /* 10..20000 */
+    int32_t priority;            /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    uint32_t notify_every_ticks; /* eventfd is written every so many ticks, and when a reason to stand, faults, armed or
                                    at_rest change */
-    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
-    int32_t page_fd;            /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
-    int32_t journal_fd;         /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
-    int32_t event_fd;           /* an eventfd, or -1 */
-    int32_t command_fd;         /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
+    uint64_t cpu_mask;           /* bit n: CPU n; 0: no affinity */
+    int32_t page_fd;             /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
+    int32_t journal_fd;          /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
+    int32_t event_fd;            /* an eventfd, or -1 */
+    int32_t command_fd;          /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
                                    most, each with itself as data.fd: one for each lease, or who floods would keep others
                                    from being heard; -1: none */
-    int32_t stop_fd;            /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
-    uint32_t lock_memory;       /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
-    uint32_t hold_dma_latency;  /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
+    int32_t stop_fd;             /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
+    uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
+    uint32_t hold_dma_latency;   /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;
 } loop_config;
 
 typedef struct {
     uint32_t running;
-    int32_t policy;             /* SCHED_FIFO (1) or SCHED_OTHER (0): what the kernel granted */
+    int32_t policy; /* SCHED_FIFO (1) or SCHED_OTHER (0): what the kernel granted */
     int32_t priority;
-    int32_t scheduler_errno;    /* 0, or why it refused */
+    int32_t scheduler_errno; /* 0, or why it refused */
     int32_t affinity_errno;
     int32_t memory_lock_errno;
     int32_t dma_latency_errno;
     uint32_t reserved;
     uint64_t ticks;
-    uint64_t overruns;          /* periods skipped because the one before was still running or the CPU was away */
-    uint64_t page_faults;       /* of the thread since its first tick, minor and major */
-    int64_t tick_stamp_ns;      /* last tick */
-    uint32_t estop_input;       /* ESTOP_* */
-    uint32_t watchdog_well;     /* 1: the watchdog's pin moves */
+    uint64_t overruns;      /* periods skipped because the one before was still running or the CPU was away */
+    uint64_t page_faults;   /* of the thread since its first tick, minor and major */
+    int64_t tick_stamp_ns;  /* last tick */
+    uint32_t estop_input;   /* ESTOP_* */
+    uint32_t watchdog_well; /* 1: the watchdog's pin moves */
     uint64_t watchdog_edges;
-    int32_t watchdog_errno;     /* of the last write */
+    int32_t watchdog_errno; /* of the last write */
     uint32_t reserved_too;
 } loop_status;
 
 enum {
-    HISTOGRAM_LATENESS = 0,     /* wake-up after its deadline */
-    HISTOGRAM_STEP = 1,         /* the tick's own work */
-    HISTOGRAM_COMMAND = 2,      /* command.stamp_ns to the first tick that used it */
+    HISTOGRAM_LATENESS = 0, /* wake-up after its deadline */
+    HISTOGRAM_STEP = 1,     /* the tick's own work */
+    HISTOGRAM_COMMAND = 2,  /* command.stamp_ns to the first tick that used it */
     HISTOGRAM_KINDS = 3
 };
 
-exchange *loop_exchange(void);                         /* static, ready at once; loop_start empties it, so nobody may
+exchange *loop_exchange(void); /* static, ready at once; loop_start empties it, so nobody may
                                                           be using it then */
 /* 0; -EINVAL; -EBUSY; -errno of what cannot be done without */
 int loop_start(const loop_config *loop, const core_config *core);
-int loop_stop(void);                                   /* last set-points zero and not enabled; 0 or -ESRCH */
+int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
-int loop_histogram_clear(void);                        /* asked for; done by the loop at its next tick */
-int loop_state_read(robot_state *out);                 /* as page_read, on the loop's own page */
+int loop_histogram_clear(void);        /* asked for; done by the loop at its next tick */
+int loop_state_read(robot_state *out); /* as page_read, on the loop's own page */

@@ -9,11 +9,11 @@
  * own unasked. Both are bytes with numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or
  * as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
 enum {
-    BOARD_PAYLOAD_MAX = 190,    /* a frame of 200 bytes without its head and check sum */
+    BOARD_PAYLOAD_MAX = 190, /* a frame of 200 bytes without its head and check sum */
     BOARD_SETPOINTS_MAX = 8,
     BOARD_FIELDS_MAX = 72,
     BOARD_WRITES_MAX = 8,
-    BOARD_TEXT_MAX = 256,       /* bytes of a line of text */
+    BOARD_TEXT_MAX = 256, /* bytes of a line of text */
     BOARD_PARTS_MAX = 26,
     BOARD_ORDERS_MAX = 16
 };
@@ -23,7 +23,7 @@ typedef enum { BOARD_FRAMES = 0, BOARD_TEXT = 1 } board_dialect;
 /* A number in a payload. */
 typedef struct {
     uint32_t byte;
-    uint32_t bytes;             /* 1..6 */
+    uint32_t bytes; /* 1..6 */
     uint32_t is_signed;
     uint32_t reserved;
 } board_place;
@@ -51,51 +51,51 @@ typedef enum { NUMBER_NONE = 0, NUMBER_INTEGER = 1, NUMBER_FIXED = 2, NUMBER_GEN
 /* A piece of a template: so many bytes of it as they are, then a number. */
 typedef struct {
     uint32_t literal_bytes;
-    uint32_t form;              /* board_number_form: printf's d, f, g; NONE: no number, only as the last */
-    uint32_t sign;              /* 0; '+' or ' ': before numbers that are not negative */
-    uint32_t zeros;             /* 1: filled up with zeros */
+    uint32_t form;  /* board_number_form: printf's d, f, g; NONE: no number, only as the last */
+    uint32_t sign;  /* 0; '+' or ' ': before numbers that are not negative */
+    uint32_t zeros; /* 1: filled up with zeros */
     uint32_t width;
     uint32_t precision;
-    board_place place;          /* read: where raw = nearest(number raw_per_number) goes, held within it */
+    board_place place; /* read: where raw = nearest(number raw_per_number) goes, held within it */
     double raw_per_number;
-    double number_per_raw[BOARD_SETPOINTS_MAX];     /* written: the sum over the set-points of raw × this */
+    double number_per_raw[BOARD_SETPOINTS_MAX]; /* written: the sum over the set-points of raw × this */
 } board_part;
 
 typedef struct {
-    uint32_t part_count;        /* 0: no such text */
+    uint32_t part_count; /* 0: no such text */
     uint32_t reserved;
     board_part part[BOARD_PARTS_MAX];
-    uint8_t literal[BOARD_TEXT_MAX];    /* of all parts, one after the other; white space fits any other */
+    uint8_t literal[BOARD_TEXT_MAX]; /* of all parts, one after the other; white space fits any other */
 } board_text;
 
 /* An inertial sensor on the board, whose words are the robot's. In frames it stands where docs/mcu-frame.md says; a text
  * has its rate about z, in units of 1e-6 rad/s. */
 typedef struct {
-    uint32_t used;              /* 0: there is none, the rest is not looked at */
-    uint32_t epoch;             /* of its samples */
-    uint32_t axis[3];           /* of the base's x, y, z: the sensor's 0, 1, 2 that lies along it */
-    uint32_t backward[3];       /* 1: the other way */
-    board_place rate_z;         /* TEXT */
+    uint32_t used;        /* 0: there is none, the rest is not looked at */
+    uint32_t epoch;       /* of its samples */
+    uint32_t axis[3];     /* of the base's x, y, z: the sensor's 0, 1, 2 that lies along it */
+    uint32_t backward[3]; /* 1: the other way */
+    board_place rate_z;   /* TEXT */
 } board_imu;
 
 typedef struct {
-    uint32_t dialect;           /* board_dialect */
-    uint32_t answers;           /* 0: it says nothing, and is taken to be there while the port takes its bytes */
-    uint32_t tries;             /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t dialect; /* board_dialect */
+    uint32_t answers; /* 0: it says nothing, and is taken to be there while the port takes its bytes */
+    uint32_t tries;   /* so often enabled without being armed, and it is said: 1.. */
     uint32_t payload_bytes;
-    uint32_t said_bytes;        /* of its own payload, at least; TEXT: all of it */
+    uint32_t said_bytes; /* of its own payload, at least; TEXT: all of it */
     uint32_t setpoint_count;
     uint32_t field_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t reserved;
-    int64_t period_ns;          /* of the cycle: > 0 */
-    int64_t gap_ns;             /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
-    int64_t silence_ns;         /* so long without a word, and it is quiet: > 0 */
-    int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
-    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
-    int64_t watchdog_ns;        /* told nothing for so long while armed: it has stopped; 0: never */
-    uint8_t payload[BOARD_PAYLOAD_MAX];     /* before anything is written to it */
+    int64_t period_ns;           /* of the cycle: > 0 */
+    int64_t gap_ns;              /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
+    int64_t silence_ns;          /* so long without a word, and it is quiet: > 0 */
+    int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
+    double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
+    int64_t watchdog_ns;         /* told nothing for so long while armed: it has stopped; 0: never */
+    uint8_t payload[BOARD_PAYLOAD_MAX]; /* before anything is written to it */
     board_setpoint setpoint[BOARD_SETPOINTS_MAX];
     board_field field[BOARD_FIELDS_MAX];
     board_write quick_stop[BOARD_WRITES_MAX];
@@ -115,45 +115,45 @@ typedef struct {
 /* A write of a job. It goes out with a cycle of its own, so that the board sees each. */
 typedef struct {
     board_write write;
-    uint32_t guarded;           /* 1: not obeyed where `stops` is another: the board was stopped meanwhile */
+    uint32_t guarded; /* 1: not obeyed where `stops` is another: the board was stopped meanwhile */
     uint32_t stops;
 } board_order;
 
 typedef struct {
     line_life life;
-    uint32_t shut_down;         /* 1: done */
-    uint32_t mode;              /* drive_mode */
-    uint32_t demoted;           /* DEMOTED_* */
+    uint32_t shut_down; /* 1: done */
+    uint32_t mode;      /* drive_mode */
+    uint32_t demoted;   /* DEMOTED_* */
     uint32_t wish_seen;
-    uint32_t enabled;           /* 1, 0, 2: it has not said */
-    uint32_t stopping;          /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion;       /* its newest set-points are not zero */
-    uint32_t stops;             /* how often it was told to stop, by C or by a wish */
-    uint32_t epoch;             /* of its feedback */
-    uint32_t orders_sent;       /* they have gone out */
-    uint32_t orders_dropped;    /* guarded, and it was stopped; or it is quiet */
-    uint32_t said_bytes;        /* of said[]; 0: it has not spoken since it was quiet, or ever */
-    uint32_t stop_waits;        /* the port has not taken its newest stop */
+    uint32_t enabled;        /* 1, 0, 2: it has not said */
+    uint32_t stopping;       /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion;    /* its newest set-points are not zero */
+    uint32_t stops;          /* how often it was told to stop, by C or by a wish */
+    uint32_t epoch;          /* of its feedback */
+    uint32_t orders_sent;    /* they have gone out */
+    uint32_t orders_dropped; /* guarded, and it was stopped; or it is quiet */
+    uint32_t said_bytes;     /* of said[]; 0: it has not spoken since it was quiet, or ever */
+    uint32_t stop_waits;     /* the port has not taken its newest stop */
     uint32_t reserved;
     uint64_t cycles;
     uint64_t sent;
-    uint64_t no_room;           /* frames that the port did not take: the next one is newer */
-    uint64_t bad_frames;        /* pieces of the stream that said nothing */
+    uint64_t no_room;    /* frames that the port did not take: the next one is newer */
+    uint64_t bad_frames; /* pieces of the stream that said nothing */
     uint64_t received;
-    uint64_t published;         /* feedback that the core was given since the start */
-    uint64_t quiet;             /* how often it became QUIET */
-    int64_t cycle_ns;           /* smoothed time between two cycles */
-    int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
-    int64_t heard_ns;           /* its newest word came */
-    int64_t knows_ns;           /* when it said it, it had heard what was sent then; TEXT cannot say: heard_ns */
-    int64_t written_ns;         /* what stays in its payload was changed last */
-    uint32_t fault_word[JOINTS_MAX];        /* whole, by the core's joint number */
-    uint8_t said[BOARD_PAYLOAD_MAX];        /* the newest */
+    uint64_t published;              /* feedback that the core was given since the start */
+    uint64_t quiet;                  /* how often it became QUIET */
+    int64_t cycle_ns;                /* smoothed time between two cycles */
+    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
+    int64_t heard_ns;                /* its newest word came */
+    int64_t knows_ns;                /* when it said it, it had heard what was sent then; TEXT cannot say: heard_ns */
+    int64_t written_ns;              /* what stays in its payload was changed last */
+    uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
+    uint8_t said[BOARD_PAYLOAD_MAX]; /* the newest */
 } board_report;
 
 typedef struct {
-    line_place at;              /* told of changes of the mode and of orders that were sent */
-    uint32_t epoch;             /* of the feedback before this start; 0: there was none */
+    line_place at;  /* told of changes of the mode and of orders that were sent */
+    uint32_t epoch; /* of the feedback before this start; 0: there was none */
     uint32_t reserved;
 } board_config;
 
@@ -162,22 +162,22 @@ const char *board_table_check(const board_table *table, char *name);
 
 /* One thread a board, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
 int board_start(uint32_t line, const board_config *config, const board_table *table);
-int board_stop(uint32_t line);                                  /* joins; 0 or -ESRCH */
+int board_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void board_put_control(uint32_t line, const board_control *control);
-int board_put_order(uint32_t line, const board_order *order);   /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
-int board_read_report(uint32_t line, board_report *report);     /* 0 or -ESRCH: never started */
-int board_histogram_read(uint32_t line, histogram *out);        /* from set-points to the feedback that had heard them */
+int board_put_order(uint32_t line, const board_order *order); /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+int board_read_report(uint32_t line, board_report *report);   /* 0 or -ESRCH: never started */
+int board_histogram_read(uint32_t line, histogram *out);      /* from set-points to the feedback that had heard them */
 
 /* The pure parts, for tests against the same in Python. */
 enum { BOARD_FRAME_MAX = 200, BOARD_WIRE_MAX = 258, BOARD_CLOCK_SAMPLES = 32 };
 
 typedef struct {
-    uint32_t samples;           /* taken so far, or BOARD_CLOCK_SAMPLES */
+    uint32_t samples; /* taken so far, or BOARD_CLOCK_SAMPLES */
     uint32_t next;
     uint32_t last_us;
     uint32_t reserved;
     int64_t board_ns;
-    int64_t given_ns;           /* the newest stamp, and the board's time for it */
+    int64_t given_ns; /* the newest stamp, and the board's time for it */
     int64_t given_board_ns;
     int64_t offset_ns[BOARD_CLOCK_SAMPLES];
 } board_clock;

@@ -14,34 +14,34 @@ enum { PWM_DEMOTED_OLD = 1 << 0, PWM_DEMOTED_NOT_ENABLED = 1 << 1, PWM_DEMOTED_L
 
 /* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
 typedef struct {
-    uint32_t joint;             /* place in bridge_config.joint */
-    int32_t fd;                 /* of a duty_cycle file; -1: a GPIO line */
-    uint32_t bit;               /* GPIO: of the request's lines */
-    uint32_t inverted;          /* the pin is active low */
-    uint32_t pumps;             /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
+    uint32_t joint;    /* place in bridge_config.joint */
+    int32_t fd;        /* of a duty_cycle file; -1: a GPIO line */
+    uint32_t bit;      /* GPIO: of the request's lines */
+    uint32_t inverted; /* the pin is active low */
+    uint32_t pumps;    /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
                                    count. A charge pump or watchdog behind it drops out when any thread hangs */
     uint32_t reserved;
-    uint64_t period_ns;         /* of the channel */
-    double base[4];             /* by mode */
+    uint64_t period_ns; /* of the channel */
+    double base[4];     /* by mode */
     double slope[4];
 } bridge_pin;
 
 typedef struct {
-    uint32_t index;             /* the core's joint */
-    uint32_t rest_mode;         /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
-    double sign;                /* -1: the motor turns backward when the robot drives forward */
-    uint64_t fault_mask;        /* of the input request's lines: one that is active is a fault */
+    uint32_t index;      /* the core's joint */
+    uint32_t rest_mode;  /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
+    double sign;         /* -1: the motor turns backward when the robot drives forward */
+    uint64_t fault_mask; /* of the input request's lines: one that is active is a fault */
     encoder_config encoder;
 } bridge_joint;
 
 typedef struct {
-    exchange *exchange;         /* NULL: the loop's */
-    int32_t outputs_fd;         /* request of all GPIO outputs, -1: none */
-    int32_t inputs_fd;          /* request of all GPIO inputs, -1: none */
-    uint64_t low_inputs;        /* bits of inputs that are active when they are low */
-    int32_t event_fd;           /* written when the report has news, -1: none */
-    int32_t priority;           /* SCHED_FIFO; 0: SCHED_OTHER */
-    uint64_t cpu_mask;          /* 0: all */
+    exchange *exchange;  /* NULL: the loop's */
+    int32_t outputs_fd;  /* request of all GPIO outputs, -1: none */
+    int32_t inputs_fd;   /* request of all GPIO inputs, -1: none */
+    uint64_t low_inputs; /* bits of inputs that are active when they are low */
+    int32_t event_fd;    /* written when the report has news, -1: none */
+    int32_t priority;    /* SCHED_FIFO; 0: SCHED_OTHER */
+    uint64_t cpu_mask;   /* 0: all */
     int64_t period_ns;
     int64_t setpoint_timeout_ns;
     int64_t stopping_ns;
@@ -53,8 +53,8 @@ typedef struct {
 } bridge_config;
 
 typedef struct {
-    uint32_t wish;              /* PWM_OFF, PWM_STOP, PWM_ARMED */
-    uint32_t number;            /* another one than before: a new wish. ARMED is obeyed once a number.
+    uint32_t wish;   /* PWM_OFF, PWM_STOP, PWM_ARMED */
+    uint32_t number; /* another one than before: a new wish. ARMED is obeyed once a number.
                                  * A number that was passed over may have been a stop: then it takes the power */
 } bridge_control;
 
@@ -62,20 +62,20 @@ typedef struct {
     uint32_t running;
     uint32_t armed;
     uint32_t stopping;
-    uint32_t demoted;           /* of the last arming */
-    uint32_t number;            /* of the wish that was obeyed last */
-    int32_t error;              /* errno that ended the thread */
-    int32_t error_output;       /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
+    uint32_t demoted;     /* of the last arming */
+    uint32_t number;      /* of the wish that was obeyed last */
+    int32_t error;        /* errno that ended the thread */
+    int32_t error_output; /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
-    int32_t rest_error;         /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
-    int32_t rest_output;        /* which, as error_output */
+    int32_t rest_error;  /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
+    int32_t rest_output; /* which, as error_output */
     uint32_t reserved;
-    uint64_t active_inputs;     /* bits of the input request */
+    uint64_t active_inputs; /* bits of the input request */
     uint64_t cycles;
-    uint64_t late_cycles;       /* periods that were missed */
+    uint64_t late_cycles; /* periods that were missed */
     uint64_t writes;
-    uint64_t encoder_illegal;   /* of all encoders, as encoder_state has them */
+    uint64_t encoder_illegal; /* of all encoders, as encoder_state has them */
     uint64_t encoder_lost;
 } bridge_report;
 
@@ -85,11 +85,11 @@ typedef struct {
     uint32_t was_enabled;
     uint32_t demoted;
     uint32_t number;
-    uint32_t phase;             /* of pins that pump */
+    uint32_t phase; /* of pins that pump */
     uint32_t reserved;
-    int64_t stop_until_ns;      /* 0: not stopping */
+    int64_t stop_until_ns; /* 0: not stopping */
     int64_t last_ns;
-    uint64_t enabled_count;     /* how often the set-points have become enabled: whoever steps it writes it first */
+    uint64_t enabled_count; /* how often the set-points have become enabled: whoever steps it writes it first */
     uint64_t enabled_count_armed;
 } bridge_state;
 
@@ -98,7 +98,7 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
                  int64_t now_ns, double *level);
 /* Of a level: how much of the period is high, with the pin's polarity. */
 uint64_t bridge_duty_ns(const bridge_pin *output, double level);
-int bridge_config_check(const bridge_config *config);     /* 0 or -EINVAL */
+int bridge_config_check(const bridge_config *config); /* 0 or -EINVAL */
 
 /* ------------------------------------------------------------------------------------------------- the thread
  * The descriptors stay the caller's, who closes them after pwm_line_stop. Whatever ends it, the last words are COAST. */

@@ -8,15 +8,15 @@ enum { RECEIVERS_MAX = 4, RECEIVED_TWISTS_MAX = 64, TWIST_RAW_MAX = 4096, LEASE_
 
 /* ------------------------------------------------------------------------------------ geometry_msgs/TwistStamped */
 typedef struct {
-    double stamp_s;             /* wall time of its header */
+    double stamp_s; /* wall time of its header */
     double linear_m_s;
     double angular_rad_s;
 } stamped_twist;
 
 typedef enum {
-    TWIST_NOT_ONE = 0,          /* another encoding, too short, or longer than TWIST_RAW_MAX */
+    TWIST_NOT_ONE = 0, /* another encoding, too short, or longer than TWIST_RAW_MAX */
     TWIST_STAMP_ZERO = 1,
-    TWIST_STAMP_AHEAD = 2,      /* by more than half a second: its clock is not ours */
+    TWIST_STAMP_AHEAD = 2, /* by more than half a second: its clock is not ours */
     TWIST_REFUSALS = 3
 } twist_refusal;
 
@@ -30,20 +30,20 @@ int stamp_age(double stamp_s, double wall_s, double *age_s);
  * Each is a thread that waits for one DDS reader, and the sender of one lease: its own commands and Python's go out
  * under the same token, numbered by it. */
 typedef struct {
-    uint64_t taken;             /* commands that the daemon's socket took from the thread */
+    uint64_t taken; /* commands that the daemon's socket took from the thread */
     uint64_t refused[TWIST_REFUSALS];
-    uint64_t unleased;          /* lost: there was no lease */
-    uint64_t hung;              /* lost: Python's event loop stood still */
-    uint64_t full;              /* lost: the socket was full */
-    uint64_t broken;            /* lost: the socket did not take it */
-    int64_t taken_ns;           /* when the newest was, CLOCK_MONOTONIC */
-    int32_t error;              /* of DDS, negative; 0: none */
+    uint64_t unleased; /* lost: there was no lease */
+    uint64_t hung;     /* lost: Python's event loop stood still */
+    uint64_t full;     /* lost: the socket was full */
+    uint64_t broken;   /* lost: the socket did not take it */
+    int64_t taken_ns;  /* when the newest was, CLOCK_MONOTONIC */
+    int32_t error;     /* of DDS, negative; 0: none */
     uint32_t running;
 } receiver_report;
 
 /* A command that was taken: who gave it. */
 typedef struct {
-    uint64_t writer;            /* DDS's publication handle */
+    uint64_t writer; /* DDS's publication handle */
     int64_t taken_ns;
     double linear_m_s;
     double angular_rad_s;

@@ -26,22 +26,22 @@ enum {
 
 /* A frame on the bus. */
 typedef struct {
-    uint32_t id;                /* as linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
-    uint32_t bytes;             /* of a remote frame: the length that it asks for */
-    uint32_t fd;                /* 1: a frame of CAN FD, its data at the data bit rate */
+    uint32_t id;    /* as linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
+    uint32_t bytes; /* of a remote frame: the length that it asks for */
+    uint32_t fd;    /* 1: a frame of CAN FD, its data at the data bit rate */
     uint32_t reserved;
     uint8_t data[CAN_BYTES_MAX];
 } can_packet;
 
-typedef enum { CAN_UNSIGNED = 0, CAN_SIGNED = 1, CAN_FLOAT = 2 } can_form;   /* FLOAT: IEEE 754 binary32 */
+typedef enum { CAN_UNSIGNED = 0, CAN_SIGNED = 1, CAN_FLOAT = 2 } can_form; /* FLOAT: IEEE 754 binary32 */
 
 /* Adjacent bits of a frame. */
 typedef struct {
-    uint32_t start_bit;         /* little-endian: from the least significant bit of byte 0 upward; big-endian: from the most
+    uint32_t start_bit; /* little-endian: from the least significant bit of byte 0 upward; big-endian: from the most
                                    significant bit of byte 0 on */
-    uint32_t length;            /* 1..32; of a float 32 */
+    uint32_t length;    /* 1..32; of a float 32 */
     uint32_t big_endian;
-    uint32_t form;              /* can_form */
+    uint32_t form; /* can_form */
 } can_place;
 
 /* Where a frame holds what a joint is to do. */
@@ -62,7 +62,7 @@ typedef struct {
  * stay: what it sends next carries them, too (the control word of CiA 402). */
 typedef struct {
     can_packet packet;
-    uint32_t output;            /* 1 + number of the output that it is; 0: none */
+    uint32_t output; /* 1 + number of the output that it is; 0: none */
     uint32_t reserved;
     uint8_t mask[CAN_BYTES_MAX];
 } can_write;
@@ -70,46 +70,46 @@ typedef struct {
 /* A place in a frame of the drive that says something. */
 typedef struct {
     can_place place;
-    field_meaning meaning;      /* no KEPT; COUNT: si is counts */
-    double si_at_zero;          /* what raw 0 says */
+    field_meaning meaning; /* no KEPT; COUNT: si is counts */
+    double si_at_zero;     /* what raw 0 says */
 } can_field;
 
 /* A frame of the drive that the cycle lives on. */
 typedef struct {
-    int64_t silence_ns;         /* so long without it, and the drive is quiet; 0: it is not waited for */
-    int64_t spacing_ns;         /* one sooner after the other tells nothing new: frames that the bus has held up */
-    uint32_t fast;              /* 1: with all of them the drive's joints are known */
+    int64_t silence_ns; /* so long without it, and the drive is quiet; 0: it is not waited for */
+    int64_t spacing_ns; /* one sooner after the other tells nothing new: frames that the bus has held up */
+    uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
 } can_input;
 
 /* How a frame of the drive is known. */
 typedef struct {
-    uint32_t id;                /* with bit 31 where it is extended */
-    uint32_t bytes;             /* at least */
+    uint32_t id;    /* with bit 31 where it is extended */
+    uint32_t bytes; /* at least */
     uint32_t begins_bytes;
-    uint32_t input;             /* 1 + number of the input that it is; 0: Python's alone */
+    uint32_t input; /* 1 + number of the input that it is; 0: Python's alone */
     uint8_t begins[CAN_BEGINS_MAX];
-    uint8_t begins_mask[CAN_BEGINS_MAX];   /* bits of it that tell it; others may be anything */
+    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that tell it; others may be anything */
 } can_match;
 
 typedef struct {
-    uint32_t tries;             /* so often enabled without being armed, and it is said: 1.. */
-    uint32_t slow_every;        /* cycles between two of what may wait: 1.. */
-    uint32_t idle_setpoints;    /* 1: zero is told in READY, too */
-    uint32_t says_enabled;      /* 0: it cannot say, so it is told to disarm again now and then in READY */
-    uint32_t hello;             /* 1 + number of the input that alone says whether a quiet drive is back; 0: all that are
+    uint32_t tries;          /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t slow_every;     /* cycles between two of what may wait: 1.. */
+    uint32_t idle_setpoints; /* 1: zero is told in READY, too */
+    uint32_t says_enabled;   /* 0: it cannot say, so it is told to disarm again now and then in READY */
+    uint32_t hello;          /* 1 + number of the input that alone says whether a quiet drive is back; 0: all that are
                                    waited for */
     uint32_t output_count;
-    uint32_t ask_count;         /* asked in each cycle */
-    uint32_t slow_count;        /* by turns */
-    uint32_t probe_count;       /* asked of a quiet drive */
+    uint32_t ask_count;   /* asked in each cycle */
+    uint32_t slow_count;  /* by turns */
+    uint32_t probe_count; /* asked of a quiet drive */
     uint32_t match_count;
     uint32_t input_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t reserved;
-    int64_t watchdog_ns;        /* told nothing for so long while armed: it may have stopped; 0: never */
+    int64_t watchdog_ns; /* told nothing for so long while armed: it may have stopped; 0: never */
     can_output output[CAN_OUTPUTS_MAX];
     can_packet ask[CAN_ASKS_MAX];
     can_packet slow[CAN_ASKS_MAX];
@@ -121,12 +121,12 @@ typedef struct {
 } can_drive;
 
 typedef struct {
-    uint32_t drive_count;       /* 1..CAN_DRIVES_MAX */
-    uint32_t sync_count;        /* frames for all drives at once, at the end of each cycle */
+    uint32_t drive_count; /* 1..CAN_DRIVES_MAX */
+    uint32_t sync_count;  /* frames for all drives at once, at the end of each cycle */
     can_packet sync[CAN_SYNCS_MAX];
-    int64_t period_ns;          /* of the cycle: > 0 */
-    int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
-    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
+    int64_t period_ns;           /* of the cycle: > 0 */
+    int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
+    double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     can_drive drive[CAN_DRIVES_MAX];
 } can_table;
 
@@ -134,7 +134,7 @@ typedef struct {
 typedef struct {
     drive_wish drive[CAN_DRIVES_MAX];
     uint32_t shut_down;
-    uint32_t listen;            /* bit n: Python wants what drive n says */
+    uint32_t listen; /* bit n: Python wants what drive n says */
 } can_control;
 
 /* A frame of a job. It waits while the bus takes nothing, until expires_ns. */
@@ -142,65 +142,65 @@ typedef struct {
     can_write write;
     int64_t expires_ns;
     uint32_t drive;
-    uint32_t guarded;           /* 1: not sent where the drive's `stops` is another: it was stopped meanwhile */
+    uint32_t guarded; /* 1: not sent where the drive's `stops` is another: it was stopped meanwhile */
     uint32_t stops;
     uint32_t reserved;
 } can_order;
 
 typedef struct {
     can_packet packet;
-    int64_t stamp_ns;           /* when the kernel saw it */
-    uint32_t drive;             /* CAN_DRIVES_MAX: an error frame */
+    int64_t stamp_ns; /* when the kernel saw it */
+    uint32_t drive;   /* CAN_DRIVES_MAX: an error frame */
     uint32_t reserved;
 } can_received;
 
 typedef struct {
-    uint32_t mode;              /* drive_mode */
-    uint32_t demoted;           /* DEMOTED_* */
+    uint32_t mode;    /* drive_mode */
+    uint32_t demoted; /* DEMOTED_* */
     uint32_t wish_seen;
-    uint32_t enabled;           /* 1, 0, 2: it has not said */
-    uint32_t stopping;          /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion;       /* its newest set-points are not zero */
-    uint32_t missing;           /* 1 + number of the input that is not there; 0: none */
-    uint32_t stops;             /* how often it was told to stop, by C or by a wish */
-    uint64_t cycles;            /* feedback that was made of it */
-    uint64_t received;          /* frames */
-    uint64_t quiet;             /* how often it became QUIET */
+    uint32_t enabled;     /* 1, 0, 2: it has not said */
+    uint32_t stopping;    /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion; /* its newest set-points are not zero */
+    uint32_t missing;     /* 1 + number of the input that is not there; 0: none */
+    uint32_t stops;       /* how often it was told to stop, by C or by a wish */
+    uint64_t cycles;      /* feedback that was made of it */
+    uint64_t received;    /* frames */
+    uint64_t quiet;       /* how often it became QUIET */
     int64_t heard_ns;
-    uint32_t epoch;             /* of its feedback */
+    uint32_t epoch; /* of its feedback */
     uint32_t orders_sent;
-    uint32_t orders_dropped;    /* too late, or guarded and the drive was stopped */
-    uint32_t faults;            /* how often a joint's fault word became one that stops, */
-    uint32_t last_fault;        /* and the newest such word: a stop may have made the drive forget it by now */
+    uint32_t orders_dropped; /* too late, or guarded and the drive was stopped */
+    uint32_t faults;         /* how often a joint's fault word became one that stops, */
+    uint32_t last_fault;     /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
-    uint32_t may_turn;          /* armed since it was last set up, also before the bus was opened */
-    uint32_t stop_waits;        /* the bus has not taken all of its newest stop */
+    uint32_t may_turn;   /* armed since it was last set up, also before the bus was opened */
+    uint32_t stop_waits; /* the bus has not taken all of its newest stop */
 } can_drive_report;
 
 typedef struct {
     line_life life;
-    uint32_t shut_down;         /* 1: done */
+    uint32_t shut_down; /* 1: done */
     uint32_t reserved;
     uint64_t cycles;
-    uint64_t received;          /* frames of the drives */
+    uint64_t received; /* frames of the drives */
     uint64_t sent;
-    uint64_t tx_full;           /* frames that the bus did not take: the next one is newer */
-    uint64_t bad_frames;        /* a drive's identifier, and nothing that it says */
-    uint64_t unheard;           /* frames for which Python's queue had no place */
-    int64_t cycle_ns;           /* smoothed time between two cycles */
-    int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
-    uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
+    uint64_t tx_full;                /* frames that the bus did not take: the next one is newer */
+    uint64_t bad_frames;             /* a drive's identifier, and nothing that it says */
+    uint64_t unheard;                /* frames for which Python's queue had no place */
+    int64_t cycle_ns;                /* smoothed time between two cycles */
+    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
+    uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
 /* What is known of the drives from before the bus was opened; zeros: nothing. */
 typedef struct {
-    uint32_t epoch;             /* of their feedback */
-    uint32_t may_turn;          /* bit n: drive n does, so it is told to stop until it is heard and set up */
+    uint32_t epoch;    /* of their feedback */
+    uint32_t may_turn; /* bit n: drive n does, so it is told to stop until it is heard and set up */
 } can_before;
 
 typedef struct {
-    line_place at;              /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
+    line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
                                    for Python and of changes of a mode */
     can_before before;
 } can_config;
@@ -210,8 +210,8 @@ const char *can_table_check(const can_table *table, char *name);
 
 /* One thread a bus, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
 int can_start(uint32_t line, const can_config *config, const can_table *table);
-int can_stop(uint32_t line);                                    /* joins; 0 or -ESRCH */
+int can_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void can_put_control(uint32_t line, const can_control *control);
-int can_put_order(uint32_t line, const can_order *order);       /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
-int can_take_received(uint32_t line, can_received *received);   /* 1: one; 0: none */
-int can_read_report(uint32_t line, can_report *report);         /* 0 or -ESRCH: never started */
+int can_put_order(uint32_t line, const can_order *order);     /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+int can_take_received(uint32_t line, can_received *received); /* 1: one; 0: none */
+int can_read_report(uint32_t line, can_report *report);       /* 0 or -ESRCH: never started */

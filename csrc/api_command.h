@@ -35,17 +35,17 @@ typedef struct {
     uint64_t sequence;
     int64_t stamp_ns;
     uint32_t lifetime_ms;
-    uint32_t joint_count;       /* the robot's */
-    double velocity_rad_s[JOINTS_MAX];   /* in the order of the robot file; those beyond joint_count do not count */
+    uint32_t joint_count;              /* the robot's */
+    double velocity_rad_s[JOINTS_MAX]; /* in the order of the robot file; those beyond joint_count do not count */
 } joint_datagram;
 
 typedef struct {
     uint8_t token[TOKEN_BYTES];
-    uint32_t number;            /* grows with each lease of the daemon, from 1; 0: no lease */
-    uint32_t priority;          /* the higher one commands; among equals who came first */
-    int64_t lifetime_ns;        /* of a command under it, at most */
-    int64_t interval_least_ns;  /* commands that come more often are refused, but for zero; 0: as often as they like */
-    int64_t barred_until_ns;    /* its owner was held when another lease of his ended: until then he is held here, too,
+    uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
+    uint32_t priority;         /* the higher one commands; among equals who came first */
+    int64_t lifetime_ns;       /* of a command under it, at most */
+    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as often as they like */
+    int64_t barred_until_ns;   /* its owner was held when another lease of his ended: until then he is held here, too,
                                    when his next command begins with motion. Only a later time is a new bar */
 } lease_grant;
 
@@ -54,39 +54,39 @@ typedef struct {
 } lease_grants;
 
 typedef enum {
-    REFUSED_FORM = 0,           /* length, magic, version, kind */
+    REFUSED_FORM = 0, /* length, magic, version, kind */
     REFUSED_TOKEN = 1,
-    REFUSED_SEQUENCE = 2,       /* 0, or not greater than the last one's */
-    REFUSED_AGE = 3,            /* from the future, or older than its lifetime */
+    REFUSED_SEQUENCE = 2, /* 0, or not greater than the last one's */
+    REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
-    REFUSED_NOT_FINITE = 5,     /* and the lease commands zero */
-    REFUSED_JOINTS = 6,         /* another number of them, or nothing that the base can do: it commands zero, too */
-    REFUSED_RATE = 7,           /* more often than the lease allows; the one before goes on */
-    REFUSED_OUT_OF_RANGE = 8,   /* more than ten times the limit: it commands zero, too */
+    REFUSED_NOT_FINITE = 5,   /* and the lease commands zero */
+    REFUSED_JOINTS = 6,       /* another number of them, or nothing that the base can do: it commands zero, too */
+    REFUSED_RATE = 7,         /* more often than the lease allows; the one before goes on */
+    REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: it commands zero, too */
     REFUSAL_KINDS = 9
 } command_refusal;
 
 /* What a lease has come to. */
 typedef struct {
-    uint32_t number;            /* 0: no lease */
-    uint32_t held;              /* its command counts as zero until zero was asked for */
-    uint32_t fresh;             /* a command of it is alive */
+    uint32_t number; /* 0: no lease */
+    uint32_t held;   /* its command counts as zero until zero was asked for */
+    uint32_t fresh;  /* a command of it is alive */
     uint32_t priority;
-    uint64_t since;             /* order in which the leases came alive; among equals the lowest commands */
-    uint64_t sequence;          /* of the newest command; 0: none came */
+    uint64_t since;    /* order in which the leases came alive; among equals the lowest commands */
+    uint64_t sequence; /* of the newest command; 0: none came */
     int64_t stamp_ns;
     int64_t expires_ns;
-    int64_t taken_ns;           /* when it came */
-    int64_t interval_ns;        /* from one to the next, smoothed; 0: fewer than two have come */
-    int64_t due_ns;             /* when the next one is not too early, at the rate that is allowed */
-    int64_t lifted_ns;          /* the bar that has been over since a command came; 0: none */
-    double linear_m_s;          /* as asked for */
+    int64_t taken_ns;    /* when it came */
+    int64_t interval_ns; /* from one to the next, smoothed; 0: fewer than two have come */
+    int64_t due_ns;      /* when the next one is not too early, at the rate that is allowed */
+    int64_t lifted_ns;   /* the bar that has been over since a command came; 0: none */
+    double linear_m_s;   /* as asked for */
     double angular_rad_s;
 } lease_state;
 
 typedef struct {
-    uint32_t commander;         /* number of the lease in command; 0: nobody */
-    uint32_t may_move;          /* somebody who asks for motion now is not held */
+    uint32_t commander; /* number of the lease in command; 0: nobody */
+    uint32_t may_move;  /* somebody who asks for motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
     lease_state lease[LEASES_MAX];
@@ -94,11 +94,11 @@ typedef struct {
 
 typedef struct {
     lease_grants grants;
-    const core_config *base;    /* whose joints are commanded; none: no command of joints is obeyed */
-    const base_limits *limits;  /* in force now, beside those of `base`; none: those of `base` alone */
-    uint64_t comers;            /* leases that have come alive so far */
-    int64_t last_stamp_ns;      /* of the command before */
-    int64_t resumed_ns;         /* a command from before is refused; 0: the computer was never suspended */
+    const core_config *base;   /* whose joints are commanded; none: no command of joints is obeyed */
+    const base_limits *limits; /* in force now, beside those of `base`; none: those of `base` alone */
+    uint64_t comers;           /* leases that have come alive so far */
+    int64_t last_stamp_ns;     /* of the command before */
+    int64_t resumed_ns;        /* a command from before is refused; 0: the computer was never suspended */
     command_report report;
 } arbiter;
 
@@ -118,9 +118,9 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s);
 
 /* Mailboxes of the exchange, as those of api.h. */
-void exchange_put_grants(exchange *x, const lease_grants *grants);       /* asyncio → loop */
+void exchange_put_grants(exchange *x, const lease_grants *grants); /* asyncio → loop */
 int exchange_take_grants(exchange *x, lease_grants *out);
-void exchange_put_commands(exchange *x, const command_report *report);   /* loop → asyncio */
+void exchange_put_commands(exchange *x, const command_report *report); /* loop → asyncio */
 int exchange_take_commands(exchange *x, command_report *out);
 
 /* ------------------------------------------------------------------------------------------- stop requests
@@ -128,24 +128,24 @@ int exchange_take_commands(exchange *x, command_report *out);
  * Each is in force from the tick that reads it until asyncio has acknowledged it. */
 enum { STOP_REQUEST_MAGIC = 0x5153544D, STOP_REQUEST_VERSION = 1, STOP_REQUEST_BYTES = 8, STOP_REQUEST_KINDS = 3 };
 typedef enum {
-    STOP_REQUEST_STOP = 0,      /* come to rest, stay armed */
+    STOP_REQUEST_STOP = 0, /* come to rest, stay armed */
     STOP_REQUEST_ESTOP = 1,
-    STOP_REQUEST_DISARM = 2     /* come to rest, then disarm */
+    STOP_REQUEST_DISARM = 2 /* come to rest, then disarm */
 } stop_request_kind;
 
 typedef struct {
-    uint32_t magic;             /* STOP_REQUEST_MAGIC: "MTSQ" */
-    uint16_t version;           /* STOP_REQUEST_VERSION */
-    uint16_t kind;              /* stop_request_kind */
+    uint32_t magic;   /* STOP_REQUEST_MAGIC: "MTSQ" */
+    uint16_t version; /* STOP_REQUEST_VERSION */
+    uint16_t kind;    /* stop_request_kind */
 } stop_request;
 
 typedef struct {
-    uint64_t count[STOP_REQUEST_KINDS];   /* received since the loop started */
-    uint64_t refused;           /* another length, magic, version or kind */
-    int32_t pid;                /* sender of the newest; 0: not known */
+    uint64_t count[STOP_REQUEST_KINDS]; /* received since the loop started */
+    uint64_t refused;                   /* another length, magic, version or kind */
+    int32_t pid;                        /* sender of the newest; 0: not known */
     uint32_t reserved;
 } stop_request_report;
 
 /* Any thread. Acknowledge after exchange_put_control with levels that hold what was requested: up to these counts. */
 void loop_stop_requests(stop_request_report *out);
-void loop_acknowledge_stops(const uint64_t *count);    /* STOP_REQUEST_KINDS of them */
+void loop_acknowledge_stops(const uint64_t *count); /* STOP_REQUEST_KINDS of them */

@@ -5,38 +5,38 @@
 enum { ENCODER_NONE = 0, ENCODER_EDGES = 1, ENCODER_COUNTER = 2, ENCODER_TOLD = 3 };
 
 typedef struct {
-    uint32_t kind;              /* ENCODER_* */
-    int32_t fd;                 /* not blocking. EDGES: a GPIO v2 request of A and B with both edges; COUNTER: its count file */
-    uint32_t a_offset;          /* EDGES: on the chip, as the events name the lines */
+    uint32_t kind;     /* ENCODER_* */
+    int32_t fd;        /* not blocking. EDGES: a GPIO v2 request of A and B with both edges; COUNTER: its count file */
+    uint32_t a_offset; /* EDGES: on the chip, as the events name the lines */
     uint32_t b_offset;
-    uint32_t levels;            /* EDGES: 2 A + B when it begins */
+    uint32_t levels; /* EDGES: 2 A + B when it begins */
     uint32_t reserved;
-    uint64_t ceiling;           /* COUNTER, TOLD: after this count comes 0; UINT64_MAX: as wide as it can be */
-    double rad_per_count;       /* of the wheel; signed, finite, not 0 */
+    uint64_t ceiling;     /* COUNTER, TOLD: after this count comes 0; UINT64_MAX: as wide as it can be */
+    double rad_per_count; /* of the wheel; signed, finite, not 0 */
 } encoder_config;
 
 typedef struct {
-    int64_t count;              /* edges since the start: four to a period of A */
-    int64_t edge_ns;            /* the newest one; of a counter, the look that found another count */
-    uint64_t raw;               /* COUNTER: what it said last */
+    int64_t count;   /* edges since the start: four to a period of A */
+    int64_t edge_ns; /* the newest one; of a counter, the look that found another count */
+    uint64_t raw;    /* COUNTER: what it said last */
     uint32_t seeded;
-    uint32_t levels;            /* EDGES: 2 A + B */
-    uint32_t sequence;          /* EDGES: of the newest event; 0: none yet */
-    uint32_t epoch;             /* another number: edges were lost, the count's origin has moved */
-    uint64_t illegal;           /* edges that said a level which the line had already: a pulse that was too short */
-    uint64_t lost;              /* events that the kernel could not keep */
-    int64_t from_count;         /* where the last measure of the speed ended */
+    uint32_t levels;    /* EDGES: 2 A + B */
+    uint32_t sequence;  /* EDGES: of the newest event; 0: none yet */
+    uint32_t epoch;     /* another number: edges were lost, the count's origin has moved */
+    uint64_t illegal;   /* edges that said a level which the line had already: a pulse that was too short */
+    uint64_t lost;      /* events that the kernel could not keep */
+    int64_t from_count; /* where the last measure of the speed ended */
     int64_t from_ns;
     double counts_per_s;
-    int64_t told_ns;            /* TOLD: stamp of the newest sample; 0: none yet */
-    uint32_t origin;            /* TOLD: as the newest sample has it */
+    int64_t told_ns; /* TOLD: stamp of the newest sample; 0: none yet */
+    uint32_t origin; /* TOLD: as the newest sample has it */
     uint32_t reserved;
 } encoder_state;
 
 typedef struct {
-    int64_t count;              /* running on for ever */
-    int64_t stamp_ns;           /* when the board counted so far */
-    uint32_t origin;            /* another number: the board has begun anew */
+    int64_t count;    /* running on for ever */
+    int64_t stamp_ns; /* when the board counted so far */
+    uint32_t origin;  /* another number: the board has begun anew */
     uint32_t reserved;
 } encoder_sample;
 
@@ -52,4 +52,4 @@ void encoder_told(encoder_state *state, const encoder_config *config, const enco
 double encoder_velocity_rad_s(encoder_state *state, const encoder_config *config, int64_t now_ns);
 /* Takes what the descriptor holds, a bounded number of events. 0 or -errno. */
 int encoder_read(encoder_state *state, const encoder_config *config, int64_t now_ns);
-int encoder_config_check(const encoder_config *config);   /* 0 or -EINVAL */
+int encoder_config_check(const encoder_config *config); /* 0 or -EINVAL */

@@ -12,20 +12,20 @@ enum {
     JOURNAL_LAYOUT_VERSION = 4,
     JOURNAL_RECORDS = 4096,
     JOURNAL_CHECKPOINTS = 4,
-    JOURNAL_CHECKPOINT_EVERY = 1024     /* records */
+    JOURNAL_CHECKPOINT_EVERY = 1024 /* records */
 };
 
 typedef struct {
-    uint64_t tick;              /* the core's, after the step */
+    uint64_t tick; /* the core's, after the step */
     double dt_s;
-    uint64_t digest;            /* of the snapshot that came out */
+    uint64_t digest; /* of the snapshot that came out */
     uint64_t reserved;
     core_input input;
     setpoints out;
 } journal_record;
 
 size_t journal_bytes(void);
-int journal_init(void *journal);                       /* journal_bytes(), aligned to 64 */
+int journal_init(void *journal); /* journal_bytes(), aligned to 64 */
 /* Before a step: the state, where a checkpoint is due. */
 void journal_before(void *journal, const core_state *state);
 /* After it. */

@@ -31,87 +31,95 @@ typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SE
 
 /* A request and what its answer must look like. */
 typedef struct {
-    uint32_t request_bytes;     /* whole, with its checksum: 1..FRAME_BYTES_MAX */
-    uint32_t reply_bytes;       /* whole; 0: nobody answers, and the turn-around passes in silence */
-    uint32_t echo_bytes;        /* the reply begins with so many bytes of the request as it was sent */
-    uint32_t match_bytes;       /* else, with so many of match[] */
-    uint32_t request_seal;      /* frame_seal; made anew when set-points have been put in */
+    uint32_t request_bytes; /* whole, with its checksum: 1..FRAME_BYTES_MAX */
+    uint32_t reply_bytes;   /* whole; 0: nobody answers, and the turn-around passes in silence */
+    uint32_t echo_bytes;    /* the reply begins with so many bytes of the request as it was sent */
+    uint32_t match_bytes;   /* else, with so many of match[] */
+    uint32_t request_seal;  /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
-    uint32_t has_exceptions;    /* 1: five bytes with the function's top bit set are a refusal (Modbus) */
-    uint32_t exact;             /* 1: the reply does not say what it answers: it is all that comes, and after a failure
+    uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal (Modbus) */
+    uint32_t exact;          /* 1: the reply does not say what it answers: it is all that comes, and after a failure
                                    nobody is asked until a late one has passed */
     uint8_t match[FRAME_MATCH_MAX];
     uint8_t request[FRAME_BYTES_MAX];
 } line_frame;
 
 typedef enum {
-    FORM_U8 = 0, FORM_I8 = 1, FORM_U16 = 2, FORM_I16 = 3,          /* high byte first */
-    FORM_U32 = 4, FORM_I32 = 5,                                     /* high word first */
-    FORM_U32_LOW_FIRST = 6, FORM_I32_LOW_FIRST = 7                  /* low word first, its high byte first */
+    FORM_U8 = 0,
+    FORM_I8 = 1,
+    FORM_U16 = 2,
+    FORM_I16 = 3, /* high byte first */
+    FORM_U32 = 4,
+    FORM_I32 = 5, /* high word first */
+    FORM_U32_LOW_FIRST = 6,
+    FORM_I32_LOW_FIRST = 7 /* low word first, its high byte first */
 } wire_form;
 
-typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind;   /* TORQUE: CAN only */
+typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind; /* TORQUE: CAN only */
 
 /* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
  * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
 typedef struct {
-    uint32_t joint;             /* place in setpoints.joint */
-    uint32_t kind;              /* setpoint_kind */
-    uint32_t byte;              /* in the request */
-    uint32_t form;              /* wire_form */
-    uint32_t magnitude;         /* 1: without its sign; which way is a line_way */
+    uint32_t joint;     /* place in setpoints.joint */
+    uint32_t kind;      /* setpoint_kind */
+    uint32_t byte;      /* in the request */
+    uint32_t form;      /* wire_form */
+    uint32_t magnitude; /* 1: without its sign; which way is a line_way */
     uint32_t reserved;
-    double raw_per_si;          /* sign, gear, scale: not 0 */
-    double raw_min;             /* <= 0 or, for a magnitude, whatever the drive takes as least: 0 */
+    double raw_per_si; /* sign, gear, scale: not 0 */
+    double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0 */
     double raw_max;
 } line_setpoint;
 
 typedef enum {
-    FIELD_COUNT = 0,            /* position counter, raw */
-    FIELD_VELOCITY = 1, FIELD_CURRENT = 2, FIELD_VOLTAGE = 3, FIELD_TEMPERATURE = 4,    /* si = raw si_per_raw */
-    FIELD_FAULT = 5,            /* the drive's fault word, raw */
-    FIELD_ENABLED = 6,          /* (raw & equals_mask) == equals: enabled; of all joints of the drive */
-    FIELD_KEPT = 7              /* (raw & equals_mask) == equals, else the drive has lost its set-up */
+    FIELD_COUNT = 0, /* position counter, raw */
+    FIELD_VELOCITY = 1,
+    FIELD_CURRENT = 2,
+    FIELD_VOLTAGE = 3,
+    FIELD_TEMPERATURE = 4, /* si = raw si_per_raw */
+    FIELD_FAULT = 5,       /* the drive's fault word, raw */
+    FIELD_ENABLED = 6,     /* (raw & equals_mask) == equals: enabled; of all joints of the drive */
+    FIELD_KEPT = 7         /* (raw & equals_mask) == equals, else the drive has lost its set-up */
 } field_kind;
 
 /* Of buses and boards: the number that says what a joint is to do, raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
  * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
 typedef struct {
-    uint32_t joint;             /* place in setpoints.joint */
-    uint32_t kind;              /* setpoint_kind */
-    double raw_per_si;          /* sign, gear, scale: not 0 */
-    double raw_min;             /* <= 0 */
-    double raw_max;             /* >= 0 */
+    uint32_t joint;    /* place in setpoints.joint */
+    uint32_t kind;     /* setpoint_kind */
+    double raw_per_si; /* sign, gear, scale: not 0 */
+    double raw_min;    /* <= 0 */
+    double raw_max;    /* >= 0 */
 } setpoint_scale;
 
 /* Of buses and boards: what a number that was read says. */
 typedef struct {
-    uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */
-    uint32_t kind;              /* field_kind */
-    uint32_t equals_mask;       /* ENABLED, KEPT: (raw & equals_mask) == equals */
+    uint32_t joint;       /* place in the core's arrays; not read for ENABLED and KEPT */
+    uint32_t kind;        /* field_kind */
+    uint32_t equals_mask; /* ENABLED, KEPT: (raw & equals_mask) == equals */
     uint32_t equals;
-    uint32_t counter_bits;      /* COUNT: 1..64 */
-    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
-    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes;    /* FAULT, a number: so many of harmless[] are only warnings */
+    uint32_t counter_bits;   /* COUNT: 1..64 */
+    uint32_t is_code;        /* FAULT: 1: the word is a number, 0: bits */
+    uint32_t harmless_bits;  /* FAULT: bits that are only warnings */
+    uint32_t harmless_codes; /* FAULT, a number: so many of harmless[] are only warnings */
     uint32_t harmless[FIELD_HARMLESS_MAX];
     double si_per_raw;
 } field_meaning;
 
 /* A place in a reply that says something. */
 typedef struct {
-    uint32_t joint;             /* place in the core's arrays; not read for ENABLED and KEPT */
-    uint32_t kind;              /* field_kind */
-    uint32_t byte;              /* in the reply */
-    uint32_t form;              /* wire_form */
-    uint32_t mask;              /* adjacent bits that hold the value; 0: all of them */
+    uint32_t joint; /* place in the core's arrays; not read for ENABLED and KEPT */
+    uint32_t kind;  /* field_kind */
+    uint32_t byte;  /* in the reply */
+    uint32_t form;  /* wire_form */
+    uint32_t mask;  /* adjacent bits that hold the value; 0: all of them */
     uint32_t equals_mask;
     uint32_t equals;
-    uint32_t way;               /* VELOCITY without sign: 1 + number of the way whose last reverse turns it; 0: none */
-    double si_per_raw;          /* sign, gear, scale */
-    uint32_t harmless_bits;     /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes;    /* FAULT: > 0: the word is a number, and so many of harmless[] are only warnings */
-    uint32_t is_code;           /* FAULT: 1: the word is a number, 0: bits */
+    uint32_t way;            /* VELOCITY without sign: 1 + number of the way whose last reverse turns it; 0: none */
+    double si_per_raw;       /* sign, gear, scale */
+    uint32_t harmless_bits;  /* FAULT: bits that are only warnings */
+    uint32_t harmless_codes; /* FAULT: > 0: the word is a number, and so many of harmless[] are only warnings */
+    uint32_t is_code;        /* FAULT: 1: the word is a number, 0: bits */
     uint32_t harmless[FIELD_HARMLESS_MAX];
     uint32_t reserved;
 } line_field;
@@ -128,7 +136,7 @@ typedef struct {
  * way after it, so that no magnitude is ever obeyed the wrong way, also when a frame is lost. */
 typedef struct {
     uint32_t joint;
-    uint32_t kind;              /* setpoint_kind whose sign it is */
+    uint32_t kind; /* setpoint_kind whose sign it is */
     uint32_t inverted;
     uint32_t reserved;
     line_frame rest;
@@ -137,22 +145,22 @@ typedef struct {
 } line_way;
 
 typedef struct {
-    uint32_t tries;             /* failures in a row until it counts as quiet: 1.. */
-    uint32_t extra_every;       /* cycles between two extra exchanges: 1.. */
-    int64_t period_ns;          /* wished time between two cycles: > 0 */
-    int64_t turnaround_ns;      /* longest time from the request's last byte to the reply's first: the profile's bound */
-    int64_t reply_timeout_ns;   /* fixed deadline; 0: from the measured turn-around (RFC 6298), within the bound */
-    int64_t watchdog_ns;        /* the drive stops by itself after such a silence; 0: never */
+    uint32_t tries;           /* failures in a row until it counts as quiet: 1.. */
+    uint32_t extra_every;     /* cycles between two extra exchanges: 1.. */
+    int64_t period_ns;        /* wished time between two cycles: > 0 */
+    int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the profile's bound */
+    int64_t reply_timeout_ns; /* fixed deadline; 0: from the measured turn-around (RFC 6298), within the bound */
+    int64_t watchdog_ns;      /* the drive stops by itself after such a silence; 0: never */
     uint32_t cyclic_count;
-    uint32_t extra_count;       /* exchanges of which one is made every extra_every cycles; ENABLED's first */
+    uint32_t extra_count; /* exchanges of which one is made every extra_every cycles; ENABLED's first */
     uint32_t way_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
-    uint32_t idle_count;        /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
+    uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
     uint32_t reserved;
-    uint32_t probe;             /* 1 + number of the cyclic exchange that asks whether a quiet drive is back; 0: extra[0],
+    uint32_t probe; /* 1 + number of the cyclic exchange that asks whether a quiet drive is back; 0: extra[0],
                                    or the first cyclic one, with zeros, where there is no other */
-    line_exchange cyclic[DRIVE_CYCLIC_MAX];      /* in their order: set-points first */
+    line_exchange cyclic[DRIVE_CYCLIC_MAX]; /* in their order: set-points first */
     line_exchange extra[DRIVE_EXTRA_MAX];
     line_way way[DRIVE_WAYS_MAX];
     line_frame quick_stop[DRIVE_STOP_MAX];
@@ -161,13 +169,13 @@ typedef struct {
 } line_drive;
 
 typedef struct {
-    uint32_t drive_count;       /* 1..LINE_DRIVES_MAX */
-    uint32_t echo;              /* 0: none; 1: every request comes back first; 2: the first read finds out */
-    double character_ns;        /* one byte on the wire, with start, parity and stop bits */
-    int64_t gap_ns;             /* silence before a request */
-    int64_t setpoint_timeout_ns;/* set-points older than this: quick stop */
-    double rest_velocity_rad_s; /* a wheel slower than this is at rest: > 0 */
-    uint32_t broadcast_stop_count;   /* frames that stop all drives at once, before each one's own; 0: none */
+    uint32_t drive_count;          /* 1..LINE_DRIVES_MAX */
+    uint32_t echo;                 /* 0: none; 1: every request comes back first; 2: the first read finds out */
+    double character_ns;           /* one byte on the wire, with start, parity and stop bits */
+    int64_t gap_ns;                /* silence before a request */
+    int64_t setpoint_timeout_ns;   /* set-points older than this: quick stop */
+    double rest_velocity_rad_s;    /* a wheel slower than this is at rest: > 0 */
+    uint32_t broadcast_stop_count; /* frames that stop all drives at once, before each one's own; 0: none */
     uint32_t reserved;
     line_frame broadcast_stop[DRIVE_STOP_MAX];
     line_drive drive[LINE_DRIVES_MAX];
@@ -179,129 +187,136 @@ typedef struct {
  * QUIET   it did not answer `tries` times: probed with back-off, told to stop where it may turn
  * BACK    a quiet drive has answered, and was told to disarm: as OFF, until Python has set it up */
 typedef enum {
-    DRIVE_OFF = 0, DRIVE_READY = 1, DRIVE_ARMED = 2, DRIVE_QUIET = 3, DRIVE_BACK = 4,
-    DRIVE_STAND_DOWN = 5        /* only as a wish: from ARMED to READY, else nothing */
+    DRIVE_OFF = 0,
+    DRIVE_READY = 1,
+    DRIVE_ARMED = 2,
+    DRIVE_QUIET = 3,
+    DRIVE_BACK = 4,
+    DRIVE_STAND_DOWN = 5 /* only as a wish: from ARMED to READY, else nothing */
 } drive_mode;
 
 /* Why the line itself took a drive back; OR of all since the last wish was obeyed. */
 enum {
-    DEMOTED_SETPOINTS_OLD   = 1 << 0,   /* quick stop, then off at rest */
-    DEMOTED_NOT_ENABLED     = 1 << 1,   /* the core took enabled back: power off */
-    DEMOTED_LEFT_ALONE      = 1 << 2,   /* not asked for longer than its watchdog's time: it has stopped by itself */
-    DEMOTED_LOST_SETUP      = 1 << 3,   /* a KEPT field differs: OFF */
-    DEMOTED_DISABLED_ITSELF = 1 << 4,   /* armed, but it says that it is not enabled: OFF */
-    DEMOTED_QUIET           = 1 << 5,
-    DEMOTED_STILL_ENABLED   = 1 << 6    /* not armed, but it says that it is: told to disarm, held at zero */
+    DEMOTED_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
+    DEMOTED_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
+    DEMOTED_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
+    DEMOTED_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
+    DEMOTED_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
+    DEMOTED_QUIET = 1 << 5,
+    DEMOTED_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
 };
 
 /* Python's wish for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
 typedef struct {
     uint32_t count;
-    uint32_t mode;              /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED: from READY
+    uint32_t mode;           /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED: from READY
                                    only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is all */
-    int64_t arming_until_ns;    /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
+    int64_t arming_until_ns; /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
 } drive_wish;
 
 typedef struct {
     drive_wish drive[LINE_DRIVES_MAX];
-    uint32_t shut_down;         /* level: quick stop of what is armed, then power off of all, then silence */
+    uint32_t shut_down; /* level: quick stop of what is armed, then power off of all, then silence */
     uint32_t reserved;
 } line_control;
 
 /* One exchange outside the cycle. It is sent once, or not at all after expires_ns. */
 typedef struct {
-    uint64_t id;                /* the caller's own */
+    uint64_t id; /* the caller's own */
     int64_t expires_ns;
     int64_t turnaround_ns;
-    uint32_t drive;             /* whose failures it counts to; LINE_DRIVES_MAX: nobody's */
-    uint32_t urgent;            /* 1: before the other asks */
+    uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: nobody's */
+    uint32_t urgent; /* 1: before the other asks */
     line_frame frame;
 } line_ask;
 
 typedef enum {
-    ANSWER_OK = 0, ANSWER_NO_REPLY = 1, ANSWER_BAD_REPLY = 2, ANSWER_REFUSED = 3,   /* REFUSED: see exception */
-    ANSWER_EXPIRED = 4,         /* not sent */
-    ANSWER_PORT = 5,            /* the port is gone */
-    ANSWER_NEVER_SILENT = 6     /* of a drive's turn: other bytes kept the line busy */
+    ANSWER_OK = 0,
+    ANSWER_NO_REPLY = 1,
+    ANSWER_BAD_REPLY = 2,
+    ANSWER_REFUSED = 3,     /* REFUSED: see exception */
+    ANSWER_EXPIRED = 4,     /* not sent */
+    ANSWER_PORT = 5,        /* the port is gone */
+    ANSWER_NEVER_SILENT = 6 /* of a drive's turn: other bytes kept the line busy */
 } answer_kind;
 
 typedef struct {
     uint64_t id;
-    int64_t sent_ns;            /* first byte of the request */
-    int64_t stamp_ns;           /* middle of the exchange */
+    int64_t sent_ns;  /* first byte of the request */
+    int64_t stamp_ns; /* middle of the exchange */
     int64_t done_ns;
-    uint32_t kind;              /* answer_kind */
+    uint32_t kind; /* answer_kind */
     uint32_t exception;
     uint32_t reply_bytes;
-    uint32_t echoed;            /* 1: the request came back before the reply */
+    uint32_t echoed; /* 1: the request came back before the reply */
     uint8_t reply[FRAME_BYTES_MAX];
 } line_answer;
 
 typedef struct {
-    uint32_t mode;              /* drive_mode */
-    uint32_t demoted;           /* DEMOTED_* */
-    uint32_t wish_seen;         /* count of the last wish that was obeyed */
-    uint32_t enabled;           /* 1, 0, 2: it has not said since the last wish */
-    uint32_t stopping;          /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion;       /* it was sent set-points that are not zero, and has not acknowledged zero since */
-    uint32_t failures;          /* in a row */
-    uint32_t last_failure;      /* answer_kind */
+    uint32_t mode;         /* drive_mode */
+    uint32_t demoted;      /* DEMOTED_* */
+    uint32_t wish_seen;    /* count of the last wish that was obeyed */
+    uint32_t enabled;      /* 1, 0, 2: it has not said since the last wish */
+    uint32_t stopping;     /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion;  /* it was sent set-points that are not zero, and has not acknowledged zero since */
+    uint32_t failures;     /* in a row */
+    uint32_t last_failure; /* answer_kind */
     uint32_t last_exception;
-    uint32_t may_turn;          /* armed since it was last set up, also before the port was opened */
-    uint32_t stop_waits;        /* it has not acknowledged all of its newest stop */
+    uint32_t may_turn;   /* armed since it was last set up, also before the port was opened */
+    uint32_t stop_waits; /* it has not acknowledged all of its newest stop */
     uint32_t reserved;
-    uint64_t cycles;            /* whole ones */
+    uint64_t cycles; /* whole ones */
     uint64_t exchanges;
     uint64_t no_reply;
     uint64_t bad_reply;
     uint64_t refused;
-    uint64_t late;              /* replies that came after their time: nobody was told what they said */
-    uint64_t quiet;             /* how often it became QUIET */
-    int64_t heard_ns;           /* last good reply */
-    int64_t turnaround_ns;      /* smoothed */
-    int64_t deadline_ns;        /* in force, from the request's last byte to the reply's first */
-    int64_t cycle_ns;           /* smoothed time between two cycles */
+    uint64_t late;         /* replies that came after their time: nobody was told what they said */
+    uint64_t quiet;        /* how often it became QUIET */
+    int64_t heard_ns;      /* last good reply */
+    int64_t turnaround_ns; /* smoothed */
+    int64_t deadline_ns;   /* in force, from the request's last byte to the reply's first */
+    int64_t cycle_ns;      /* smoothed time between two cycles */
 } drive_report;
 
 /* What the report of every line begins with, whatever its medium. */
 typedef struct {
-    uint32_t running;           /* 0: the thread has ended, see error */
-    int32_t error;              /* errno of the medium; 0: none */
-    int32_t policy;             /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
+    uint32_t running; /* 0: the thread has ended, see error */
+    int32_t error;    /* errno of the medium; 0: none */
+    int32_t policy;   /* SCHED_FIFO (1), SCHED_OTHER (0): what the kernel granted */
     int32_t scheduler_errno;
-    uint64_t rounds;            /* grows while the thread lives, at least twenty times a second */
-    uint64_t page_faults;       /* of the thread since its first cycle */
+    uint64_t rounds;      /* grows while the thread lives, at least twenty times a second */
+    uint64_t page_faults; /* of the thread since its first cycle */
 } line_life;
 
 typedef struct {
     line_life life;
-    uint32_t echo;              /* as found: 0, 1; 2: not known yet */
-    uint32_t shut_down;         /* 1: done */
+    uint32_t echo;      /* as found: 0, 1; 2: not known yet */
+    uint32_t shut_down; /* 1: done */
     uint64_t exchanges;
-    uint64_t answers;           /* good replies and refusals */
-    uint64_t noise_bytes;       /* bytes that were no frame: no answer, no late reply, no echo */
-    int64_t setpoints_ns;       /* stamp of the newest set-points; 0: none came */
-    uint32_t fault_word[JOINTS_MAX];    /* whole, by the core's joint number */
+    uint64_t answers;                /* good replies and refusals */
+    uint64_t noise_bytes;            /* bytes that were no frame: no answer, no late reply, no echo */
+    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
+    uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];
 } line_report;
 
 /* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
 typedef struct {
-    int32_t fd;                 /* the medium, open, set up, not blocking */
-    int32_t event_fd;           /* eventfd, written on all that asyncio wants to hear and at the thread's end; -1: none */
-    int32_t priority;           /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    int32_t fd;       /* the medium, open, set up, not blocking */
+    int32_t event_fd; /* eventfd, written on all that asyncio wants to hear and at the thread's end; -1: none */
+    int32_t priority; /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
     uint32_t reserved;
-    uint64_t cpu_mask;          /* bit n: CPU n; 0: no affinity */
-    exchange *exchange;         /* NULL: the loop's */
+    uint64_t cpu_mask;  /* bit n: CPU n; 0: no affinity */
+    exchange *exchange; /* NULL: the loop's */
 } line_place;
 
 typedef struct {
-    line_place at;              /* told of answers and of changes of a drive's mode */
-    int64_t de_before_ns;       /* from the edge to the first bit */
-    int64_t de_after_ns;        /* from the last bit to the edge back */
-    int32_t de_fd;              /* GPIO line request (v2) that turns the transceiver; -1: none */
+    line_place at;        /* told of answers and of changes of a drive's mode */
+    int64_t de_before_ns; /* from the edge to the first bit */
+    int64_t de_after_ns;  /* from the last bit to the edge back */
+    int32_t de_fd;        /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
-    uint32_t may_turn;          /* bit n: drive n, since before the port was opened: it is told to stop first */
+    uint32_t may_turn; /* bit n: drive n, since before the port was opened: it is told to stop first */
     uint32_t reserved;
 } line_config;
 
@@ -310,9 +325,9 @@ const char *line_table_check(const line_table *table, char *name);
 
 /* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
 int line_start(uint32_t line, const line_config *config, const line_table *table);
-int line_stop(uint32_t line);                               /* joins; 0 or -ESRCH */
+int line_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void line_put_control(uint32_t line, const line_control *control);
-int line_put_ask(uint32_t line, const line_ask *ask);       /* 0; -EAGAIN: full; -ESRCH: no thread */
-int line_take_answer(uint32_t line, line_answer *answer);   /* 1: one; 0: none */
-int line_read_report(uint32_t line, line_report *report);   /* 0 or -ESRCH: never started */
-int line_histogram_read(uint32_t line, histogram *out);     /* round trips */
+int line_put_ask(uint32_t line, const line_ask *ask);     /* 0; -EAGAIN: full; -ESRCH: no thread */
+int line_take_answer(uint32_t line, line_answer *answer); /* 1: one; 0: none */
+int line_read_report(uint32_t line, line_report *report); /* 0 or -ESRCH: never started */
+int line_histogram_read(uint32_t line, histogram *out);   /* round trips */

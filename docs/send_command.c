@@ -34,8 +34,8 @@ int main(int argc, char **argv)
         return 2;
     }
     struct sockaddr_un to = {.sun_family = AF_UNIX};
-    struct command command = {.magic = 0x434D544D, .version = 1, .kind = 1,
-                              .linear_m_s = atof(argv[3]), .angular_rad_s = atof(argv[4])};
+    struct command command = {
+        .magic = 0x434D544D, .version = 1, .kind = 1, .linear_m_s = atof(argv[3]), .angular_rad_s = atof(argv[4])};
     strncpy(to.sun_path, argv[1], sizeof to.sun_path - 1);
     for (int i = 0; i < 16; i++) {
         char digits[3] = {argv[2][2 * i], argv[2][2 * i + 1], 0};

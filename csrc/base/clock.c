@@ -12,7 +12,7 @@ static const int64_t APART_MAX_NS = 1000000;
 /* CLOCK_BOOTTIME goes on during a suspend: ahead of CLOCK_MONOTONIC by so much more than before, and there was one. */
 static const int64_t SUSPEND_LEAST_NS = 5000000;
 
-static _Atomic int64_t ahead_ns = INT64_MIN;   /* of CLOCK_BOOTTIME; INT64_MIN: not known yet */
+static _Atomic int64_t ahead_ns = INT64_MIN; /* of CLOCK_BOOTTIME; INT64_MIN: not known yet */
 static _Atomic int64_t resumed_ns;
 
 static int64_t read_ns(clockid_t clock)

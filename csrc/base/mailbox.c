@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-static const uint32_t FRESH = 4;   /* set by the writer, cleared by the reader */
+static const uint32_t FRESH = 4; /* set by the writer, cleared by the reader */
 static const uint32_t SLOT = 3;
 
 void mailbox_init(mailbox *box)

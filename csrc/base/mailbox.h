@@ -15,9 +15,9 @@ enum { MAILBOX_SLOTS = 3, CACHE_LINE_BYTES = 64 };
 
 /* Who holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same size. */
 typedef struct {
-    _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t middle;   /* slot between the two, and whether it is new */
-    _Alignas(CACHE_LINE_BYTES) uint32_t back;             /* the writer's slot */
-    _Alignas(CACHE_LINE_BYTES) uint32_t front;            /* the reader's slot */
+    _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t middle; /* slot between the two, and whether it is new */
+    _Alignas(CACHE_LINE_BYTES) uint32_t back;           /* the writer's slot */
+    _Alignas(CACHE_LINE_BYTES) uint32_t front;          /* the reader's slot */
 } mailbox;
 
 /* Before either side uses it. The caller zeroes the slots. */

@@ -28,8 +28,8 @@ static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *w
 }
 
 /* false: it is another one, or was overwritten meanwhile */
-static inline bool seqlock_read(const _Atomic uint64_t *sequence, const _Atomic uint64_t *word, uint64_t number,
-                                void *data, size_t words)
+static inline bool seqlock_read(const _Atomic uint64_t *sequence, const _Atomic uint64_t *word, uint64_t number, void *data,
+                                size_t words)
 {
     if (atomic_load_explicit(sequence, memory_order_acquire) != 2 * number) {
         return false;

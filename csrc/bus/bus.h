@@ -16,11 +16,11 @@ static const int64_t OUTLET_ALIVE_NS = INT64_C(2000000000);
 /* The sender of one lease, for several threads. */
 typedef struct {
     pthread_mutex_t lock;
-    int fd;                     /* connected; -1: there is no lease */
+    int fd; /* connected; -1: there is no lease */
     uint8_t token[LEASE_TOKEN_BYTES];
     uint64_t sequence;
     uint64_t direct;
-    int64_t alive_ns;           /* the newest sign of life of Python */
+    int64_t alive_ns; /* the newest sign of life of Python */
 } outlet;
 
 void outlet_init(outlet *o);

@@ -18,7 +18,7 @@
 
 enum { TAKEN_AT_ONCE = 8 };
 
-static const uint32_t ANY_STATE = 0x7f;   /* DDS_ANY_STATE */
+static const uint32_t ANY_STATE = 0x7f; /* DDS_ANY_STATE */
 static const int64_t NS_PER_S = 1000000000, WAIT_NS = INT64_C(2000000000);
 static const time_t JOIN_WITHIN_S = 2;
 
@@ -82,7 +82,10 @@ int receiver_library(const char *path)
     if (library == NULL) {
         return -ELIBACC;
     }
-    const struct { void *place; const char *name; } wanted[] = {
+    const struct {
+        void *place;
+        const char *name;
+    } wanted[] = {
         {&dds.get_participant, "dds_get_participant"},
         {&dds.create_waitset, "dds_create_waitset"},
         {&dds.create_guardcondition, "dds_create_guardcondition"},
@@ -101,7 +104,7 @@ int receiver_library(const char *path)
         if (found == NULL) {
             return -ELIBACC;
         }
-        memcpy(wanted[i].place, &found, sizeof found);   /* ISO C converts no object's address into a function's */
+        memcpy(wanted[i].place, &found, sizeof found); /* ISO C converts no object's address into a function's */
     }
     return 0;
 }
@@ -144,8 +147,8 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
         count_lost(r, error);
         return;
     }
-    received_twist received = {.writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s,
-                         .angular_rad_s = twist.angular_rad_s};
+    received_twist received = {
+        .writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s, .angular_rad_s = twist.angular_rad_s};
     (void)ring_put(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &received, sizeof received);
     r->taken_ns = now_ns;
     r->taken++;
@@ -166,7 +169,7 @@ static void tell(const receiver *r)
 {
     const uint64_t one = 1;
     if (write(r->event_fd, &one, sizeof one) < 0) {
-        return;   /* full: it was notified before */
+        return; /* full: it was notified before */
     }
 }
 
@@ -304,8 +307,14 @@ void receiver_read(int number, receiver_report *out)
     const receiver *r = numbered(number);
     *out = (receiver_report){.running = 0};
     if (r != NULL) {
-        *out = (receiver_report){.running = r->running, .error = r->error, .taken = r->taken, .taken_ns = r->taken_ns,
-                                 .unleased = r->unleased, .hung = r->hung, .full = r->full, .broken = r->broken};
+        *out = (receiver_report){.running = r->running,
+                                 .error = r->error,
+                                 .taken = r->taken,
+                                 .taken_ns = r->taken_ns,
+                                 .unleased = r->unleased,
+                                 .hung = r->hung,
+                                 .full = r->full,
+                                 .broken = r->broken};
         for (uint32_t kind = 0; kind < TWIST_REFUSALS; kind++) {
             out->refused[kind] = r->refused[kind];
         }

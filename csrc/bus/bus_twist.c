@@ -58,7 +58,7 @@ int stamp_age(double stamp_s, double wall_s, double *age_s)
         return 1 + TWIST_STAMP_ZERO;
     }
     double age = wall_s - stamp_s;
-    if (!(age >= -AHEAD_MAX_S)) {   /* also what is no number */
+    if (!(age >= -AHEAD_MAX_S)) { /* also what is no number */
         return 1 + TWIST_STAMP_AHEAD;
     }
     *age_s = age < 0.0 ? 0.0 : age > OLD_S ? OLD_S : age;

@@ -23,14 +23,10 @@ typedef struct {
 #define COUNT(rules) (sizeof(rules) / sizeof(rules)[0])
 
 static const rule LIMIT_RULES[] = {
-    RULE(base_limits, linear.velocity_u_s, LEAST, MOST),
-    RULE(base_limits, linear.acceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
-    RULE(base_limits, angular.velocity_u_s, LEAST, MOST),
-    RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, linear.velocity_u_s, LEAST, MOST),       RULE(base_limits, linear.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),  RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, angular.velocity_u_s, LEAST, MOST),      RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST), RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
 };
 
 static const rule CONFIG_RULES[] = {
@@ -87,8 +83,9 @@ static const char *first_bad(const void *values, const rule *rules, size_t count
 {
     for (size_t i = 0; i < count; i++) {
         const double *value = (const void *)((const char *)values + rules[i].offset);
-        if (!(*value >= rules[i].low && *value <= rules[i].high))
+        if (!(*value >= rules[i].low && *value <= rules[i].high)) {
             return rules[i].name;
+        }
     }
     return NULL;
 }
@@ -96,40 +93,49 @@ static const char *first_bad(const void *values, const rule *rules, size_t count
 static const char *bad_joint_field(const joint_config *joint)
 {
     const char *bad = first_bad(joint, JOINT_RULES, COUNT(JOINT_RULES));
-    if (bad != NULL)
+    if (bad != NULL) {
         return bad;
-    if (fabs(joint->side) != 1.0)
+    }
+    if (fabs(joint->side) != 1.0) {
         return "side";
+    }
     uint32_t bits = joint->counter_bits;
-    if (bits != 0 && bits != 8 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64)
+    if (bits != 0 && bits != 8 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64) {
         return "counter_bits";
-    if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST))
+    }
+    if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {
         return "rad_per_count";
+    }
     return joint->line < LINES_MAX ? NULL : "line";
 }
 
 static const char *bad_base_field(const core_config *config)
 {
-    if (config->joint_count < 2 || config->joint_count > JOINTS_MAX)
+    if (config->joint_count < 2 || config->joint_count > JOINTS_MAX) {
         return "joint_count";
-    if ((uint32_t)config->on_timeout > STOP_COAST)
+    }
+    if ((uint32_t)config->on_timeout > STOP_COAST) {
         return "on_timeout";
-    if ((uint32_t)config->on_fault > STOP_COAST)
+    }
+    if ((uint32_t)config->on_fault > STOP_COAST) {
         return "on_fault";
-    if ((uint32_t)config->on_estop > STOP_COAST)
+    }
+    if ((uint32_t)config->on_estop > STOP_COAST) {
         return "on_estop";
+    }
     const char *bad = first_bad(config, CONFIG_RULES, COUNT(CONFIG_RULES));
-    if (bad != NULL || config->gyro.used == 0)
+    if (bad != NULL || config->gyro.used == 0) {
         return bad;
+    }
     return config->gyro.used == 1 ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
 }
-
 
 const char *base_limits_check(const base_limits *limits, char *name)
 {
     const char *bad = first_bad(limits, LIMIT_RULES, COUNT(LIMIT_RULES));
-    if (bad == NULL)
+    if (bad == NULL) {
         return NULL;
+    }
     snprintf(name, FIELD_NAME_BYTES, "%s", bad);
     return name;
 }

@@ -12,8 +12,8 @@
 #include <math.h>
 #include <string.h>
 
-static const double DT_MAX_S = 0.1; /* after a longer pause the ramps go on as if it had been this */
-static const double OVERSPEED = 1.5; /* times its limit: what no speed loop that is well tuned overshoots to */
+static const double DT_MAX_S = 0.1;                /* after a longer pause the ramps go on as if it had been this */
+static const double OVERSPEED = 1.5;               /* times its limit: what no speed loop that is well tuned overshoots to */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
 /* not finite when one of them is not */
@@ -30,8 +30,9 @@ static double setpoint_sum(const core_state *state)
 static void zero_at_once(core_state *state, tick *t)
 {
     t->checksum += setpoint_sum(state);
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
         state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.0;
+    }
     state->wheels = (core_wheels){0};
     memset(state->axis, 0, sizeof state->axis);
     t->moving = false;
@@ -40,12 +41,15 @@ static void zero_at_once(core_state *state, tick *t)
 /* false: no ramp, the set-points are zero now */
 static bool may_ramp(const core_state *state, const tick *t)
 {
-    if (t->calm)
+    if (t->calm) {
         return true;
-    if (t->dt_s == 0.0 || t->input->suspended)
+    }
+    if (t->dt_s == 0.0 || t->input->suspended) {
         return false;
-    if (state->holding)
+    }
+    if (state->holding) {
         return watch_fault_action(state) != STOP_BRAKE;
+    }
     bool stopping = t->input->control.stop || !t->command_fresh;
     return state->armed && !(stopping && state->config.on_timeout == STOP_BRAKE);
 }
@@ -67,9 +71,9 @@ static void set_goal(core_state *state)
     goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
     goal->linear_m_s = linear_m_s * goal->saturation;
     goal->angular_rad_s = angular_rad_s * goal->saturation;
-    goal->reasons = (linear_m_s != goal->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0)
-        | (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0)
-        | (goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0);
+    goal->reasons = (linear_m_s != goal->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
+                    (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0) |
+                    (goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0);
     goal->known = 1;
 }
 
@@ -77,10 +81,12 @@ static void choose_goal(core_state *state, tick *t, double *goal_u_s)
 {
     const core_goal *goal = &state->goal;
     goal_u_s[AXIS_LINEAR] = goal_u_s[AXIS_ANGULAR] = 0.0;
-    if (!t->go || t->command_zero)
+    if (!t->go || t->command_zero) {
         return;
-    if (!goal->known)
+    }
+    if (!goal->known) {
         set_goal(state);
+    }
     goal_u_s[AXIS_LINEAR] = goal->linear_m_s;
     goal_u_s[AXIS_ANGULAR] = goal->angular_rad_s;
     t->saturation = goal->saturation;
@@ -116,9 +122,11 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
 /* The goal, which is within the limits, is reached: the ramp would change nothing. */
 static bool settled(const core_state *state, const double *goal_u_s)
 {
-    for (int i = 0; i < AXES; i++)
-        if (state->axis[i].velocity_u_s != goal_u_s[i] || state->axis[i].acceleration_u_s2 != 0.0)
+    for (int i = 0; i < AXES; i++) {
+        if (state->axis[i].velocity_u_s != goal_u_s[i] || state->axis[i].acceleration_u_s2 != 0.0) {
             return false;
+        }
+    }
     return true;
 }
 
@@ -137,19 +145,22 @@ static void drive(core_state *state, tick *t)
         const core_config *slewed = state->slewed ? &state->config : NULL;
         t->reasons |= ramp_step(state->axis, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
     }
-    if (state->axis[AXIS_LINEAR].velocity_u_s != wheels->linear_m_s
-        || state->axis[AXIS_ANGULAR].velocity_u_s != wheels->angular_rad_s || !wheels->known)
+    if (state->axis[AXIS_LINEAR].velocity_u_s != wheels->linear_m_s ||
+        state->axis[AXIS_ANGULAR].velocity_u_s != wheels->angular_rad_s || !wheels->known) {
         set_wheels(state, t, dt_s);
+    }
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
 }
 
 static bool all_slow(const core_state *state)
 {
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
         /* a wheel that measures nothing (NaN) is as fast as its set-point */
-        if (!state->stale[j] && fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s)
+        if (!state->stale[j] && fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s) {
             return false;
+        }
+    }
     return true;
 }
 
@@ -157,8 +168,9 @@ static bool all_slow(const core_state *state)
 static void take_gyro(core_state *state, const tick *t)
 {
     const gyro_config *config = &state->config.gyro;
-    if (!config->used)
+    if (!config->used) {
         return;
+    }
     bool wheels_rest = state->at_rest && !t->any_stale;
     gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
 }
@@ -177,24 +189,30 @@ static void doubt(core_state *state, tick *t)
     for (uint32_t j = 0; j < count; j++) {
         plausible_state *joint = &state->plausible[j];
         const joint_odometry *odometry = &state->odometry.joint[j];
-        if (state->stale[j] || !plausible_due(joint, odometry))
+        if (state->stale[j] || !plausible_due(joint, odometry)) {
             continue;
+        }
         if (plausible(joint, &state->config.joint[j].plausible, odometry, t->input->feedback[j].velocity_rad_s,
-                      state->wheels.joint[j].velocity_rad_s, &why))
+                      state->wheels.joint[j].velocity_rad_s, &why)) {
             continue;
+        }
         why.joint = j;
-        if (state->snapshot.doubt.fault == 0)
+        if (state->snapshot.doubt.fault == 0) {
             state->snapshot.doubt = why;
+        }
         watch_latch(state, why.fault);
         t->calm = false;
         count = joints_with_power(state);
     }
-    if (count != 0)
+    if (count != 0) {
         return;
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
+    }
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
         state->plausible[j].stamp_ns = 0;
-    if (t->moving)
+    }
+    if (t->moving) {
         zero_at_once(state, t);
+    }
 }
 
 /* false: a number in it is not finite */
@@ -202,12 +220,12 @@ bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 {
     const double *p = state->pose_covariance, *q = state->twist_covariance;
     /* a sum with an infinity or a NaN in it is one itself */
-    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad
-        + state->linear_m_s + state->angular_rad_s
-        + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2]
-        + state->gyro.yaw_rad + state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
-    for (uint32_t j = 0; j < joint_count; j++)
+    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad + state->linear_m_s +
+                 state->angular_rad_s + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad +
+                 state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
+    for (uint32_t j = 0; j < joint_count; j++) {
         sum += state->joint[j].position_rad; /* pending_rad is a part of it */
+    }
     return isfinite(sum);
 }
 
@@ -215,11 +233,13 @@ bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 static void measure(core_state *state, tick *t)
 {
     take_gyro(state, t);
-    if (!t->news)
+    if (!t->news) {
         return;
+    }
     odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, state->wheels.joint);
-    if (state->odometry.blind)
+    if (state->odometry.blind) {
         odometry_drift(&state->odometry, &state->config, state->wheels.joint, t->dt_s);
+    }
     if (!odometry_finite(&state->odometry, state->config.joint_count)) {
         uint32_t epoch = state->odometry.epoch;
         odometry_init(&state->odometry, &state->config);
@@ -261,18 +281,22 @@ static double torque_of(core_state *state, const tick *t, uint32_t j)
 
 static void set_torques(core_state *state, const tick *t)
 {
-    if (!state->torques)
+    if (!state->torques) {
         return;
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
-        if (state->config.joint[j].speed_loop.torque_max_n_m > 0.0)
+    }
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        if (state->config.joint[j].speed_loop.torque_max_n_m > 0.0) {
             state->wheels.joint[j].torque_n_m = torque_of(state, t, j);
+        }
+    }
 }
 
 /* The last look at what has been computed: nothing that is not a number leaves. */
 static void guard(core_state *state, tick *t)
 {
-    if (isfinite(t->checksum + setpoint_sum(state)))
+    if (isfinite(t->checksum + setpoint_sum(state))) {
         return;
+    }
     zero_at_once(state, t);
     t->calm = false;
     t->saturation = 1.0;
@@ -285,18 +309,21 @@ static void guard(core_state *state, tick *t)
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
-    if (watch_fault_action(state) == STOP_HOLD)
+    if (watch_fault_action(state) == STOP_HOLD) {
         return;
-    if (t->moving)
+    }
+    if (t->moving) {
         state->zero_since_ns = 0;
-    else if (state->zero_since_ns == 0)
+    } else if (state->zero_since_ns == 0) {
         state->zero_since_ns = now_ns;
+    }
     /* unsigned: a clock that runs backwards ends the hold as well */
     uint64_t zero_ns = (uint64_t)now_ns - (uint64_t)state->zero_since_ns;
     bool overdue = !t->moving && zero_ns > (uint64_t)HOLD_AT_ZERO_NS;
     bool seen_at_rest = state->at_rest && !t->any_stale && !(state->faults & FAULTS_OF_FEEDBACK);
-    if (seen_at_rest || overdue)
+    if (seen_at_rest || overdue) {
         state->holding = 0;
+    }
 }
 
 /* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every byte is written. */
@@ -306,10 +333,11 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     out->tick = state->tick;
     out->enabled = state->armed | state->holding;
     out->joint_count = state->config.joint_count;
-    if (out->enabled)
+    if (out->enabled) {
         memcpy(out->joint, state->wheels.joint, sizeof out->joint);
-    else
+    } else {
         memset(out->joint, 0, sizeof out->joint);
+    }
 }
 
 /* What only some joints have, so that a base without it need not look in every tick. */
@@ -325,8 +353,9 @@ static void note_extras(core_state *state)
 int core_init(core_state *state, const core_config *config)
 {
     char name[FIELD_NAME_BYTES];
-    if (core_config_check(config, name) != NULL)
+    if (core_config_check(config, name) != NULL) {
         return -EINVAL;
+    }
     memset(state, 0, sizeof *state);
     state->config = *config;
     state->limits = config->limits;
@@ -353,10 +382,12 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     set_torques(state, &t);
     guard(state, &t);
     state->at_rest = !t.moving && state->slow;
-    if (state->holding)
+    if (state->holding) {
         release(state, &t);
+    }
     write_setpoints(state, &t, out);
     snapshot_write(state, &t);
-    if (snapshot != NULL)
+    if (snapshot != NULL) {
         *snapshot = state->snapshot;
+    }
 }

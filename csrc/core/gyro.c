@@ -20,10 +20,10 @@ static const uint64_t WINDOW_SAMPLES_MIN = 20;
 static const double BIAS_WANDER_RAD2_S3 = 1e-9;
 /* A mean that is farther from the known zero than this is a slow turn: somebody moves the robot. */
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
-static const double STILL_RAD_S = 0.01;     /* of a base that stands, or so many deviations of the noise */
+static const double STILL_RAD_S = 0.01; /* of a base that stands, or so many deviations of the noise */
 static const double STILL_DEVIATIONS = 5.0;
-static const double OPPOSED_MAX_RAD = 1.0;  /* so far wheels and gyro may turn against each other: more is no slip */
-static const double OPPOSED_PART = 0.25;    /* of the wheels' turn, or it is noise */
+static const double OPPOSED_MAX_RAD = 1.0; /* so far wheels and gyro may turn against each other: more is no slip */
+static const double OPPOSED_PART = 0.25;   /* of the wheels' turn, or it is noise */
 
 void gyro_init(gyro_state *state)
 {
@@ -62,13 +62,15 @@ static void estimate(gyro_state *state, const gyro_config *config, int64_t now_n
     double samples = (double)state->window_samples, mean_rad_s = state->window_mean_rad_s;
     double variance_rad2_s2 = state->window_squares_rad2_s2 / (samples - 1.0);
     bool known = state->bias_stamp_ns != 0;
-    if (variance_rad2_s2 > config->still_variance_rad2_s2 || fabs(mean_rad_s) > config->bias_max_rad_s
-        || (known && fabs(mean_rad_s - state->bias_rad_s) > BIAS_STEP_MAX_RAD_S))
+    if (variance_rad2_s2 > config->still_variance_rad2_s2 || fabs(mean_rad_s) > config->bias_max_rad_s ||
+        (known && fabs(mean_rad_s - state->bias_rad_s) > BIAS_STEP_MAX_RAD_S)) {
         return;
+    }
     double measured_rad2_s2 = variance_rad2_s2 / samples + BIAS_WANDER_RAD2_S3;
     double before_rad2_s2 = state->bias_variance_rad2_s2;
-    if (known)
+    if (known) {
         before_rad2_s2 += BIAS_WANDER_RAD2_S3 * seconds(now_ns, state->bias_stamp_ns);
+    }
     double gain = known ? before_rad2_s2 / (before_rad2_s2 + measured_rad2_s2) : 1.0;
     double step_rad_s = gain * (mean_rad_s - state->bias_rad_s);
     state->bias_rad_s += step_rad_s;
@@ -94,26 +96,29 @@ static void watch_rest(gyro_state *state, const gyro_config *config, double raw_
         state->still_since_ns = now_ns;
         begin_window(state, now_ns + SETTLE_NS);
     }
-    if (now_ns < state->still_since_ns + SETTLE_NS)
+    if (now_ns < state->still_since_ns + SETTLE_NS) {
         return;
+    }
     gather(state, raw_rad_s);
     if (now_ns - state->window_since_ns >= WINDOW_NS && state->window_samples >= WINDOW_SAMPLES_MIN) {
         estimate(state, config, now_ns);
         begin_window(state, now_ns);
     }
     double limit_rad_s = STILL_DEVIATIONS * sqrt(state->rate_variance_rad2_s2);
-    state->still = state->bias_stamp_ns != 0
-        && fabs(state->rate_rad_s) <= (limit_rad_s > STILL_RAD_S ? limit_rad_s : STILL_RAD_S);
+    state->still =
+        state->bias_stamp_ns != 0 && fabs(state->rate_rad_s) <= (limit_rad_s > STILL_RAD_S ? limit_rad_s : STILL_RAD_S);
 }
 
 static void integrate(gyro_state *state, const gyro_config *config, const imu_sample *sample)
 {
     double rate_rad_s = sample->angular_rad_s[2] - state->bias_rad_s;
     double elapsed_s = seconds(sample->stamp_ns, state->stamp_ns);
-    if (state->stamp_ns != 0 && elapsed_s > config->timeout_s)
+    if (state->stamp_ns != 0 && elapsed_s > config->timeout_s) {
         break_integral(state);
-    if (state->stamp_ns != 0)
+    }
+    if (state->stamp_ns != 0) {
         state->yaw_rad += 0.5 * (state->rate_rad_s + rate_rad_s) * elapsed_s; /* the trapezoid */
+    }
     state->rate_rad_s = rate_rad_s;
     state->stamp_ns = sample->stamp_ns;
 }
@@ -124,11 +129,13 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
         state->still = 0;
         state->still_since_ns = 0;
     }
-    if (sample->stamp_ns == state->seen_stamp_ns)
+    if (sample->stamp_ns == state->seen_stamp_ns) {
         return;
+    }
     state->seen_stamp_ns = sample->stamp_ns;
-    if (sample->epoch != state->sensor_epoch || sample->saturated != 0)
+    if (sample->epoch != state->sensor_epoch || sample->saturated != 0) {
         break_integral(state);
+    }
     state->sensor_epoch = sample->epoch;
     bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns - STAMP_AHEAD_NS <= now_ns;
     if (!in_order || sample->saturated != 0 || !is_number(sample)) {
@@ -136,8 +143,9 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
         return;
     }
     integrate(state, config, sample);
-    if (wheels_rest)
+    if (wheels_rest) {
         watch_rest(state, config, sample->angular_rad_s[2]);
+    }
 }
 
 /* A sample that is near enough to a moment to tell the rate there. */
@@ -166,30 +174,35 @@ bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, 
     double since_s = fabs(seconds(moment_ns, state->bias_stamp_ns));
     double bias_rad2_s2 = state->bias_variance_rad2_s2 + BIAS_WANDER_RAD2_S3 * since_s;
     *variance_rad2 = state->still ? 0.0
-        : elapsed_s * (config->heading_variance_rad2_per_s + 2.0 * bias_rad2_s2 * since_s)
-            + config->turn_variance_rad2_per_rad * fabs(*turn_rad);
+                                  : elapsed_s * (config->heading_variance_rad2_per_s + 2.0 * bias_rad2_s2 * since_s) +
+                                        config->turn_variance_rad2_per_rad * fabs(*turn_rad);
     return known;
 }
 
 bool gyro_reversed(gyro_state *state, double wheels_rad, double gyro_rad)
 {
     bool against = wheels_rad * gyro_rad < 0.0 && fabs(gyro_rad) > OPPOSED_PART * fabs(wheels_rad);
-    if (against)
+    if (against) {
         state->opposed_rad += fabs(wheels_rad);
-    else
+    } else {
         state->opposed_rad = fmax(state->opposed_rad - fabs(wheels_rad), 0.0);
-    if (state->opposed_rad > OPPOSED_MAX_RAD)
+    }
+    if (state->opposed_rad > OPPOSED_MAX_RAD) {
         state->reversed = 1;
+    }
     return state->reversed != 0;
 }
 
 uint32_t gyro_status(const gyro_state *state, const gyro_config *config, int64_t now_ns)
 {
-    if (config->used == 0 || (state->stamp_ns == 0 && state->epoch == 0))
+    if (config->used == 0 || (state->stamp_ns == 0 && state->epoch == 0)) {
         return GYRO_NONE;
-    if (state->reversed)
+    }
+    if (state->reversed) {
         return GYRO_REVERSED;
-    if (!near(state, config, now_ns))
+    }
+    if (!near(state, config, now_ns)) {
         return GYRO_STALE;
+    }
     return state->bias_stamp_ns == 0 ? GYRO_UNBIASED : GYRO_USED;
 }

@@ -7,8 +7,8 @@
 
 #include <math.h>
 
-static const double APART = 0.01;          /* wheels of a side may differ by this share of the faster side's speed */
-static const double APART_M_S = 1e-6;      /* and by this, for rounding */
+static const double APART = 0.01;     /* wheels of a side may differ by this share of the faster side's speed */
+static const double APART_M_S = 1e-6; /* and by this, for rounding */
 
 /* 0 left, 1 right */
 static uint32_t side_of(const joint_config *joint)

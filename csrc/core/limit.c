@@ -25,7 +25,7 @@ enum { BITS_OF_AXIS = 4 }; /* the reasons of each axis follow those of the one b
 /* The share of the way a second, and what bounds it. */
 typedef struct {
     double rate_s;
-    double sum_s;               /* of all that was looked at, none of it negative: NaN when one of it is */
+    double sum_s; /* of all that was looked at, none of it negative: NaN when one of it is */
     uint32_t reason;
 } pace;
 
@@ -51,14 +51,17 @@ static double easing(double gap_s, double step_s)
  * a, n steps before it: n a - step n (n - 1) / 2 <= gap and a - step n <= after, with the largest such n. */
 static double turning(double gap_s, double after_s, double step_s)
 {
-    if (!(gap_s > after_s))
+    if (!(gap_s > after_s)) {
         return after_s;
-    if (step_s == INFINITY)
+    }
+    if (step_s == INFINITY) {
         return gap_s;
+    }
     double half_s = after_s - 0.5 * step_s;
     double steps = floor((sqrt(half_s * half_s + 2.0 * step_s * gap_s) - half_s) / step_s);
-    if (steps < 1.0)
+    if (steps < 1.0) {
         return after_s;
+    }
     double by_after_s = after_s + steps * step_s;
     double by_gap_s = gap_s / steps + 0.5 * step_s * (steps - 1.0);
     return by_after_s < by_gap_s ? by_after_s : by_gap_s;
@@ -75,8 +78,9 @@ static inline void keep_axis(pace *least, pace *step, const limit_state *axis, c
                              double dt_s, bool urgent, uint32_t shift)
 {
     double from_u_s = axis->velocity_u_s, way_u_s = goal_u_s - from_u_s, size_u_s = fabs(way_u_s);
-    if (size_u_s == 0.0)
+    if (size_u_s == 0.0) {
         return;
+    }
     bool rising = fabs(goal_u_s) > fabs(from_u_s) && from_u_s * goal_u_s >= 0.0;
     double bound_u_s2 = rising ? limits->acceleration_u_s2 : limits->deceleration_u_s2;
     uint32_t reason = rising ? REASON_LINEAR_ACCELERATION : REASON_LINEAR_DECELERATION;
@@ -101,8 +105,8 @@ static void keep_turn(pace *least, double from, double goal, double gains, doubl
 }
 
 /* Duty slews bound how fast a wheel's speed grows. */
-static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s,
-                        double step_s, double dt_s)
+static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s, double step_s,
+                        double dt_s)
 {
     double half_track_m = base->track_m * 0.5;
     double turn_m_s = axis[AXIS_ANGULAR].velocity_u_s * half_track_m, goal_m_s = goal_u_s[AXIS_ANGULAR] * half_track_m;
@@ -111,17 +115,19 @@ static void keep_duties(pace *least, const core_config *base, const limit_state 
         double from_rad_s = wheel_speed(joint, axis[AXIS_LINEAR].velocity_u_s, turn_m_s);
         double goal_rad_s = wheel_speed(joint, goal_u_s[AXIS_LINEAR], goal_m_s);
         double gains_rad_s2 = wheel_acceleration(&joint->pwm);
-        if (turns(from_rad_s, goal_rad_s, gains_rad_s2, INFINITY))
+        if (turns(from_rad_s, goal_rad_s, gains_rad_s2, INFINITY)) {
             keep_turn(least, from_rad_s, goal_rad_s, gains_rad_s2, step_s, dt_s, REASON_DUTY_SLEW);
-        else if (fabs(goal_rad_s) > fabs(from_rad_s))
+        } else if (fabs(goal_rad_s) > fabs(from_rad_s)) {
             bind(least, gains_rad_s2 / fabs(goal_rad_s - from_rad_s), REASON_DUTY_SLEW);
+        }
     }
 }
 
 static uint32_t rest(limit_state *axis)
 {
-    for (int i = 0; i < AXES; i++)
+    for (int i = 0; i < AXES; i++) {
         axis[i] = (limit_state){0};
+    }
     return 0;
 }
 
@@ -131,14 +137,15 @@ static void move(limit_state *axis, const double *goal_u_s, double rate_s, bool 
         double from_u_s = axis[i].velocity_u_s, way_u_s = goal_u_s[i] - from_u_s;
         double next_u_s = from_u_s + way_u_s * rate_s * dt_s;
         /* the way is rounded, so a last step could pass the goal by a rounding */
-        if (arrives || (goal_u_s[i] - next_u_s) * way_u_s < 0.0)
+        if (arrives || (goal_u_s[i] - next_u_s) * way_u_s < 0.0) {
             next_u_s = goal_u_s[i];
+        }
         axis[i] = (limit_state){next_u_s, way_u_s * rate_s};
     }
 }
 
-uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
-                   double dt_s, bool urgent)
+uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s, double dt_s,
+                   bool urgent)
 {
     const axis_limits *of[AXES] = {&limits->linear, &limits->angular};
     double goal[AXES] = {goal_u_s[AXIS_LINEAR] + 0.0, goal_u_s[AXIS_ANGULAR] + 0.0}; /* no negative zero */
@@ -147,26 +154,34 @@ uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_conf
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
         goals += fabs(goal[i]);
     }
-    if (!(sum <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX))
+    if (!(sum <= DBL_MAX) || !(dt_s > 0.0 && dt_s <= DBL_MAX)) {
         return rest(axis);
-    if (!(goals <= DBL_MAX))
+    }
+    if (!(goals <= DBL_MAX)) {
         goal[AXIS_LINEAR] = goal[AXIS_ANGULAR] = 0.0;
+    }
 
     pace whole = {1.0 / dt_s, 0.0, 0}, least = whole, step = {INFINITY, 0.0, 0};
-    for (uint32_t i = 0; i < AXES; i++)
+    for (uint32_t i = 0; i < AXES; i++) {
         keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, BITS_OF_AXIS * i);
-    if (step.rate_s < whole.rate_s)
+    }
+    if (step.rate_s < whole.rate_s) {
         bind(&least, easing(whole.rate_s, step.rate_s), step.reason);
-    for (uint32_t i = 0; i < AXES; i++)
-        if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, of[i]->deceleration_u_s2))
+    }
+    for (uint32_t i = 0; i < AXES; i++) {
+        if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, of[i]->deceleration_u_s2)) {
             keep_turn(&least, axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, step.rate_s, dt_s,
                       (uint32_t)REASON_LINEAR_ACCELERATION << BITS_OF_AXIS * i);
-    if (slewed != NULL)
+        }
+    }
+    if (slewed != NULL) {
         keep_duties(&least, slewed, axis, goal, step.rate_s, dt_s);
+    }
 
     move(axis, goal, least.rate_s, least.reason == 0, dt_s);
     sum = 0.0;
-    for (int i = 0; i < AXES; i++)
+    for (int i = 0; i < AXES; i++) {
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
+    }
     return sum <= DBL_MAX && !isnan(least.sum_s + step.sum_s) ? least.reason : rest(axis);
 }

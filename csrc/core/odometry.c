@@ -22,9 +22,9 @@ enum { NOTHING = 0, TRAVEL = 1 << 0, ESTIMATE = 1 << 1, SEED = 1 << 2 };
 enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 typedef struct {
-    double travel_m[2];         /* left, right: sums, then means */
-    uint32_t joints[2];         /* that brought a travel */
-    int64_t stamp_ns;           /* newest */
+    double travel_m[2]; /* left, right: sums, then means */
+    uint32_t joints[2]; /* that brought a travel */
+    int64_t stamp_ns;   /* newest */
     uint32_t degraded;
 } arc;
 
@@ -35,7 +35,7 @@ typedef struct {
     double distance_m2;
     double distance_turn_m_rad;
     double turn_rad2;
-    double scrub_rad2;          /* of the heading alone */
+    double scrub_rad2; /* of the heading alone */
 } motion;
 
 /* unused: bits of the word that are not the counter's, 0..63 */
@@ -72,8 +72,9 @@ static void floor_covariance(odometry_state *state, const core_config *config)
 static void pose_to_origin(odometry_state *state, const core_config *config)
 {
     state->x_m = state->y_m = state->heading_rad = 0.0;
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < 6; i++) {
         state->pose_covariance[i] = 0.0;
+    }
     floor_covariance(state, config);
 }
 
@@ -84,8 +85,9 @@ static joint_constants constants_of(const joint_config *joint, double timeout_s)
         .reach_rad_s = JUMP_MARGIN * larger(joint->velocity_max_rad_s, -joint->velocity_min_rad_s),
         .right = joint->side > 0.0,
     };
-    if (joint->counter_bits == 0)
+    if (joint->counter_bits == 0) {
         return found;
+    }
     double rad_per_count = fabs(joint->rad_per_count);
     found.counter_bits_unused = 64 - joint->counter_bits;
     found.counter_rad = joint->rad_per_count;
@@ -99,10 +101,12 @@ void odometry_init(odometry_state *state, const core_config *config)
 {
     *state = (odometry_state){0};
     gyro_init(&state->gyro);
-    for (uint32_t j = 0; j < JOINTS_MAX; j++)
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         state->joint[j].velocity_rad_s = NAN;
-    for (uint32_t j = 0; j < config->joint_count; j++)
+    }
+    for (uint32_t j = 0; j < config->joint_count; j++) {
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
+    }
     pose_to_origin(state, config);
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2;
     state->twist_covariance[2] = config->twist_variance_floor_rad2_s2;
@@ -130,16 +134,16 @@ static double travel_by_velocity(double before_rad_s, double now_rad_s, double e
 
 /* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity tells. Only where the next
  * one is three times as far from what was measured as the velocity can be off, and after no silence; else NaN. */
-static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample, double travel_rad,
-                              double elapsed_s, double timeout_s)
+static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample, double travel_rad, double elapsed_s,
+                              double timeout_s)
 {
     double mean_rad = 0.5 * (joint->velocity_rad_s + sample->velocity_rad_s) * elapsed_s;
     double change_rad = 0.5 * fabs(sample->velocity_rad_s - joint->velocity_rad_s) * elapsed_s;
     double whole_rad = joint->constant.counter_round_rad;
     double found_rad = travel_rad + rint((mean_rad - travel_rad) / whole_rad) * whole_rad;
     double sure_rad = 0.25 * whole_rad;
-    bool sure = elapsed_s <= timeout_s && change_rad + VELOCITY_ERROR * fabs(mean_rad) <= sure_rad
-        && fabs(found_rad - mean_rad) <= sure_rad;
+    bool sure = elapsed_s <= timeout_s && change_rad + VELOCITY_ERROR * fabs(mean_rad) <= sure_rad &&
+                fabs(found_rad - mean_rad) <= sure_rad;
     return sure ? found_rad : (double)NAN;
 }
 
@@ -192,16 +196,18 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
     if (known && joint->last == REFUSED) {
         double travel_rad = travel_since(joint, sample, joint->refused);
         if (fabs(travel_rad) <= fresh_rad + joint->constant.counter_slack_rad) {
-            if (isnan(joint->velocity_rad_s))
+            if (isnan(joint->velocity_rad_s)) {
                 joint->velocity_rad_s = travel_rad / elapsed_s;
+            }
             gather(joint, TRAVEL, travel_rad);
             begin(joint, sample);
             return;
         }
     }
     double estimate_rad = travel_by_velocity(before_rad_s, sample->velocity_rad_s, elapsed_s, timeout_s, 0.0);
-    if (!(fabs(estimate_rad) <= fresh_rad))
+    if (!(fabs(estimate_rad) <= fresh_rad)) {
         estimate_rad = 0.0;
+    }
     gather(joint, ESTIMATE, estimate_rad);
     if (!known) {
         begin(joint, sample);
@@ -214,15 +220,15 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
 }
 
 /* Travel within reach_rad, of which sure_rad can have been turned since the last sample that was believed. */
-static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad, double sure_rad,
-                      double reach_rad)
+static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad, double sure_rad, double reach_rad)
 {
     const joint_constants *constant = &joint->constant;
     double way_rad = fabs(travel_rad);
     joint->velocity_rad_s = measured(sample->velocity_rad_s);
-    if (isnan(joint->velocity_rad_s))
-        joint->velocity_rad_s = travel_rad * constant->reach_rad_s
-            / (way_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
+    if (isnan(joint->velocity_rad_s)) {
+        joint->velocity_rad_s =
+            travel_rad * constant->reach_rad_s / (way_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
+    }
     joint->unused_rad = larger(0.0, smaller(reach_rad - way_rad, constant->counter_unused_max_rad));
 }
 
@@ -250,8 +256,8 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
 }
 
 /* A new sample of any kind. Kept out of the loop over the joints, whose common case it would slow down. */
-__attribute__((noinline))
-static void take(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s, double timeout_s)
+__attribute__((noinline)) static void take(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s,
+                                           double timeout_s)
 {
     double elapsed_s = (double)(sample->stamp_ns - joint->stamp_ns) * 1e-9;
     if (joint->last == NONE) {
@@ -269,13 +275,15 @@ static void take(joint_odometry *joint, const joint_feedback *sample, double set
 static inline bool take_next(joint_odometry *joint, const joint_feedback *sample)
 {
     const joint_constants *constant = &joint->constant;
-    if (joint->last != BELIEVED || joint->epoch != sample->epoch)
+    if (joint->last != BELIEVED || joint->epoch != sample->epoch) {
         return false;
+    }
     double sure_rad = constant->reach_rad_s * ((double)(sample->stamp_ns - joint->stamp_ns) * 1e-9);
     double reach_rad = sure_rad + joint->unused_rad;
     double travel_rad = travel_since(joint, sample, joint->count), way_rad = fabs(travel_rad);
-    if (!(way_rad + sure_rad < constant->counter_round_rad && way_rad <= reach_rad + constant->counter_slack_rad))
+    if (!(way_rad + sure_rad < constant->counter_round_rad && way_rad <= reach_rad + constant->counter_slack_rad)) {
         return false;
+    }
     gather(joint, TRAVEL, travel_rad);
     go(joint, sample, travel_rad, sure_rad, reach_rad);
     joint->count = sample->count;
@@ -293,8 +301,9 @@ static arc collect(odometry_state *state, const core_config *config, const uint3
             joint->last = NONE;
             found.degraded = 1;
         } else {
-            if (joint->stamp_ns > found.stamp_ns)
+            if (joint->stamp_ns > found.stamp_ns) {
                 found.stamp_ns = joint->stamp_ns;
+            }
             if (joint->fresh & SEED) {
                 found.degraded |= joint->pending_rad != 0.0; /* only part of the way is known: thrown away */
             } else {
@@ -308,9 +317,11 @@ static arc collect(odometry_state *state, const core_config *config, const uint3
         joint->fresh = NOTHING;
     }
     found.degraded |= (seen & ESTIMATE) != 0;
-    for (int side = 0; side < 2; side++)
-        if (found.joints[side] != 0)
+    for (int side = 0; side < 2; side++) {
+        if (found.joints[side] != 0) {
             found.travel_m[side] /= found.joints[side];
+        }
+    }
     return found;
 }
 
@@ -318,8 +329,9 @@ static arc collect(odometry_state *state, const core_config *config, const uint3
 static double sine_over(double half_rad)
 {
     double q = half_rad * half_rad;
-    if (q < 0.01)
+    if (q < 0.01) {
         return 1.0 + q * (q * (q * (q * (1.0 / 362880.0) - 1.0 / 5040.0) + 1.0 / 120.0) - 1.0 / 6.0);
+    }
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
@@ -343,10 +355,11 @@ static motion by_wheels(const core_config *config, const arc *found)
 static void turn_by_gyro(odometry_state *state, const core_config *config, int64_t moment_ns, motion *moved)
 {
     double turn_rad, variance_rad2;
-    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2)
-        && !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
-    if (!state->by_gyro)
+    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2) &&
+                     !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
+    if (!state->by_gyro) {
         return;
+    }
     moved->turn_rad = turn_rad;
     moved->turn_rad2 = variance_rad2;
     moved->distance_turn_m_rad = moved->scrub_rad2 = 0.0;
@@ -392,8 +405,9 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     arc found = collect(state, config, stale);
     int64_t before_ns = state->stamp_ns;
     state->degraded = found.degraded;
-    if (found.stamp_ns > before_ns)
+    if (found.stamp_ns > before_ns) {
         state->stamp_ns = found.stamp_ns;
+    }
     if (found.joints[0] == 0 || found.joints[1] == 0) {
         /* one side has only just been seeded: what the other has gone alone is no arc */
         state->degraded |= found.joints[0] != found.joints[1];
@@ -410,21 +424,24 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     state->distance_m += fabs(moved.distance_m);
     state->turned_rad += fabs(moved.turn_rad);
     grow_pose_covariance(state, config, &moved, middle);
-    if (before_ns > 0 && found.stamp_ns > before_ns)
+    if (before_ns > 0 && found.stamp_ns > before_ns) {
         measure_twist(state, config, &moved, (double)(found.stamp_ns - before_ns) * 1e-9);
+    }
 }
 
 static bool both_sides_heard(const core_config *config, const uint32_t *stale)
 {
     bool heard[2] = {false, false};
-    for (uint32_t j = 0; j < config->joint_count; j++)
-        if (!stale[j])
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (!stale[j]) {
             heard[config->joint[j].side > 0.0] = true;
+        }
+    }
     return heard[0] && heard[1];
 }
 
-void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
-                   const uint32_t *stale, const joint_setpoint *setpoint)
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
+                   const joint_setpoint *setpoint)
 {
     uint32_t silent = 0, missing = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
@@ -434,17 +451,20 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
             continue;
         }
         if (feedback[j].stamp_ns > joint->stamp_ns) {
-            if (!take_next(joint, &feedback[j]))
+            if (!take_next(joint, &feedback[j])) {
                 take(joint, &feedback[j], setpoint[j].velocity_rad_s, config->feedback_timeout_s);
+            }
             joint->stamp_ns = feedback[j].stamp_ns;
         }
         missing += joint->fresh == NOTHING;
     }
-    if (silent != 0)
+    if (silent != 0) {
         state->degraded = 1;
+    }
     state->blind = silent != 0 && !both_sides_heard(config, stale);
-    if (missing == 0 && !state->blind)
+    if (missing == 0 && !state->blind) {
         integrate(state, config, stale);
+    }
 }
 
 void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)

@@ -11,7 +11,7 @@
 #include <math.h>
 
 static const double SMOOTHING_S = 0.2;
-static const double APART = 0.5;                    /* part of the larger speed */
+static const double APART = 0.5; /* part of the larger speed */
 static const int64_t JUMPS_WITHIN_NS = 1000000000;
 
 enum { DIRECTION = 0, STALL = 1, FOLLOWING = 2, RUNAWAY = 3, IMPLAUSIBLE = 4, CHECKS = 5 };
@@ -68,8 +68,9 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
     found |= (uint32_t)(wanted_rad_s - along_rad_s > config->short_rad_s) << FOLLOWING;
     found |= (uint32_t)(speed_rad_s - wanted_rad_s > config->beyond_rad_s) << RUNAWAY;
     if (fabs(state->measured_rad_s - state->reported_rad_s) > config->apart_rad_s + allowed_rad_s /* not the same speed */
-        || state->rough_rad_s > config->beyond_rad_s + allowed_rad_s)                               /* no speed at all */
+        || state->rough_rad_s > config->beyond_rad_s + allowed_rad_s) {                           /* no speed at all */
         found |= 1U << IMPLAUSIBLE;
+    }
     return found;
 }
 
@@ -79,8 +80,9 @@ static bool comes_nearer(plausible_state *state, const plausible_config *config,
     uint32_t faster = setpoint_rad_s > state->measured_rad_s;
     double gained_rad_s = state->measured_rad_s - state->nearest_rad_s;
     bool begun = state->faster == faster && (state->suspicious & BY_SETPOINT);
-    if (begun && !((faster ? gained_rad_s : -gained_rad_s) > config->progress_rad_s))
+    if (begun && !((faster ? gained_rad_s : -gained_rad_s) > config->progress_rad_s)) {
         return false;
+    }
     state->faster = faster;
     state->nearest_rad_s = state->measured_rad_s;
     return true;
@@ -105,11 +107,13 @@ static uint32_t overdue(plausible_state *state, const plausible_config *config, 
     uint32_t first = CHECKS;
     for (uint32_t check = 0; check < CHECKS; check++) {
         uint32_t bit = 1U << check;
-        if (!(state->suspicious & bit))
+        if (!(state->suspicious & bit)) {
             state->since_ns[check] = state->stamp_ns;
+        }
         double held_s = (double)(state->stamp_ns - state->since_ns[check]) * 1e-9;
-        if ((found & bit) && limit_s[check] > 0.0 && held_s >= limit_s[check] && first == CHECKS)
+        if ((found & bit) && limit_s[check] > 0.0 && held_s >= limit_s[check] && first == CHECKS) {
             first = check;
+        }
     }
     state->suspicious = found;
     return first;
@@ -141,13 +145,16 @@ bool plausible(plausible_state *state, const plausible_config *config, const joi
         return false;
     }
     uint32_t found = suspicions(state, config, setpoint_rad_s);
-    if ((found | state->suspicious) == 0)
+    if ((found | state->suspicious) == 0) {
         return true;
-    if ((found & BY_SETPOINT) && comes_nearer(state, config, setpoint_rad_s))
+    }
+    if ((found & BY_SETPOINT) && comes_nearer(state, config, setpoint_rad_s)) {
         state->suspicious &= ~BY_SETPOINT;
+    }
     uint32_t check = overdue(state, config, found);
-    if (check == CHECKS)
+    if (check == CHECKS) {
         return true;
+    }
     doubt(state, check, state->since_ns[check], setpoint_rad_s, reported_rad_s, why);
     return false;
 }

@@ -8,8 +8,9 @@ double saturate_factor(const double *want_rad_s, const joint_config *joint, uint
 {
     double factor = 1.0;
     for (uint32_t j = 0; j < count; j++) {
-        if (!wheel_within(&joint[j], want_rad_s[j]))
+        if (!wheel_within(&joint[j], want_rad_s[j])) {
             factor = fmin(factor, wheel_share(&joint[j], want_rad_s[j]));
+        }
     }
     return factor;
 }

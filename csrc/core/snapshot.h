@@ -13,21 +13,21 @@
 /* What one tick knows beside its state. */
 typedef struct {
     const core_input *input;
-    double dt_s;                /* 0: what came was no time step */
+    double dt_s; /* 0: what came was no time step */
     double command_age_s;
     double saturation;
-    double checksum;            /* of all that has been computed with: not finite when one of it is not */
+    double checksum; /* of all that has been computed with: not finite when one of it is not */
     uint32_t reasons;
-    bool calm;                  /* armed, asked to go on, and nothing amiss */
-    bool go;                    /* armed, and the command counts */
+    bool calm; /* armed, asked to go on, and nothing amiss */
+    bool go;   /* armed, and the command counts */
     bool command_fresh;
     bool command_zero;
     bool heartbeat_fresh;
-    bool news;                  /* feedback is new, or missing: there is something to measure */
+    bool news; /* feedback is new, or missing: there is something to measure */
     bool any_stale;
     bool drive_fault;
     bool drive_disabled;
-    bool moving;                /* a set-point is not zero */
+    bool moving; /* a set-point is not zero */
 } tick;
 
 static inline void write_joint(const core_state *state, const joint_feedback *feedback, uint32_t j, joint_state *to)
@@ -63,12 +63,15 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
     to->turned_rad = from->turned_rad;
     to->linear_m_s = from->linear_m_s;
     to->angular_rad_s = from->angular_rad_s;
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < 6; i++) {
         to->pose_covariance[i] = from->pose_covariance[i];
-    for (int i = 0; i < 3; i++)
+    }
+    for (int i = 0; i < 3; i++) {
         to->twist_covariance[i] = from->twist_covariance[i];
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
+    }
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
         write_joint(state, &feedback[j], j, &to->joint[j]);
+    }
 }
 
 static inline void write_imu(core_state *state, const core_input *input)
@@ -96,14 +99,18 @@ static inline void write_imu(core_state *state, const core_input *input)
 static inline uint32_t all_reasons(const core_state *state, const tick *t)
 {
     uint32_t reasons = t->reasons;
-    if (t->calm)
+    if (t->calm) {
         return reasons;
-    if (!state->armed)
+    }
+    if (!state->armed) {
         reasons |= REASON_NOT_ARMED;
-    if (t->input->control.stop)
+    }
+    if (t->input->control.stop) {
         reasons |= REASON_STOP_REQUESTED;
-    if (state->faults != 0)
+    }
+    if (state->faults != 0) {
         reasons |= REASON_FAULT;
+    }
     return reasons;
 }
 
@@ -126,8 +133,9 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->setpoint_linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s;
     to->setpoint_angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
     to->saturation = t->saturation;
-    if (state->config.gyro.used)
+    if (state->config.gyro.used) {
         write_imu(state, t->input);
+    }
 }
 
 /* every byte is a field, so that no padding carries what was in memory before */
@@ -135,8 +143,8 @@ _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 24, "padding in setpoints");
-_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80
-               + sizeof(imu_state) + sizeof(feedback_doubt),
+_Static_assert(sizeof(robot_state) ==
+                   8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) + sizeof(feedback_doubt),
                "padding in robot_state");
 
 #endif

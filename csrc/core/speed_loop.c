@@ -12,8 +12,8 @@ static double within(double value, double limit)
     return fmin(fmax(value, -limit), limit);
 }
 
-double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s,
-                       double measured_rad_s, double dt_s)
+double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s, double measured_rad_s,
+                       double dt_s)
 {
     double error_rad_s = want_rad_s - measured_rad_s;
     if (!isfinite(error_rad_s + state->integral_n_m) || !(dt_s > 0.0)) {
@@ -24,7 +24,8 @@ double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
     double integral = within(state->integral_n_m + config->integral_n_m_per_rad * error_rad_s * dt_s, limit);
     double wanted = config->gain_n_m_s_per_rad * error_rad_s + integral;
     double torque = within(wanted, limit);
-    if (torque == wanted || error_rad_s * wanted < 0.0)
+    if (torque == wanted || error_rad_s * wanted < 0.0) {
         state->integral_n_m = integral;
+    }
     return torque + 0.0; /* + 0.0: no negative zero */
 }

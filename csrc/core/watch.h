@@ -13,7 +13,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double LEAST_WISH = 1e-9;     /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
+static const double LEAST_WISH = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
 
 /* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
 static inline double age_s(int64_t now_ns, int64_t stamp_ns)
@@ -47,11 +47,11 @@ static inline void read_command(core_state *state, tick *t)
     core_goal *goal = &state->goal;
     int64_t now_ns = t->input->now_ns;
     /* NaN is never the last one */
-    if (command->linear_m_s != goal->command_linear_m_s || command->angular_rad_s != goal->command_angular_rad_s)
+    if (command->linear_m_s != goal->command_linear_m_s || command->angular_rad_s != goal->command_angular_rad_s) {
         take_command(goal, command);
+    }
     t->command_age_s = age_s(now_ns, command->stamp_ns);
-    t->command_fresh = now_ns <= command->expires_ns
-        && fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
+    t->command_fresh = now_ns <= command->expires_ns && fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
     t->command_zero = !t->command_fresh || goal->zero;
     t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
@@ -64,8 +64,9 @@ static inline void judge_feedback(core_state *state, tick *t)
     state->silent = 0;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         int64_t stamp_ns = t->input->feedback[j].stamp_ns;
-        if (stamp_ns <= 0 || stamp_ns > now_ns)
+        if (stamp_ns <= 0 || stamp_ns > now_ns) {
             state->snapshot.joint[j].feedback_age_s = stamp_ns <= 0 ? INFINITY : 0.0;
+        }
         state->stale[j] = !fresh_within(now_ns, stamp_ns, within_ns);
         state->silent |= state->stale[j];
     }
@@ -73,9 +74,11 @@ static inline void judge_feedback(core_state *state, tick *t)
 
 static inline bool drive_disabled(const core_state *state, const joint_feedback *feedback)
 {
-    for (uint32_t j = 0; j < state->config.joint_count; j++)
-        if (feedback[j].enabled == 0 && feedback[j].stamp_ns > state->armed_ns)
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        if (feedback[j].enabled == 0 && feedback[j].stamp_ns > state->armed_ns) {
             return true;
+        }
+    }
     return false;
 }
 
@@ -98,10 +101,10 @@ static inline void read_feedback(core_state *state, tick *t)
         enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
     /* all of it fresh, as in the tick before: no joint needs a closer look */
-    bool heard = state->silent == 0 && now_ns >= newest_ns
-        && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
-    if (!heard)
+    bool heard = state->silent == 0 && now_ns >= newest_ns && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
+    if (!heard) {
         judge_feedback(state, t);
+    }
     t->news = news != 0 || !heard;
     t->any_stale = state->silent != 0;
     t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
@@ -115,10 +118,10 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
     t->checksum = 0.0;
-    for (int i = 0; i < AXES; i++)
+    for (int i = 0; i < AXES; i++) {
         t->checksum += state->axis[i].velocity_u_s + state->axis[i].acceleration_u_s2;
-    t->heartbeat_fresh =
-        fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
+    }
+    t->heartbeat_fresh = fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
     read_command(state, t);
     read_feedback(state, t);
 }
@@ -128,8 +131,9 @@ static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     bool cause = control->estop || control->fault || t->any_stale || t->drive_fault;
-    if (cause || !t->command_zero || !state->at_rest)
+    if (cause || !t->command_zero || !state->at_rest) {
         return;
+    }
     state->faults = 0;
     state->holding = 0;
     state->snapshot.doubt = (feedback_doubt){0};
@@ -152,8 +156,9 @@ static inline void obey_counters(core_state *state, const tick *t)
 static inline void take_limits(core_state *state, const base_limits *limits)
 {
     char name[FIELD_NAME_BYTES];
-    if (memcmp(limits, &state->limits, sizeof *limits) == 0 || base_limits_check(limits, name) != NULL)
+    if (memcmp(limits, &state->limits, sizeof *limits) == 0 || base_limits_check(limits, name) != NULL) {
         return;
+    }
     state->limits = *limits;
     state->goal.known = 0;
 }
@@ -161,24 +166,33 @@ static inline void take_limits(core_state *state, const base_limits *limits)
 static inline uint32_t causes(const core_state *state, const tick *t)
 {
     uint32_t found = 0;
-    if (t->input->control.estop)
+    if (t->input->control.estop) {
         found |= FAULT_ESTOP;
-    if (t->input->suspended) /* all else is its consequence */
+    }
+    if (t->input->suspended) { /* all else is its consequence */
         return found | FAULT_SUSPENDED;
-    if (t->input->control.fault)
+    }
+    if (t->input->control.fault) {
         found |= FAULT_EXTERNAL;
-    if (t->dt_s == 0.0)
+    }
+    if (t->dt_s == 0.0) {
         found |= FAULT_TIME_STEP;
-    if (!state->armed)
+    }
+    if (!state->armed) {
         return found;
-    if (!t->heartbeat_fresh)
+    }
+    if (!t->heartbeat_fresh) {
         found |= FAULT_HEARTBEAT_LOST;
-    if (t->any_stale)
+    }
+    if (t->any_stale) {
         found |= FAULT_FEEDBACK_STALE;
-    if (t->drive_fault)
+    }
+    if (t->drive_fault) {
         found |= FAULT_DRIVE;
-    if (t->drive_disabled)
+    }
+    if (t->drive_disabled) {
         found |= FAULT_DRIVE_DISABLED;
+    }
     return found;
 }
 
@@ -187,8 +201,9 @@ static inline uint32_t causes(const core_state *state, const tick *t)
 static inline stop_action watch_fault_action(const core_state *state)
 {
     stop_action action = state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
-    if (state->faults & FAULT_RUNAWAY)
+    if (state->faults & FAULT_RUNAWAY) {
         return STOP_COAST;
+    }
     return (state->faults & FAULT_DIRECTION) && action != STOP_COAST ? STOP_BRAKE : action;
 }
 
@@ -196,15 +211,17 @@ static inline stop_action watch_fault_action(const core_state *state)
 static inline void watch_latch(core_state *state, uint32_t faults)
 {
     state->faults |= faults;
-    if (state->faults == 0)
+    if (state->faults == 0) {
         return;
+    }
     if (state->armed) {
         state->armed = 0;
         state->holding = 1;
         state->zero_since_ns = 0;
     }
-    if (watch_fault_action(state) == STOP_COAST)
+    if (watch_fault_action(state) == STOP_COAST) {
         state->holding = 0;
+    }
 }
 
 static inline void arm_or_disarm(core_state *state, const tick *t)
@@ -212,18 +229,20 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     const core_control *control = &t->input->control;
     bool edge = control->armed && !state->armed_seen;
     state->armed_seen = control->armed;
-    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && t->heartbeat_fresh && t->command_zero
-        && !control->stop) {
+    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && t->heartbeat_fresh && t->command_zero &&
+        !control->stop) {
         state->armed = 1;
         state->armed_ns = t->input->now_ns;
         state->commanded = 0;
     }
-    if (!control->armed)
+    if (!control->armed) {
         state->armed = 0;
+    }
     /* a base armed before its first command has nothing to coast from */
     bool lapsed = control->stop || (!t->command_fresh && state->commanded);
-    if (lapsed && state->config.on_timeout == STOP_COAST)
+    if (lapsed && state->config.on_timeout == STOP_COAST) {
         state->armed = 0;
+    }
     state->commanded |= t->command_fresh;
 }
 
@@ -231,9 +250,8 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
 static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    uint32_t asked = control->estop | control->fault | control->stop | t->input->suspended
-        | (control->reset_count ^ state->reset_seen)
-        | (control->odometry_reset_count ^ state->odometry_reset_seen);
+    uint32_t asked = control->estop | control->fault | control->stop | t->input->suspended |
+                     (control->reset_count ^ state->reset_seen) | (control->odometry_reset_count ^ state->odometry_reset_seen);
     asked |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled;
     uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
     return asked == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
@@ -245,8 +263,9 @@ static inline void watch(core_state *state, const core_input *input, double dt_s
     look(state, input, dt_s, t);
     take_limits(state, &input->control.limits);
     t->go = t->calm = calm(state, t);
-    if (t->calm)
+    if (t->calm) {
         return;
+    }
     obey_counters(state, t);
     watch_latch(state, causes(state, t));
     arm_or_disarm(state, t);

@@ -38,8 +38,9 @@ static inline double wheel_share(const joint_config *joint, double want_rad_s)
 {
     double want = fabs(want_rad_s);
     double limit = want_rad_s < 0.0 ? -joint->velocity_min_rad_s : joint->velocity_max_rad_s;
-    if (!(want > limit) || isinf(want)) /* NaN, on either side, is no reason to move */
+    if (!(want > limit) || isinf(want)) { /* NaN, on either side, is no reason to move */
         return 0.0;
+    }
     double quotient = fabs(limit / want);
     return want * quotient > limit ? nextafter(quotient, 0.0) : quotient; /* it may have been rounded up */
 }
@@ -47,8 +48,9 @@ static inline double wheel_share(const joint_config *joint, double want_rad_s)
 /* A straight line that begins at the dead band's edge. A speed that is not finite gives a duty that is not. */
 static inline pwm_output wheel_duty(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s)
 {
-    if (velocity_rad_s == 0.0)
+    if (velocity_rad_s == 0.0) {
         return (pwm_output){0};
+    }
     bool back = velocity_rad_s < 0.0;
     double edge = back ? -config->dead_band : config->dead_band;
     double wanted = velocity_rad_s * (1.0 - config->dead_band) / config->full_duty_rad_s + edge;

@@ -47,20 +47,11 @@ static inline joint_feedback feedback_unknown(void)
 static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, double si)
 {
     switch (kind) {
-    case FIELD_VELOCITY:
-        feedback->velocity_rad_s = si;
-        return true;
-    case FIELD_CURRENT:
-        feedback->current_a = si;
-        return true;
-    case FIELD_VOLTAGE:
-        feedback->voltage_v = si;
-        return true;
-    case FIELD_TEMPERATURE:
-        feedback->temperature_c = si;
-        return true;
-    default:
-        return false;
+    case FIELD_VELOCITY: feedback->velocity_rad_s = si; return true;
+    case FIELD_CURRENT: feedback->current_a = si; return true;
+    case FIELD_VOLTAGE: feedback->voltage_v = si; return true;
+    case FIELD_TEMPERATURE: feedback->temperature_c = si; return true;
+    default: return false;
     }
 }
 

@@ -60,7 +60,7 @@ int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, con
 
 int line_thread_start(line_thread *t, void *(*run)(void *), void *arg)
 {
-    t->running = true;   /* before it can end */
+    t->running = true; /* before it can end */
     int error = loop_thread_create(&t->thread, &(loop_config){.priority = t->at.priority}, &t->grant, run, arg);
     if (error != 0) {
         t->running = false;

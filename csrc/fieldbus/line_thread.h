@@ -30,7 +30,7 @@ typedef struct {
     pthread_t thread;
     uint32_t line;
     int wake_fd;
-    bool made;                  /* wake_fd is there */
+    bool made; /* wake_fd is there */
     bool joinable;
     long page_fault_base;
     uint64_t page_faults;
@@ -45,16 +45,16 @@ int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, con
 /* When there is a first report. `run` begins with line_thread_begin and ends with line_thread_end. 0 or -errno: then there
  * is no thread. */
 int line_thread_start(line_thread *t, void *(*run)(void *), void *arg);
-int line_thread_stop(line_thread *t);                       /* joins; 0 or -ESRCH */
+int line_thread_stop(line_thread *t); /* joins; 0 or -ESRCH */
 void line_thread_put_control(line_thread *t, const void *control);
-int line_thread_read_report(line_thread *t, void *out);     /* 0 or -ESRCH: never started */
-int line_thread_read_round_trips(const line_thread *t, histogram *out);     /* 0 or -EINVAL */
+int line_thread_read_report(line_thread *t, void *out);                 /* 0 or -ESRCH: never started */
+int line_thread_read_round_trips(const line_thread *t, histogram *out); /* 0 or -EINVAL */
 /* To the thread's side of a queue, and wakes it. 0 or -EAGAIN: full. */
 int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count, const void *value, size_t value_bytes);
 
 /* --------------------------------------------------------------------------------------------- in the thread */
-void line_thread_begin(line_thread *t, const char *name);   /* as the kernel shows it: at most 15 characters */
-void line_thread_end(line_thread *t);                       /* its last report has been put */
+void line_thread_begin(line_thread *t, const char *name); /* as the kernel shows it: at most 15 characters */
+void line_thread_end(line_thread *t);                     /* its last report has been put */
 void line_thread_take_control(line_thread *t, void *out);
 /* Returns how often they have become enabled. */
 uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out);

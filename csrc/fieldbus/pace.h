@@ -15,10 +15,10 @@ static const int64_t SHUT_REST_NS = 350 * 1000000, SHUT_NS = 480 * 1000000;
 enum { EARLY_AT_ONCE = 4 };
 
 typedef struct {
-    int64_t due_ns;             /* the next one */
-    int64_t start_ns;           /* of the newest; 0: there was none */
-    int64_t took_ns;            /* smoothed time between two */
-    int64_t early_ns;           /* until then the early ones are more than their share */
+    int64_t due_ns;   /* the next one */
+    int64_t start_ns; /* of the newest; 0: there was none */
+    int64_t took_ns;  /* smoothed time between two */
+    int64_t early_ns; /* until then the early ones are more than their share */
     uint64_t count;
 } cycle_clock;
 

@@ -14,10 +14,10 @@ _Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md 
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
 
 static const int64_t NS_PER_MS = 1000000;
-enum { BURST = 4, SMOOTH = 8 };   /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
+enum { BURST = 4, SMOOTH = 8 }; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
 /* What is shorter would lapse between two commands, and the hold of who is held with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
-static const double OUT_OF_RANGE = 10.0;   /* times the limit: a wrong unit or a broken program, nothing to be scaled down */
+static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program, nothing to be scaled down */
 
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
@@ -144,8 +144,7 @@ static bool in_range(const arbiter *a, const command_datagram *command)
     const base_limits *file = &a->base->limits, *now = a->limits != NULL ? a->limits : file;
     double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
     double angular_rad_s = larger(file->angular.velocity_u_s, now->angular.velocity_u_s);
-    return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s &&
-           fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s;
+    return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s && fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s;
 }
 
 /* `possible`: the base can do it, if it is finite. */
@@ -174,7 +173,7 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
     bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
-    lease->lifted_ns = grant->barred_until_ns;   /* from here on it is in lease->held */
+    lease->lifted_ns = grant->barred_until_ns; /* from here on it is in lease->held */
     lease->sequence = command->sequence;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
@@ -182,7 +181,7 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     lease->angular_rad_s = good ? command->angular_rad_s : 0.0;
     lease->held = wants_motion(lease) && (!may_move || barred);
     if (!good) {
-        lease->held = barred;   /* that was no zero */
+        lease->held = barred; /* that was no zero */
         return refuse(a, !finite ? REFUSED_NOT_FINITE : !possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
@@ -244,8 +243,8 @@ static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
             continue;
         }
         lease->held |= !may_move && wants_motion(lease);
-        bool better = best == NULL || lease->priority > best->priority ||
-                      (lease->priority == best->priority && lease->since < best->since);
+        bool better =
+            best == NULL || lease->priority > best->priority || (lease->priority == best->priority && lease->since < best->since);
         best = better ? lease : best;
     }
     return best;
@@ -256,7 +255,7 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
     const lease_state *lease = commander(a, now_ns, may_move);
     a->report.may_move = may_move;
     a->report.commander = lease != NULL ? lease->number : 0;
-    *out = (twist_command){.stamp_ns = a->last_stamp_ns};   /* nobody: its end lies behind us */
+    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* nobody: its end lies behind us */
     if (lease == NULL) {
         return;
     }

@@ -46,7 +46,7 @@ struct exchange {
     _Atomic int line_wake_fd[LINES_MAX];
     _Atomic uint64_t takes[LINES_MAX];
     _Atomic uint64_t enabled_count[LINES_MAX];
-    bool enabled_before[LINES_MAX];     /* the writer's */
+    bool enabled_before[LINES_MAX]; /* the writer's */
 };
 
 /* How often a line has taken its set-points: it lives while this grows. */

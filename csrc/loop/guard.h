@@ -7,39 +7,39 @@
 
 /* What the input's descriptor said in one tick. */
 typedef struct {
-    bool known;                 /* false: the level could not be read, or its device is gone */
-    bool high;                  /* level now */
-    bool opened;                /* there was an edge to the level that stops since the tick before */
+    bool known;  /* false: the level could not be read, or its device is gone */
+    bool high;   /* level now */
+    bool opened; /* there was an edge to the level that stops since the tick before */
 } estop_reading;
 
 /* What the watchdog goes by, once a tick. */
 typedef struct {
     int64_t now_ns;
-    int64_t heartbeat_ns;       /* of asyncio; 0: never */
-    bool enabled;               /* drives are told to be enabled */
-    uint64_t takes[LINES_MAX];  /* how often each line has taken its set-points */
+    int64_t heartbeat_ns;      /* of asyncio; 0: never */
+    bool enabled;              /* drives are told to be enabled */
+    uint64_t takes[LINES_MAX]; /* how often each line has taken its set-points */
 } watchdog_input;
 
 typedef struct {
     uint64_t takes[LINES_MAX];
     int64_t taken_ns[LINES_MAX];
-    bool watched[LINES_MAX];    /* it had enabled drives, and has not been seen to go on since they are not */
+    bool watched[LINES_MAX]; /* it had enabled drives, and has not been seen to go on since they are not */
     bool was_enabled;
     bool high;
-    uint32_t ticks;             /* since the last edge */
+    uint32_t ticks; /* since the last edge */
 } watchdog_state;
 
 typedef struct {
     guard_config config;
     watchdog_state watchdog;
-    bool lost;                  /* the input's device: for good */
-    _Atomic uint32_t estop_input;       /* estop_input */
+    bool lost;                    /* the input's device: for good */
+    _Atomic uint32_t estop_input; /* estop_input */
     _Atomic uint32_t watchdog_well;
     _Atomic uint64_t watchdog_edges;
     _Atomic int32_t watchdog_errno;
 } guard;
 
-int guard_config_check(const guard_config *config);       /* 0 or -EINVAL */
+int guard_config_check(const guard_config *config); /* 0 or -EINVAL */
 /* ESTOP_*: the slightest hint of a stop is one. */
 uint32_t estop_judge(const guard_config *config, const estop_reading *reading);
 /* True: everybody lives. The pin's new level is in state->high. */

@@ -13,7 +13,7 @@ static const int64_t NS_PER_S = 1000000000;
 
 bool ingress_wait(const ingress *in, int64_t until_ns)
 {
-    struct pollfd any = {.fd = in->epoll_fd, .events = POLLIN};   /* epoll_wait itself counts in milliseconds */
+    struct pollfd any = {.fd = in->epoll_fd, .events = POLLIN}; /* epoll_wait itself counts in milliseconds */
     for (int64_t left_ns = until_ns - clock_now_ns(); left_ns > 0; left_ns = until_ns - clock_now_ns()) {
         struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
         if (ppoll(&any, 1, &left, NULL) > 0) {
@@ -27,7 +27,7 @@ static uint32_t take_from(int fd, arbiter *a, bool may_move)
 {
     uint32_t taken = 0;
     while (taken < DATAGRAMS_A_SOCKET) {
-        uint8_t datagram[JOINT_COMMAND_BYTES + 1];   /* one more shows what is too long */
+        uint8_t datagram[JOINT_COMMAND_BYTES + 1]; /* one more shows what is too long */
         ssize_t bytes = recv(fd, datagram, sizeof datagram, MSG_DONTWAIT);
         if (bytes < 0) {
             break;
@@ -60,8 +60,8 @@ static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
         struct cmsghdr aligned;
     } control;
     struct iovec place = {.iov_base = datagram, .iov_len = bytes};
-    struct msghdr message = {.msg_iov = &place, .msg_iovlen = 1, .msg_control = control.bytes,
-                             .msg_controllen = sizeof control.bytes};
+    struct msghdr message = {
+        .msg_iov = &place, .msg_iovlen = 1, .msg_control = control.bytes, .msg_controllen = sizeof control.bytes};
     ssize_t received = recvmsg(fd, &message, MSG_DONTWAIT);
     const struct cmsghdr *first = received >= 0 ? CMSG_FIRSTHDR(&message) : NULL;
     *pid = 0;
@@ -78,7 +78,7 @@ uint32_t ingress_take_stops(const ingress *in, stop_requests *stops)
     uint32_t taken = 0;
     while (in->stop_fd >= 0 && taken < STOPS_A_TICK) {
         stop_request request;
-        uint8_t datagram[STOP_REQUEST_BYTES + 1] = {0};   /* one more shows what is too long */
+        uint8_t datagram[STOP_REQUEST_BYTES + 1] = {0}; /* one more shows what is too long */
         int32_t pid;
         ssize_t bytes = receive(in->stop_fd, datagram, sizeof datagram, &pid);
         if (bytes < 0) {

@@ -8,8 +8,8 @@
 #include "rt.h"
 
 typedef struct {
-    int epoll_fd;               /* of datagram sockets, epoll(7); -1: there are none */
-    int stop_fd;                /* -1: none */
+    int epoll_fd; /* of datagram sockets, epoll(7); -1: there are none */
+    int stop_fd;  /* -1: none */
 } ingress;
 
 typedef struct {

@@ -24,8 +24,8 @@ typedef struct {
     _Atomic uint32_t checkpoint_offset_bytes;
     _Atomic uint32_t checkpoint_bytes;
     _Atomic uint32_t writer_pid;
-    _Atomic uint64_t records;       /* so far; the newest is in slot (records - 1) % JOURNAL_RECORDS */
-    _Atomic uint64_t checkpoints;   /* so far */
+    _Atomic uint64_t records;     /* so far; the newest is in slot (records - 1) % JOURNAL_RECORDS */
+    _Atomic uint64_t checkpoints; /* so far */
 } journal_header;
 
 typedef struct {
@@ -97,12 +97,10 @@ void journal_before(void *memory, const core_state *state)
     atomic_store_explicit(&j->header.checkpoints, number, memory_order_release);
 }
 
-void journal_after(void *memory, const core_input *input, double dt_s, const setpoints *out,
-                   const robot_state *snapshot)
+void journal_after(void *memory, const core_input *input, double dt_s, const setpoints *out, const robot_state *snapshot)
 {
     journal *j = memory;
-    journal_record record = {.tick = out->tick, .dt_s = dt_s, .digest = journal_digest(snapshot), .input = *input,
-                             .out = *out};
+    journal_record record = {.tick = out->tick, .dt_s = dt_s, .digest = journal_digest(snapshot), .input = *input, .out = *out};
     uint64_t number = atomic_load_explicit(&j->header.records, memory_order_relaxed) + 1;
     record_slot *slot = &j->record[(number - 1) % JOURNAL_RECORDS];
     seqlock_write(&slot->sequence, slot->word, number, &record, RECORD_WORDS);

@@ -17,7 +17,7 @@ static core_state rehearsal;
 static loop_grant grant;
 static loop_config config;
 static pthread_t thread;
-static sem_t ticking;            /* posted after the first tick */
+static sem_t ticking; /* posted after the first tick */
 static int dma_latency_fd = -1;
 static _Atomic int life = LIFE_STOPPED;
 static _Atomic bool stop_asked;
@@ -37,7 +37,7 @@ static void wait_until(int64_t deadline_ns)
 {
     bool listening = work.ingress.epoll_fd >= 0;
     if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
-        return;   /* it is time; to sleep until a time that is past would cost a wake-up all the same */
+        return; /* it is time; to sleep until a time that is past would cost a wake-up all the same */
     }
     if (listening) {
         loop_extra_tick(&work, clock_now_ns());
@@ -67,9 +67,8 @@ static void *run(void *unused)
 
 static bool is_good(const loop_config *loop)
 {
-    return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 &&
-           loop->page_fd >= -1 && loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 &&
-           loop->stop_fd >= -1 &&
+    return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 && loop->page_fd >= -1 &&
+           loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 && loop->stop_fd >= -1 &&
            guard_config_check(&loop->guard) == 0;
 }
 
@@ -152,7 +151,7 @@ static int start(const loop_config *loop, const core_config *core)
         release_machine();
         return error;
     }
-    while (sem_wait(&ticking) != 0) {   /* a signal: wait on, the first tick takes no longer for it */
+    while (sem_wait(&ticking) != 0) { /* a signal: wait on, the first tick takes no longer for it */
     }
     return 0;
 }

@@ -14,29 +14,29 @@
 /* All that a tick touches, in one static block that is written before the first tick. */
 typedef struct {
     exchange exchange;
-    _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES];   /* own: readable before, while and after the loop runs */
-    void *shared_page;                  /* the caller's, mapped; NULL: none */
-    void *journal;                      /* the caller's, mapped; NULL: none */
+    _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES]; /* own: readable before, while and after the loop runs */
+    void *shared_page;                                   /* the caller's, mapped; NULL: none */
+    void *journal;                                       /* the caller's, mapped; NULL: none */
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;
     stop_requests stops;
-    bool disarmed;                      /* a request to disarm has brought the base to rest and is not acknowledged yet */
-    bool stop_news;                     /* a stop request came in this tick */
+    bool disarmed;  /* a request to disarm has brought the base to rest and is not acknowledged yet */
+    bool stop_news; /* a stop request came in this tick */
     guard guard;
     arbiter arbiter;
     lease_grants grants;
-    int64_t used_stamp_ns;              /* of the command that was last counted in HISTOGRAM_COMMAND */
-    bool woken;                         /* the tick before had a new wish */
-    bool stopping;                      /* the set-points of the last tick were none that move */
+    int64_t used_stamp_ns; /* of the command that was last counted in HISTOGRAM_COMMAND */
+    bool woken;            /* the tick before had a new wish */
+    bool stopping;         /* the set-points of the last tick were none that move */
     histogram histogram[HISTOGRAM_KINDS];
-    core_state core;                    /* with the snapshot of the last tick */
+    core_state core; /* with the snapshot of the last tick */
     core_input input;
     setpoints out;
-    robot_state notified;               /* what the reader of event_fd was last woken for */
-    int64_t last_ns;                    /* the tick before; 0: none yet */
-    int64_t resumed_ns;                 /* the suspend that is known */
-    int64_t still_ns;                   /* periods in a row in which the clock has not moved */
+    robot_state notified; /* what the reader of event_fd was last woken for */
+    int64_t last_ns;      /* the tick before; 0: none yet */
+    int64_t resumed_ns;   /* the suspend that is known */
+    int64_t still_ns;     /* periods in a row in which the clock has not moved */
     int64_t period_ns;
     long page_fault_base;
     _Atomic bool clear_histograms;

@@ -21,18 +21,18 @@
 #include <xmmintrin.h>
 #endif
 
-enum { CODE_PAGE_BYTES = 4096 };   /* the smallest there is */
+enum { CODE_PAGE_BYTES = 4096 }; /* the smallest there is */
 
 /* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use for 1e-308 m/s. */
 static void flush_denormals_to_zero(void)
 {
 #if defined(__x86_64__)
-    const unsigned int flush_to_zero = 1U << 15, denormals_are_zero = 1U << 6;   /* Intel SDM vol. 1, 10.2.3 */
+    const unsigned int flush_to_zero = 1U << 15, denormals_are_zero = 1U << 6; /* Intel SDM vol. 1, 10.2.3 */
     _mm_setcsr(_mm_getcsr() | flush_to_zero | denormals_are_zero);
 #elif defined(__aarch64__)
     uint64_t fpcr;
     __asm__ volatile("mrs %0, fpcr" : "=r"(fpcr));
-    __asm__ volatile("msr fpcr, %0" : : "r"(fpcr | (UINT64_C(1) << 24)));   /* FZ, Arm ARM C5.2.8 */
+    __asm__ volatile("msr fpcr, %0" : : "r"(fpcr | (UINT64_C(1) << 24))); /* FZ, Arm ARM C5.2.8 */
 #endif
 }
 
@@ -94,7 +94,7 @@ __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant)
 {
     (void)pthread_setname_np(pthread_self(), "motord-loop");
-    (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);   /* SCHED_OTHER would be woken up to 50 us late */
+    (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL); /* SCHED_OTHER would be woken up to 50 us late */
     grant->affinity_errno = loop->cpu_mask == 0 ? 0 : set_affinity(loop->cpu_mask);
     flush_denormals_to_zero();
     prefault_stack();
@@ -130,7 +130,7 @@ int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *g
 {
     sigset_t all, before;
     sigfillset(&all);
-    int error = pthread_sigmask(SIG_SETMASK, &all, &before);   /* the thread inherits it: signals are asyncio's */
+    int error = pthread_sigmask(SIG_SETMASK, &all, &before); /* the thread inherits it: signals are asyncio's */
     if (error != 0) {
         return -error;
     }

@@ -72,8 +72,12 @@ void loop_rehearse(loop_work *work, core_state *scratch)
         input.command.linear_m_s = i > 4 ? 0.1 : 0.0;
         input.command.angular_rad_s = i > 4 ? 0.1 : 0.0;
         for (uint32_t joint = 0; joint < config->joint_count; joint++) {
-            input.feedback[joint] = (joint_feedback){.stamp_ns = input.now_ns, .count = i, .velocity_rad_s = 0.1,
-                                                     .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN,
+            input.feedback[joint] = (joint_feedback){.stamp_ns = input.now_ns,
+                                                     .count = i,
+                                                     .velocity_rad_s = 0.1,
+                                                     .current_a = NAN,
+                                                     .voltage_v = NAN,
+                                                     .temperature_c = NAN,
                                                      .enabled = 1};
         }
         input.imu = (imu_sample){.stamp_ns = input.now_ns, .angular_rad_s = {0.0, 0.0, 0.1}};
@@ -111,8 +115,8 @@ static void clear_histograms_if_asked(loop_work *work)
 static bool may_move(const loop_work *work)
 {
     const core_control *control = &work->input.control;
-    return control->armed != 0 && work->core.armed != 0 && work->core.faults == 0 && control->stop == 0 &&
-           control->estop == 0 && control->fault == 0;
+    return control->armed != 0 && work->core.armed != 0 && work->core.faults == 0 && control->stop == 0 && control->estop == 0 &&
+           control->fault == 0;
 }
 
 static void take_commands(loop_work *work, int64_t now_ns)
@@ -191,8 +195,7 @@ static void take_inputs(loop_work *work, int64_t now_ns)
 static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
     uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
-    return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed ||
-           now->at_rest != before->at_rest;
+    return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed || now->at_rest != before->at_rest;
 }
 
 static void notify(loop_work *work, bool always)
@@ -236,15 +239,15 @@ static void wake_lines(const loop_work *work)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         int fd = exchange_line_wake(&work->exchange, line);
         if (fd >= 0 && write(fd, &one, sizeof one) < 0) {
-            continue;   /* full: it is awake */
+            continue; /* full: it is awake */
         }
     }
 }
 
 static bool same_wish(const twist_command *one, const twist_command *other)
 {
-    return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns &&
-           one->linear_m_s == other->linear_m_s && one->angular_rad_s == other->angular_rad_s;
+    return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns && one->linear_m_s == other->linear_m_s &&
+           one->angular_rad_s == other->angular_rad_s;
 }
 
 /* A coarse clock shows the same time twice: there is nothing to compute until it moves. */

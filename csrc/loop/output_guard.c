@@ -9,7 +9,7 @@
 
 #include "guard.h"
 
-enum { EVENTS_A_TICK = 16 };   /* of a contact that bounces: the kernel keeps that many, and the level tells the rest */
+enum { EVENTS_A_TICK = 16 }; /* of a contact that bounces: the kernel keeps that many, and the level tells the rest */
 
 void guard_init(guard *g, const guard_config *config)
 {

@@ -23,12 +23,12 @@ typedef struct {
     _Atomic uint32_t slot_stride_bytes;
     _Atomic uint32_t slot_offset_bytes;
     _Atomic uint32_t writer_pid;
-    _Atomic uint64_t published;      /* snapshots so far; the newest is in slot (published - 1) % SLOTS */
+    _Atomic uint64_t published; /* snapshots so far; the newest is in slot (published - 1) % SLOTS */
     _Atomic uint64_t reserved[3];
 } page_header;
 
 typedef struct {
-    _Alignas(64) _Atomic uint64_t sequence;   /* 2 n: snapshot n (from 1) is whole; odd: being written */
+    _Alignas(64) _Atomic uint64_t sequence; /* 2 n: snapshot n (from 1) is whole; odd: being written */
     _Atomic uint64_t word[WORDS];
 } page_slot;
 

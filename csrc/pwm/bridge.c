@@ -19,7 +19,7 @@ static void obey_wish(bridge_state *state, const bridge_config *config, const br
     if (control->number == state->number) {
         return;
     }
-    bool overtaken = control->number - state->number > 1;   /* one that was never seen may have been a stop */
+    bool overtaken = control->number - state->number > 1; /* one that was never seen may have been a stop */
     bool powered = state->armed != 0 || state->stop_until_ns != 0;
     state->number = control->number;
     if (overtaken && powered && control->wish == PWM_ARMED) {
@@ -115,7 +115,7 @@ static bool output_is_good(const bridge_config *config, const bridge_pin *output
     good = good && (output->pumps == 0 || output->fd < 0);
     for (uint32_t mode = 0; mode < BRIDGE_MODES; mode++) {
         double low = output->base[mode], high = low + output->slope[mode];
-        good = good && low >= 0.0 && low <= 1.0 && high >= 0.0 && high <= 1.0;   /* NaN is neither */
+        good = good && low >= 0.0 && low <= 1.0 && high >= 0.0 && high <= 1.0; /* NaN is neither */
     }
     return good;
 }

@@ -51,8 +51,9 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
 static int64_t difference(uint64_t now, uint64_t before, uint64_t ceiling)
 {
     uint64_t forward = now - before;
-    if (now < before)
+    if (now < before) {
         forward += ceiling + 1; /* 2^64 wraps to nothing, as it must */
+    }
     return forward > ceiling / 2 ? -(int64_t)(ceiling - forward) - 1 : (int64_t)forward;
 }
 
@@ -65,8 +66,9 @@ void encoder_counter(encoder_state *state, const encoder_config *config, uint64_
     int64_t counts = state->seeded ? difference(raw, state->raw, config->ceiling) : 0;
     state->raw = raw;
     state->seeded = 1;
-    if (counts == 0)
+    if (counts == 0) {
         return;
+    }
     state->count = (int64_t)((uint64_t)state->count + (uint64_t)counts);
     state->edge_ns = now_ns;
 }
@@ -88,8 +90,9 @@ double encoder_velocity_rad_s(encoder_state *state, const encoder_config *config
     int64_t elapsed_ns = state->edge_ns - state->from_ns;
     int64_t silent_ns = now_ns - state->from_ns;
     if (counts != 0 && elapsed_ns >= SHORTEST_NS) {
-        if (state->from_ns != 0)
+        if (state->from_ns != 0) {
             state->counts_per_s = (double)counts / ((double)elapsed_ns * 1e-9);
+        }
         state->from_count = state->count;
         state->from_ns = state->edge_ns;
     } else if (silent_ns > STOPPED_NS) {
@@ -105,16 +108,20 @@ static int read_events(encoder_state *state, const encoder_config *config)
     struct gpio_v2_line_event event[EVENTS_AT_ONCE];
     for (int reads = 0; reads < READS_MAX; reads++) {
         ssize_t size = read(config->fd, event, sizeof event);
-        if (size < 0)
+        if (size < 0) {
             return errno == EAGAIN || errno == EINTR ? 0 : -errno;
-        if (size == 0)
+        }
+        if (size == 0) {
             return -ENODEV;
+        }
         size_t events = (size_t)size / sizeof event[0];
-        for (size_t i = 0; i < events; i++)
-            encoder_edge(state, config, event[i].offset, event[i].id == GPIO_V2_LINE_EVENT_RISING_EDGE,
-                         event[i].seqno, (int64_t)event[i].timestamp_ns);
-        if (events < EVENTS_AT_ONCE)
+        for (size_t i = 0; i < events; i++) {
+            encoder_edge(state, config, event[i].offset, event[i].id == GPIO_V2_LINE_EVENT_RISING_EDGE, event[i].seqno,
+                         (int64_t)event[i].timestamp_ns);
+        }
+        if (events < EVENTS_AT_ONCE) {
             return 0;
+        }
     }
     return 0;
 }
@@ -123,32 +130,36 @@ static int read_counter(encoder_state *state, const encoder_config *config, int6
 {
     char text[32], *end;
     ssize_t size = pread(config->fd, text, sizeof text - 1, 0);
-    if (size < 0)
+    if (size < 0) {
         return errno == EINTR ? 0 : -errno;
+    }
     text[size] = '\0';
     errno = 0;
     unsigned long long raw = strtoull(text, &end, 10);
-    if (end == text || errno != 0)
+    if (end == text || errno != 0) {
         return -EIO;
+    }
     encoder_counter(state, config, raw, now_ns);
     return 0;
 }
 
 int encoder_read(encoder_state *state, const encoder_config *config, int64_t now_ns)
 {
-    if (config->kind == ENCODER_NONE || config->kind == ENCODER_TOLD)
+    if (config->kind == ENCODER_NONE || config->kind == ENCODER_TOLD) {
         return 0;
+    }
     return config->kind == ENCODER_EDGES ? read_events(state, config) : read_counter(state, config, now_ns);
 }
 
 int encoder_config_check(const encoder_config *config)
 {
-    if (config->kind == ENCODER_NONE)
+    if (config->kind == ENCODER_NONE) {
         return 0;
+    }
     bool lines = config->kind != ENCODER_EDGES || config->a_offset != config->b_offset;
     bool range = config->kind == ENCODER_EDGES || config->ceiling > 0;
     bool file = config->kind == ENCODER_TOLD || config->fd >= 0;
-    bool good = config->kind <= ENCODER_TOLD && file && lines && range && isfinite(config->rad_per_count)
-        && config->rad_per_count != 0.0;
+    bool good =
+        config->kind <= ENCODER_TOLD && file && lines && range && isfinite(config->rad_per_count) && config->rad_per_count != 0.0;
     return good ? 0 : -EINVAL;
 }

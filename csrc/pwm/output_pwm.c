@@ -13,7 +13,7 @@
 #include "fresh.h"
 #include "loop.h"
 
-enum { EPOCH_BITS = 16 };   /* of the encoder's own epochs, below those of openings */
+enum { EPOCH_BITS = 16 }; /* of the encoder's own epochs, below those of openings */
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t REPORT_EVERY_NS = 40 * 1000000;
 static const int32_t AT_GPIO = -1, AT_ENCODER = -2;
@@ -47,7 +47,7 @@ typedef struct {
     bridge_report out;
     encoder_state encoder[JOINTS_MAX];
     uint64_t duty_ns[PWM_OUTPUTS_MAX];
-    bool known[PWM_OUTPUTS_MAX];        /* duty_ns is what the file was told */
+    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is what the file was told */
     uint64_t bits;
     bool bits_known;
     int64_t reported_ns;
@@ -183,7 +183,7 @@ static uint64_t lines_without_a_say(const pwm_thread *t, uint32_t joint)
 /* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only say the way stay as they are. */
 static int rest(pwm_thread *t)
 {
-    double level[PWM_OUTPUTS_MAX];
+    double level[PWM_OUTPUTS_MAX] = {0};
     uint64_t bits, mask;
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         level[i] = t->config.output[i].base[BRIDGE_COAST];
@@ -197,7 +197,7 @@ static int rest(pwm_thread *t)
         mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_a_say(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
-    int left = bring_down(t, level, bits, mask);   /* once more what failed */
+    int left = bring_down(t, level, bits, mask); /* once more what failed */
     t->out.rest_output = left != 0 ? t->out.error_output : AT_GPIO;
     t->out.rest_error = left != 0 ? -left : -lines_error;
     return error != 0 ? error : lines_error;
@@ -247,7 +247,7 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         const encoder_config *encoder = &t->config.joint[i].encoder;
         bool counts = encoder->kind != ENCODER_NONE, told = encoder->kind == ENCODER_TOLD;
-        const int64_t at_ns = told ? t->encoder[i].told_ns : now_ns;   /* a silent board's feedback gets old */
+        const int64_t at_ns = told ? t->encoder[i].told_ns : now_ns; /* a silent board's feedback gets old */
         joint_feedback feedback = {
             .stamp_ns = at_ns,
             .count = (uint64_t)t->encoder[i].count,
@@ -284,7 +284,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     }
     const uint64_t one = 1;
     if (news && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
-        return;   /* full: it is told already */
+        return; /* full: it is told already */
     }
 }
 

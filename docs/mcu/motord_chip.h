@@ -31,8 +31,9 @@ static bool chip_watchdog_begin()
     esp_task_wdt_config_t config = {};
     config.timeout_ms = CHIP_WATCHDOG_MS;
     config.trigger_panic = true; /* which ends in a reset */
-    if (esp_task_wdt_reconfigure(&config) != ESP_OK && esp_task_wdt_init(&config) != ESP_OK)
+    if (esp_task_wdt_reconfigure(&config) != ESP_OK && esp_task_wdt_init(&config) != ESP_OK) {
         return false;
+    }
     return esp_task_wdt_add(NULL) == ESP_OK;
 }
 

@@ -4,8 +4,15 @@
 #include <string.h>
 
 enum { VERSION = 1, SETPOINTS = 0x01, FEEDBACK = 0x81 };
-enum { HEAD_BYTES = 8, CRC_BYTES = 2, SETPOINTS_HEAD = 6, SETPOINTS_MOTOR = 6, FEEDBACK_HEAD = 16, FEEDBACK_MOTOR = 10,
-       FEEDBACK_IMU = 20 };
+enum {
+    HEAD_BYTES = 8,
+    CRC_BYTES = 2,
+    SETPOINTS_HEAD = 6,
+    SETPOINTS_MOTOR = 6,
+    FEEDBACK_HEAD = 16,
+    FEEDBACK_MOTOR = 10,
+    FEEDBACK_IMU = 20
+};
 enum { CONTROL_ENABLE = 1, CONTROL_BRAKE = 2, CONTROL_CLEAR = 4, CONTROL_RESTART_NOTED = 8 };
 enum { STATUS_ENABLED = 1, STATUS_BRAKING = 2, STATUS_STOPPED_BY_SILENCE = 4, STATUS_RESTARTED = 8, STATUS_IMU = 16 };
 enum { IMU_SATURATED = 1 };
@@ -39,8 +46,9 @@ static uint16_t crc16(const uint8_t *data, size_t size)
     uint16_t crc = 0xFFFF;
     for (size_t i = 0; i < size; i++) {
         crc = (uint16_t)(crc ^ (uint16_t)((uint16_t)data[i] << 8));
-        for (int bit = 0; bit < 8; bit++)
+        for (int bit = 0; bit < 8; bit++) {
             crc = (uint16_t)(crc & 0x8000 ? (crc << 1) ^ 0x1021 : crc << 1);
+        }
     }
     return crc;
 }
@@ -67,13 +75,15 @@ static size_t unstuff(uint8_t *data, size_t size)
     size_t from = 0, to = 0;
     while (from < size) {
         const size_t code = data[from];
-        if (from + code > size)
+        if (from + code > size) {
             return 0;
+        }
         memmove(data + to, data + from + 1, code - 1);
         to += code - 1;
         from += code;
-        if (from < size && code < 255)
+        if (from < size && code < 255) {
             data[to++] = 0;
+        }
     }
     return to;
 }
@@ -107,9 +117,10 @@ static int is_silent(const motord_board *board, uint32_t now_us)
 
 void motord_board_watch(motord_board *board, uint32_t now_us)
 {
-    if (!is_silent(board, now_us))
+    if (!is_silent(board, now_us)) {
         return;
-    board->has_heard = 0; /* whoever speaks next may begin with any sequence */
+    }
+    board->has_heard = 0;                                                 /* whoever speaks next may begin with any sequence */
     board->heard_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u; /* silent also when the clock has gone round */
     if (board->enabled) {
         board->stopped_by_silence = 1;
@@ -119,9 +130,11 @@ void motord_board_watch(motord_board *board, uint32_t now_us)
 
 static int all_zero(const uint8_t *data, size_t size)
 {
-    for (size_t i = 0; i < size; i++)
-        if (data[i] != 0)
+    for (size_t i = 0; i < size; i++) {
+        if (data[i] != 0) {
             return 0;
+        }
+    }
     return 1;
 }
 
@@ -130,10 +143,12 @@ static void obey_control(motord_board *board, uint8_t control, int at_zero)
 {
     const uint8_t rising = (uint8_t)(control & ~board->control);
     board->control = control;
-    if (control & CONTROL_RESTART_NOTED)
+    if (control & CONTROL_RESTART_NOTED) {
         board->restarted = 0;
-    if (rising & CONTROL_CLEAR)
+    }
+    if (rising & CONTROL_CLEAR) {
         board->faults = 0;
+    }
     if (!(control & CONTROL_ENABLE)) {
         board->stopped_by_silence = 0;
         switch_off(board, (control & CONTROL_BRAKE) != 0);
@@ -153,8 +168,9 @@ static void obey(motord_board *board, const uint8_t *payload, uint8_t motors, ui
     board->feedback_ms = get16(payload + 4);
     obey_control(board, payload[0], all_zero(motor, (size_t)motors * SETPOINTS_MOTOR));
     rest(board);
-    if (!board->enabled)
+    if (!board->enabled) {
         return;
+    }
     for (uint8_t i = 0; i < motors && i < board->motors; i++, motor += SETPOINTS_MOTOR) {
         const int16_t duty = (int16_t)get16(motor + 4);
         board->setpoint[i].velocity_mrad_s = (int32_t)get32(motor);
@@ -166,16 +182,20 @@ static int take(motord_board *board, uint32_t now_us)
 {
     uint8_t *raw = board->received;
     const size_t size = unstuff(raw, board->received_bytes);
-    if (size < HEAD_BYTES + SETPOINTS_HEAD + CRC_BYTES || size > MOTORD_FRAME_BYTES_MAX)
+    if (size < HEAD_BYTES + SETPOINTS_HEAD + CRC_BYTES || size > MOTORD_FRAME_BYTES_MAX) {
         return 0;
-    if (get16(raw + size - CRC_BYTES) != crc16(raw, size - CRC_BYTES) || raw[0] != VERSION || raw[1] != SETPOINTS)
+    }
+    if (get16(raw + size - CRC_BYTES) != crc16(raw, size - CRC_BYTES) || raw[0] != VERSION || raw[1] != SETPOINTS) {
         return 0;
+    }
     const uint8_t motors = raw[HEAD_BYTES + 1];
-    if (size != HEAD_BYTES + SETPOINTS_HEAD + (size_t)motors * SETPOINTS_MOTOR + CRC_BYTES)
+    if (size != HEAD_BYTES + SETPOINTS_HEAD + (size_t)motors * SETPOINTS_MOTOR + CRC_BYTES) {
         return 0;
+    }
     const uint16_t sequence = get16(raw + 2);
-    if (board->has_heard && (int16_t)(sequence - board->heard_sequence) <= 0)
+    if (board->has_heard && (int16_t)(sequence - board->heard_sequence) <= 0) {
         return 0; /* old, or heard already */
+    }
     board->heard_sequence = sequence;
     obey(board, raw + HEAD_BYTES, motors, now_us);
     return 1;
@@ -185,15 +205,17 @@ void motord_board_byte(motord_board *board, uint8_t byte, uint32_t now_us)
 {
     motord_board_watch(board, now_us);
     if (byte != 0) {
-        if (board->received_bytes < sizeof board->received)
+        if (board->received_bytes < sizeof board->received) {
             board->received[board->received_bytes++] = byte;
+        }
         return;
     }
     if (board->received_bytes != 0) {
-        if (take(board, now_us))
+        if (take(board, now_us)) {
             board->frames_good++;
-        else
+        } else {
             board->frames_bad++;
+        }
     }
     board->received_bytes = 0;
 }
@@ -201,8 +223,8 @@ void motord_board_byte(motord_board *board, uint8_t byte, uint32_t now_us)
 static uint8_t status_of(const motord_board *board)
 {
     return (uint8_t)((board->enabled ? STATUS_ENABLED : 0) | (board->braking ? STATUS_BRAKING : 0) |
-                     (board->stopped_by_silence ? STATUS_STOPPED_BY_SILENCE : 0) |
-                     (board->restarted ? STATUS_RESTARTED : 0) | (board->has_imu ? STATUS_IMU : 0));
+                     (board->stopped_by_silence ? STATUS_STOPPED_BY_SILENCE : 0) | (board->restarted ? STATUS_RESTARTED : 0) |
+                     (board->has_imu ? STATUS_IMU : 0));
 }
 
 void motord_board_imu(motord_board *board, const motord_imu *imu)
@@ -222,18 +244,19 @@ static uint8_t *put_imu(motord_board *board, uint8_t *at)
     return at + FEEDBACK_IMU;
 }
 
-size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor,
-                             const motord_health *health, uint8_t *sent)
+size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor, const motord_health *health,
+                             uint8_t *sent)
 {
-    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + FEEDBACK_IMU +
-                CRC_BYTES];
+    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + FEEDBACK_IMU + CRC_BYTES];
     uint8_t *payload = raw + HEAD_BYTES, *at = payload + FEEDBACK_HEAD;
     motord_board_watch(board, now_us);
     board->faults |= health->faults;
-    if (board->faults && board->enabled)
+    if (board->faults && board->enabled) {
         switch_off(board, 1);
-    if (now_us - board->fed_us < (uint32_t)board->feedback_ms * 1000u)
+    }
+    if (now_us - board->fed_us < (uint32_t)board->feedback_ms * 1000u) {
         return 0;
+    }
     board->fed_us = now_us;
 
     const uint32_t held = (now_us - board->heard_us) / 100u;
@@ -255,8 +278,9 @@ size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_
         put32(at + 4, (uint32_t)motor[i].velocity_mrad_s);
         put16(at + 8, (uint16_t)motor[i].current_10ma);
     }
-    if (board->has_imu)
+    if (board->has_imu) {
         at = put_imu(board, at);
+    }
     put16(at, crc16(raw, (size_t)(at - raw)));
     sent[0] = 0;
     const size_t stuffed = stuff(raw, (size_t)(at - raw) + CRC_BYTES, sent + 1);

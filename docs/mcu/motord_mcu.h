@@ -15,9 +15,9 @@ extern "C" {
 #endif
 
 #define MOTORD_MOTORS_MAX 4
-#define MOTORD_FRAME_BYTES_MAX 200                           /* without stuffing */
-#define MOTORD_SENT_BYTES_MAX (MOTORD_FRAME_BYTES_MAX + 4)   /* stuffed, between its two zeros */
-#define MOTORD_WATCHDOG_MS_MAX 2000u                         /* longer ones are cut down, and read back so */
+#define MOTORD_FRAME_BYTES_MAX 200                         /* without stuffing */
+#define MOTORD_SENT_BYTES_MAX (MOTORD_FRAME_BYTES_MAX + 4) /* stuffed, between its two zeros */
+#define MOTORD_WATCHDOG_MS_MAX 2000u                       /* longer ones are cut down, and read back so */
 
 /* What one motor shall do; zeros unless `motord_board.enabled`. Use the one that your board can follow. */
 typedef struct {
@@ -27,7 +27,7 @@ typedef struct {
 
 /* What you measure at one motor. */
 typedef struct {
-    int32_t count;           /* encoder edges, free running, wraps */
+    int32_t count; /* encoder edges, free running, wraps */
     int32_t velocity_mrad_s;
     int16_t current_10ma;
 } motord_measured;
@@ -39,20 +39,20 @@ typedef struct {
     int16_t temperature_100mc; /* 0.1 degC */
 } motord_health;
 
-#define MOTORD_NO_RATE INT32_MIN          /* an axis that the sensor does not measure */
+#define MOTORD_NO_RATE INT32_MIN /* an axis that the sensor does not measure */
 #define MOTORD_NO_ACCELERATION INT16_MIN
 
 /* What an inertial sensor on the board measures, about its own axes. */
 typedef struct {
-    int32_t rate_urad_s[3];           /* 0.000001 rad/s */
+    int32_t rate_urad_s[3]; /* 0.000001 rad/s */
     int16_t acceleration_mm_s2[3];
-    uint8_t saturated;                /* a rate was at the end of its scale */
+    uint8_t saturated; /* a rate was at the end of its scale */
 } motord_imu;
 
 typedef struct {
     /* for you to read */
-    uint8_t enabled;   /* follow the set-points */
-    uint8_t braking;   /* not enabled: short the windings until rest; else let them turn freely */
+    uint8_t enabled; /* follow the set-points */
+    uint8_t braking; /* not enabled: short the windings until rest; else let them turn freely */
     motord_setpoint setpoint[MOTORD_MOTORS_MAX];
     uint32_t frames_good, frames_bad;
     /* its own */
@@ -74,8 +74,8 @@ void motord_board_byte(motord_board *board, uint8_t byte, uint32_t now_us);
 void motord_board_watch(motord_board *board, uint32_t now_us);
 
 /* The frame to send now, or 0 bytes where none is due yet. `sent` has MOTORD_SENT_BYTES_MAX bytes. */
-size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor,
-                             const motord_health *health, uint8_t *sent);
+size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor, const motord_health *health,
+                             uint8_t *sent);
 
 /* The sensor has been read: it goes with the next feedback, once. Without a sensor never call it. */
 void motord_board_imu(motord_board *board, const motord_imu *imu);

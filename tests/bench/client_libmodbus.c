@@ -20,7 +20,8 @@ static double cpu_ns(void)
     struct rusage used;
     getrusage(RUSAGE_SELF, &used);
     return ((double)(used.ru_utime.tv_sec + used.ru_stime.tv_sec) * 1e6 +
-            (double)(used.ru_utime.tv_usec + used.ru_stime.tv_usec)) * 1e3;
+            (double)(used.ru_utime.tv_usec + used.ru_stime.tv_usec)) *
+           1e3;
 }
 
 int main(int argc, char **argv)

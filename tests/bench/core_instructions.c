@@ -20,21 +20,35 @@ static core_config four_wheels(void)
 {
     axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
     core_config config = {
-        .joint_count = 4, .track_m = 0.5, .limits = {linear, angular},
-        .command_timeout_s = 0.3, .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP, .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+        .joint_count = 4,
+        .track_m = 0.5,
+        .limits = {linear, angular},
+        .command_timeout_s = 0.3,
+        .feedback_timeout_s = 0.25,
+        .heartbeat_timeout_s = 0.5,
+        .rest_velocity_rad_s = 0.05,
+        .on_timeout = STOP_RAMP,
+        .on_fault = STOP_RAMP,
+        .on_estop = STOP_BRAKE,
+        .distance_variance_m2_per_m = 1e-4,
+        .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6,
+        .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5,
+        .twist_variance_floor_rad2_s2 = 1e-5,
     };
-    for (uint32_t j = 0; j < config.joint_count; j++)
+    for (uint32_t j = 0; j < config.joint_count; j++) {
         config.joint[j] = (joint_config){
-            .side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -12.0, .velocity_max_rad_s = 12.0,
-            .rad_per_count = 6.283185307179586 / 4096.0, .counter_bits = 32,
+            .side = j % 2 == 0 ? -1.0 : 1.0,
+            .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -12.0,
+            .velocity_max_rad_s = 12.0,
+            .rad_per_count = 6.283185307179586 / 4096.0,
+            .counter_bits = 32,
             .plausible = {1.5, 0.3, 6.0, 6.0, 1.5, 0.15, 0.5, 1.0, 1.0, 0.5, 1.0, 3, 0},
             .pwm = {0.05, -1.0, 1.0, INFINITY, 12.5},
         };
+    }
     return config;
 }
 
@@ -72,8 +86,9 @@ static void command(core_input *input, long tick, long leg_ticks)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4)
+    if (argc != 4) {
         return 2;
+    }
     long leg_ticks = strcmp(argv[1], "moving") == 0 ? 2000 : strcmp(argv[1], "ramping") == 0 ? 50 : 0;
     long ticks = atol(argv[2]), every = atol(argv[3]);
     static core_state state;
@@ -82,13 +97,15 @@ int main(int argc, char **argv)
     const robot_state *shown = &state.snapshot;
     double position_rad[JOINTS_MAX] = {0};
     core_config config = four_wheels();
-    if (every < 1 || core_init(&state, &config) != 0)
+    if (every < 1 || core_init(&state, &config) != 0) {
         return 2;
+    }
     input.control.limits = config.limits;
     for (long tick = 0; tick < ticks; tick++) {
         command(&input, tick, leg_ticks);
-        if (tick % every == 0)
+        if (tick % every == 0) {
             turn_wheels(&config, &out, &input, position_rad, (double)every * 1e-3);
+        }
         core_step(&state, &input, 1e-3, &out, NULL); /* as the loop calls it */
     }
     /* a benchmark of a robot that is in fault, or stands when it should move, measures nothing */

@@ -27,15 +27,15 @@
 enum { FRAME_MAX = 256, KEPT_MAX = 1 << 17, UNITS = 248 };
 
 static const int64_t NS_PER_S = 1000000000;
-static const int64_t LATE_NS = 2000000;     /* a machine that has been away for a moment */
+static const int64_t LATE_NS = 2000000; /* a machine that has been away for a moment */
 
 static int64_t character_ns, gap_ns, wire_free_ns, request_ns;
 static uint16_t registers[UNITS][0x10000];
-static float parts[KEPT_MAX];               /* the wire's limit over what an exchange took */
+static float parts[KEPT_MAX]; /* the wire's limit over what an exchange took */
 static uint32_t kept;
 static uint64_t requests, bad_crc, violations, excused;
-static bool was_late;                       /* our own reply was: who did not wait for it is excused */
-static int64_t changed_ns;                  /* first byte of the first request that changed a register; 0: none */
+static bool was_late;      /* our own reply was: who did not wait for it is excused */
+static int64_t changed_ns; /* first byte of the first request that changed a register; 0: none */
 static int64_t limits_ns, first_ns, last_ns, last_limit_ns;
 
 static int64_t now_ns(void)
@@ -166,7 +166,7 @@ static void answer(int fd, const uint8_t *frame, int count)
     }
     int64_t handed_ns = now_ns();
     was_late = handed_ns - wire_free_ns > LATE_NS;
-    wire_free_ns = handed_ns;   /* as late as the client can have it */
+    wire_free_ns = handed_ns; /* as late as the client can have it */
 }
 
 static int by_size(const void *one, const void *other)
@@ -181,8 +181,7 @@ static void print_stats(void)
     qsort(parts, kept, sizeof parts[0], by_size);
     printf("{\"requests\": %llu, \"bad_crc\": %llu, \"violations\": %llu, \"excused\": %llu, "
            "\"fraction_p50\": %.4f, \"fraction_p01\": %.4f, \"throughput\": %.4f, \"per_s\": %.1f}\n",
-           (unsigned long long)requests, (unsigned long long)bad_crc, (unsigned long long)violations,
-           (unsigned long long)excused,
+           (unsigned long long)requests, (unsigned long long)bad_crc, (unsigned long long)violations, (unsigned long long)excused,
            kept > 0 ? (double)parts[kept / 2] : 0.0, kept > 0 ? (double)parts[kept / 100] : 0.0,
            span_ns > 0 ? (double)limits_ns / span_ns : 0.0, span_ns > 0 ? (double)(requests - 1) * 1e9 / span_ns : 0.0);
     fflush(stdout);
@@ -198,7 +197,7 @@ static int open_pty(void)
     if (fd < 0 || grantpt(fd) != 0 || unlockpt(fd) != 0) {
         exit(1);
     }
-    int other = open(ptsname(fd), O_RDWR | O_NOCTTY);   /* kept: no hang-up between two clients */
+    int other = open(ptsname(fd), O_RDWR | O_NOCTTY); /* kept: no hang-up between two clients */
     tcgetattr(other, &raw);
     cfmakeraw(&raw);
     tcsetattr(other, TCSANOW, &raw);
@@ -216,7 +215,7 @@ static void serve(int fd)
         struct timespec silence = {.tv_nsec = 5000000};
         int ready = ppoll(fds, 2, count > 0 ? &silence : NULL, NULL);
         if (ready == 0) {
-            bad_crc++;   /* a frame that does not end */
+            bad_crc++; /* a frame that does not end */
             count = 0;
         }
         if ((fds[1].revents & (POLLIN | POLLHUP)) != 0) {
@@ -259,7 +258,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "no SCHED_FIFO: %s\n", strerror(errno));
     }
     mlockall(MCL_CURRENT);
-    int32_t latency_us = 0;   /* as motord's daemon holds it: for all who are measured here */
+    int32_t latency_us = 0; /* as motord's daemon holds it: for all who are measured here */
     int awake = open("/dev/cpu_dma_latency", O_WRONLY);
     if (awake < 0 || write(awake, &latency_us, sizeof latency_us) < 0) {
         fprintf(stderr, "the CPUs may sleep deeply: %s\n", strerror(errno));

@@ -22,13 +22,13 @@ typedef struct {
     motord_measured measured[MOTORS];
     motord_health health;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s;              /* what the core wants of all joints */
-    uint32_t enabled;                   /* the core's; 2: no set-points come any more */
-    bool mute, deaf, full;              /* the board does not speak, hears nothing; the port takes nothing */
-    bool stuck;                         /* its wheels turn as they did, whatever they are told */
-    uint8_t sent[BOARD_WIRE_MAX];       /* the newest */
+    double velocity_rad_s;        /* what the core wants of all joints */
+    uint32_t enabled;             /* the core's; 2: no set-points come any more */
+    bool mute, deaf, full;        /* the board does not speak, hears nothing; the port takes nothing */
+    bool stuck;                   /* its wheels turn as they did, whatever they are told */
+    uint8_t sent[BOARD_WIRE_MAX]; /* the newest */
     uint32_t sent_bytes, sent_count;
-    uint32_t moving_count;              /* frames with a set-point that is not zero */
+    uint32_t moving_count; /* frames with a set-point that is not zero */
 } board_wire;
 
 static board_wire w;
@@ -68,8 +68,7 @@ static inline bool take_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 
 static inline board_field field_of(uint32_t joint, uint32_t kind, board_place place, double si_per_raw)
 {
-    return (board_field){.place = place,
-                         .meaning = {.joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw}};
+    return (board_field){.place = place, .meaning = {.joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw}};
 }
 
 static inline board_field level_of(uint32_t kind, board_place place, uint32_t mask, uint32_t equals)
@@ -80,15 +79,24 @@ static inline board_field level_of(uint32_t kind, board_place place, uint32_t ma
 /* config/drives/mcu-velocity.toml */
 static inline board_table frames_table(void)
 {
-    board_table table = {.dialect = BOARD_FRAMES, .answers = 1, .tries = 3, .payload_bytes = 18, .said_bytes = 36,
-                         .quick_stop_count = 1, .disarm_count = 1, .period_ns = 10 * MS, .silence_ns = 150 * MS,
-                         .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1, .watchdog_ns = WATCHDOG_MS * MS};
+    board_table table = {.dialect = BOARD_FRAMES,
+                         .answers = 1,
+                         .tries = 3,
+                         .payload_bytes = 18,
+                         .said_bytes = 36,
+                         .quick_stop_count = 1,
+                         .disarm_count = 1,
+                         .period_ns = 10 * MS,
+                         .silence_ns = 150 * MS,
+                         .setpoint_timeout_ns = 100 * MS,
+                         .rest_velocity_rad_s = 0.1,
+                         .watchdog_ns = WATCHDOG_MS * MS};
     table.payload[1] = MOTORS;
-    table.payload[4] = 10;   /* feedback period, ms */
+    table.payload[4] = 10; /* feedback period, ms */
     for (uint32_t j = 0; j < MOTORS; j++) {
-        table.setpoint[table.setpoint_count++] = (board_setpoint){
-            .place = at(TARGET + 6 * j, 4, 1),
-            .scale = {.joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
+        table.setpoint[table.setpoint_count++] =
+            (board_setpoint){.place = at(TARGET + 6 * j, 4, 1),
+                             .scale = {.joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
         table.field[table.field_count++] = field_of(j, FIELD_COUNT, at(COUNT + 10 * j, 4, 1), 1.0);
         table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(SPEED + 10 * j, 4, 1), j == 1 ? -0.001 : 0.001);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(VOLTAGE, 2, 0), 0.01);
@@ -136,7 +144,7 @@ static inline void step(void)
         }
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns);   /* it never asks to be woken at once for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* it never asks to be woken at once for nothing */
 }
 
 static inline void speak(void)
@@ -191,7 +199,7 @@ static inline void set_up(void)
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     wish(DRIVE_READY);
     CHECK(w.machine.mode == DRIVE_READY && w.machine.demoted == 0 && w.machine.enabled == 2);
-    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s));   /* what was heard before was another life */
+    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was heard before was another life */
 }
 
 static inline void arm(void)

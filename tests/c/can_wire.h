@@ -18,11 +18,11 @@ typedef struct {
     can_table table;
     can_machine machine;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s;                  /* what the core wants of all joints */
-    double said_rad_s;                      /* what the drives say */
-    uint32_t enabled;                       /* the core's; 2: no set-points come any more */
+    double velocity_rad_s; /* what the core wants of all joints */
+    double said_rad_s;     /* what the drives say */
+    uint32_t enabled;      /* the core's; 2: no set-points come any more */
     bool powered, silent, full;
-    uint32_t not_taken;                     /* an identifier that the bus does not take; 0: none */
+    uint32_t not_taken; /* an identifier that the bus does not take; 0: none */
     can_packet sent[SENT_MAX];
     int64_t sent_ns[SENT_MAX];
     uint32_t sent_count;
@@ -50,20 +50,26 @@ static inline can_packet packet_of(uint32_t id, uint32_t bytes)
 /* A control word and a speed of 16 bits in the cyclic frame; states and speeds come back by themselves. */
 static inline can_drive can_drive_of(uint32_t n)
 {
-    can_drive drive = {.tries = 3, .slow_every = 8, .idle_setpoints = 1, .says_enabled = 1, .output_count = 1,
-                       .match_count = 3, .input_count = 2, .quick_stop_count = 1, .disarm_count = 1,
+    can_drive drive = {.tries = 3,
+                       .slow_every = 8,
+                       .idle_setpoints = 1,
+                       .says_enabled = 1,
+                       .output_count = 1,
+                       .match_count = 3,
+                       .input_count = 2,
+                       .quick_stop_count = 1,
+                       .disarm_count = 1,
                        .watchdog_ns = 500 * MS};
     drive.output[0] = (can_output){.packet = packet_of(SPEED + n, 4), .setpoint_count = 1};
-    drive.output[0].setpoint[0] = (can_setpoint){
-        .place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
-        .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
+    drive.output[0].setpoint[0] =
+        (can_setpoint){.place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
+                       .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
     drive.input[0] = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = 1};
     drive.input[0].field[0] = (can_field){
         .place = {.length = 8}, .meaning = {.kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8, .si_per_raw = 1.0}};
     drive.input[1] = (can_input){.silence_ns = 200 * MS, .spacing_ns = 5 * MS, .fast = 1, .field_count = 2};
-    drive.input[1].field[0] = (can_field){
-        .place = {.length = 32, .form = CAN_FLOAT},
-        .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
+    drive.input[1].field[0] = (can_field){.place = {.length = 32, .form = CAN_FLOAT},
+                                          .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
     drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
                                           .meaning = {.joint = n, .kind = FIELD_VELOCITY, .si_per_raw = 1.0}};
     drive.match[0] = (can_match){.id = STATE + n, .bytes = 1, .input = 1};
@@ -91,8 +97,8 @@ static inline void begin_with(uint32_t drives)
     w.now_ns = w.wake_ns = 1000 * MS;
     w.velocity_rad_s = 1.0;
     w.enabled = 1;
-    w.table = (can_table){.drive_count = drives, .period_ns = 10 * MS, .setpoint_timeout_ns = 100 * MS,
-                          .rest_velocity_rad_s = 0.1};
+    w.table =
+        (can_table){.drive_count = drives, .period_ns = 10 * MS, .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = can_drive_of(i);
     }
@@ -126,7 +132,7 @@ static inline void step(void)
         }
     }
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns);   /* it never asks to be woken at once for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* it never asks to be woken at once for nothing */
 }
 
 /* For so long; the drives say each 10 ms what they do. */

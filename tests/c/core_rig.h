@@ -19,28 +19,42 @@ typedef struct {
     setpoints out;
     robot_state shown;
     double position_rad[JOINTS_MAX];
-    bool deaf;                  /* feedback is not refreshed */
-    bool mute;                  /* nor the command */
+    bool deaf; /* feedback is not refreshed */
+    bool mute; /* nor the command */
 } rig;
 
 static inline core_config good_config(void)
 {
     axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
     core_config config = {
-        .joint_count = 4, .track_m = 0.5, .limits = {linear, angular},
-        .command_timeout_s = 0.3, .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP, .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+        .joint_count = 4,
+        .track_m = 0.5,
+        .limits = {linear, angular},
+        .command_timeout_s = 0.3,
+        .feedback_timeout_s = 0.25,
+        .heartbeat_timeout_s = 0.5,
+        .rest_velocity_rad_s = 0.05,
+        .on_timeout = STOP_RAMP,
+        .on_fault = STOP_RAMP,
+        .on_estop = STOP_BRAKE,
+        .distance_variance_m2_per_m = 1e-4,
+        .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6,
+        .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5,
+        .twist_variance_floor_rad2_s2 = 1e-5,
     };
-    for (uint32_t j = 0; j < config.joint_count; j++)
+    for (uint32_t j = 0; j < config.joint_count; j++) {
         config.joint[j] = (joint_config){
-            .side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -9.0, .velocity_max_rad_s = 9.0,
-            .rad_per_count = 6.283185307179586 / 4096.0, .counter_bits = 16,
+            .side = j % 2 == 0 ? -1.0 : 1.0,
+            .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -9.0,
+            .velocity_max_rad_s = 9.0,
+            .rad_per_count = 6.283185307179586 / 4096.0,
+            .counter_bits = 16,
             .pwm = {0.05, -1.0, 1.0, 100.0, 12.5},
         };
+    }
     return config;
 }
 
@@ -50,8 +64,9 @@ static inline void start(rig *r, const core_config *config)
     r->config = *config;
     r->input.now_ns = 1000000000;
     r->input.control.limits = config->limits;
-    for (uint32_t j = 0; j < config->joint_count; j++)
+    for (uint32_t j = 0; j < config->joint_count; j++) {
         r->input.feedback[j].enabled = 1;
+    }
     CHECK(core_init(&r->state, config) == 0);
 }
 
@@ -76,8 +91,9 @@ static inline const robot_state *tick(rig *r)
 
 static inline const robot_state *ticks(rig *r, int count)
 {
-    for (int i = 0; i < count; i++)
+    for (int i = 0; i < count; i++) {
         tick(r);
+    }
     return &r->shown;
 }
 
@@ -93,9 +109,11 @@ static inline void go(rig *r, double linear_m_s, double angular_rad_s)
 
 static inline bool zero(const rig *r)
 {
-    for (uint32_t j = 0; j < JOINTS_MAX; j++)
-        if (r->out.joint[j].velocity_rad_s != 0.0 || r->out.joint[j].duty != 0.0)
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (r->out.joint[j].velocity_rad_s != 0.0 || r->out.joint[j].duty != 0.0) {
             return false;
+        }
+    }
     return true;
 }
 

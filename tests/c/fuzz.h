@@ -15,7 +15,7 @@
 
 static uint64_t fuzz_state = 1;
 
-static uint64_t fuzz_random(void)   /* Marsaglia, Xorshift RNGs, 2003 */
+static uint64_t fuzz_random(void) /* Marsaglia, Xorshift RNGs, 2003 */
 {
     fuzz_state ^= fuzz_state << 13;
     fuzz_state ^= fuzz_state >> 7;
@@ -36,17 +36,10 @@ static void fuzz_mutate(uint8_t *data, size_t *size)
     for (uint64_t changes = 1 + fuzz_random() % 8; changes > 0; changes--) {
         size_t at = fuzz_random() % FUZZ_MAX;
         switch (fuzz_random() % 4) {
-        case 0:
-            data[at] ^= (uint8_t)(1U << fuzz_random() % 8);
-            break;
-        case 1:
-            data[at] = (uint8_t)fuzz_random();
-            break;
-        case 2:
-            *size = fuzz_random() % (FUZZ_MAX + 1);
-            break;
-        default:
-            memmove(data + at, data + fuzz_random() % FUZZ_MAX / 2, (FUZZ_MAX - at) / 4);
+        case 0: data[at] ^= (uint8_t)(1U << fuzz_random() % 8); break;
+        case 1: data[at] = (uint8_t)fuzz_random(); break;
+        case 2: *size = fuzz_random() % (FUZZ_MAX + 1); break;
+        default: memmove(data + at, data + fuzz_random() % FUZZ_MAX / 2, (FUZZ_MAX - at) / 4);
         }
     }
 }

@@ -45,7 +45,7 @@ static void say_something(void)
     for (uint32_t i = 0; i < size && i < 36; i++) {
         payload[i] = next_byte() % 4 == 0 ? next_byte() : 0;
     }
-    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU;   /* a sensor, too, where it is long enough */
+    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU; /* a sensor, too, where it is long enough */
     payload[WATCHDOG] = WATCHDOG_MS;
     board_place heard = at(6, 2, 0);
     board_put(payload, &heard, w.machine.sequence - next_byte() % 4);
@@ -72,8 +72,8 @@ static void set_points(uint8_t choice)
     static const double wanted[] = {0.0, 1.0, -1.0, 1e300, (double)NAN, (double)INFINITY, -0.0001, 3.0};
     w.velocity_rad_s = wanted[choice % 8];
     setpoints *newest = &w.machine.newest;
-    *newest = (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS, .enabled = choice >> 3 & 1,
-                          .joint_count = choice >> 4 & 3};
+    *newest =
+        (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS, .enabled = choice >> 3 & 1, .joint_count = choice >> 4 & 3};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         newest->joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s, w.velocity_rad_s};
     }
@@ -86,8 +86,8 @@ static void wishes(uint8_t choice)
     asked->mode = choice / 2 % 6;
     asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
     if (choice >= 200) {
-        board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = choice % 16}, .guarded = choice & 1,
-                           .stops = w.machine.stops};
+        board_order one = {
+            .write = {.place = at(CONTROL, 1, 0), .raw = choice % 16}, .guarded = choice & 1, .stops = w.machine.stops};
         (void)board_machine_order(&w.machine, &one);
     }
 }
@@ -115,10 +115,18 @@ static void say(uint8_t choice)
 
 static board_table text(void)
 {
-    board_table table = {.dialect = BOARD_TEXT, .answers = 1, .tries = 3, .payload_bytes = 12, .setpoint_count = 2,
-                         .said_bytes = 6, .period_ns = 20 * MS, .silence_ns = 150 * MS, .setpoint_timeout_ns = 100 * MS,
+    board_table table = {.dialect = BOARD_TEXT,
+                         .answers = 1,
+                         .tries = 3,
+                         .payload_bytes = 12,
+                         .setpoint_count = 2,
+                         .said_bytes = 6,
+                         .period_ns = 20 * MS,
+                         .silence_ns = 150 * MS,
+                         .setpoint_timeout_ns = 100 * MS,
                          .rest_velocity_rad_s = 0.1,
-                         .written = {.part_count = 3, .literal = ",\n"}, .read = {.part_count = 2, .literal = "v \n"}};
+                         .written = {.part_count = 3, .literal = ",\n"},
+                         .read = {.part_count = 2, .literal = "v \n"}};
     for (uint32_t j = 0; j < 2; j++) {
         table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
                                              .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};

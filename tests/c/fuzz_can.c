@@ -12,8 +12,8 @@ enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
 static const float SAID_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
 
 static uint32_t modes[DRIVES];
-static int16_t told[DRIVES];    /* the newest speed that each has been told */
-static uint8_t taking;          /* the bus: 0 takes all, 1 nothing, else every so many */
+static int16_t told[DRIVES]; /* the newest speed that each has been told */
+static uint8_t taking;       /* the bus: 0 takes all, 1 nothing, else every so many */
 static uint32_t offered, refused;
 
 static bool may_move(uint32_t drive)
@@ -46,8 +46,7 @@ static void judge_packet(const can_packet *packet)
         CHECK(drive < DRIVES);
         judge_job(packet, drive);
         break;
-    default:
-        CHECK(packet->id == SYNC || packet->id == SLOW || packet->id == (CAN_ID_REMOTE | (MOTION + 1)));
+    default: CHECK(packet->id == SYNC || packet->id == SLOW || packet->id == (CAN_ID_REMOTE | (MOTION + 1)));
     }
 }
 
@@ -104,9 +103,12 @@ static void set_points(uint8_t choice)
 
 static void put_job(uint32_t drive, uint8_t choice)
 {
-    can_order order = {.write = {.packet = packet_of(CONTROL + drive, 8)}, .drive = drive, .guarded = choice & 1,
-                       .stops = w.machine.drive[drive].stops, .expires_ns = w.now_ns + (choice & 6) * MS};
-    if ((choice & 8) != 0) {   /* the control word of its cyclic frame */
+    can_order order = {.write = {.packet = packet_of(CONTROL + drive, 8)},
+                       .drive = drive,
+                       .guarded = choice & 1,
+                       .stops = w.machine.drive[drive].stops,
+                       .expires_ns = w.now_ns + (choice & 6) * MS};
+    if ((choice & 8) != 0) { /* the control word of its cyclic frame */
         order.write = w.table.drive[drive].disarm[0];
         order.write.packet.data[0] = ENABLE;
     } else {
@@ -165,8 +167,8 @@ static void hear_state(uint32_t drive, uint8_t choice)
 /* What no drive of the table says, or not so. */
 static void hear_noise(uint8_t choice)
 {
-    static const uint32_t ids[] = {STRANGER, CAN_ID_ERROR | 0x40, CAN_ID_REMOTE | MOTION, CAN_ID_EXTENDED | MOTION, MOTION,
-                                   STATE + 1, ANSWER, ANSWER + 2};
+    static const uint32_t ids[] = {
+        STRANGER, CAN_ID_ERROR | 0x40, CAN_ID_REMOTE | MOTION, CAN_ID_EXTENDED | MOTION, MOTION, STATE + 1, ANSWER, ANSWER + 2};
     can_packet packet = packet_of(ids[choice & 7], choice >> 3 & 7);
     for (uint32_t i = 0; i < packet.bytes; i++) {
         packet.data[i] = next_byte();
@@ -220,7 +222,7 @@ static void look(void)
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
     judge_modes();
-    if (refused == 0 && w.machine.shut < 3) {   /* at the end, a bus that takes nothing has had its time */
+    if (refused == 0 && w.machine.shut < 3) { /* at the end, a bus that takes nothing has had its time */
         judge_stops(w.machine.cycle.count != cycles);
     }
 }
@@ -233,7 +235,7 @@ static void wish_all(uint32_t mode)
         w.machine.control.drive[i].count++;
         w.machine.control.drive[i].mode = mode;
     }
-    set_points(0x33);   /* enabled, and all are to move */
+    set_points(0x33); /* enabled, and all are to move */
     look();
     w.now_ns = w.wake_ns;
 }

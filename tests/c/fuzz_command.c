@@ -12,10 +12,13 @@ enum { FUZZ_MAX = 128 };
 
 static const int64_t NOW_NS = 5000000000;
 
-static const core_config BASE = {.joint_count = 4, .track_m = 0.5,
-    .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6}, .joint = {
-    {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1},
-    {.side = -1.0, .wheel_radius_m = 0.2}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+static const core_config BASE = {.joint_count = 4,
+                                 .track_m = 0.5,
+                                 .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6},
+                                 .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
+                                           {.side = 1.0, .wheel_radius_m = 0.1},
+                                           {.side = -1.0, .wheel_radius_m = 0.2},
+                                           {.side = 1.0, .wheel_radius_m = 0.2}}};
 
 static void granted(arbiter *a)
 {
@@ -51,7 +54,7 @@ static void once(const uint8_t *data, size_t size)
     uint8_t bytes[FUZZ_MAX];
     memcpy(bytes, data, FUZZ_MAX);
     size_t length = shaped(bytes, size);
-    uint8_t *last = room + sizeof room - length;   /* a look beyond the last byte is seen by the sanitizer */
+    uint8_t *last = room + sizeof room - length; /* a look beyond the last byte is seen by the sanitizer */
     memcpy(last, bytes, length);
     bool right = length >= 24 && memcmp(bytes + 8, "aaaaaaaaaaaaaaaa", TOKEN_BYTES) == 0;
     twist_command out;

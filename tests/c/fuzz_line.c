@@ -10,7 +10,7 @@
 #define FUZZ_NAME "fuzz_line"
 enum { FUZZ_MAX = 192, UNITS = 3 };
 
-static int64_t silent_ns;       /* since when nothing was on the wire */
+static int64_t silent_ns; /* since when nothing was on the wire */
 static uint32_t modes[UNITS];
 static uint8_t late[8], late_bytes;
 
@@ -34,7 +34,10 @@ static void wishes(uint8_t choice)
     if (what < DRIVE_QUIET || what == DRIVE_STAND_DOWN) {
         wish(drive, what);
     } else if (what == 8) {
-        line_ask ask = {.id = choice, .expires_ns = w.now_ns + 40 * MS, .turnaround_ns = 5 * MS, .drive = drive,
+        line_ask ask = {.id = choice,
+                        .expires_ns = w.now_ns + 40 * MS,
+                        .turnaround_ns = 5 * MS,
+                        .drive = drive,
                         .frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1)};
         (void)line_machine_ask(&w.machine, &ask);
     } else if (what == 9) {
@@ -63,42 +66,37 @@ static void answer(const uint8_t *request, uint8_t choice)
     memcpy(other, request, 8);
     w.count = honest(request, w.bytes);
     switch (choice % 16) {
-    case 1:     /* nothing */
-        w.count = 0;
-        break;
-    case 2:     /* up to three bits are wrong: CRC-16 sees them all in frames of this length */
+    case 1: /* nothing */ w.count = 0; break;
+    case 2: /* up to three bits are wrong: CRC-16 sees them all in frames of this length */
         w.bytes[next_byte() % w.count] ^= (uint8_t)(1U << next_byte() % 8);
         break;
-    case 3:     /* cut off */
-        w.count = next_byte() % w.count;
-        break;
-    case 4:     /* its neighbour answers */
+    case 3: /* cut off */ w.count = next_byte() % w.count; break;
+    case 4: /* its neighbour answers */
         other[0] = (uint8_t)(1 + request[0] % UNITS);
         rtu_seal(other, 8, SEAL_CRC16);
         w.count = honest(other, w.bytes);
         break;
-    case 5:     /* a refusal */
+    case 5: /* a refusal */
         memcpy(w.bytes, (const uint8_t[]){request[0], (uint8_t)(request[1] | 0x80), 2}, 3);
         rtu_seal(w.bytes, 5, SEAL_CRC16);
         w.count = 5;
         break;
-    case 6:     /* garbage before it */
+    case 6: /* garbage before it */
         memmove(w.bytes + 3, w.bytes, w.count);
         memset(w.bytes, 0xF0, 3);
         w.count += 3;
         break;
-    case 7:     /* later, among the next one's */
+    case 7: /* later, among the next one's */
         memcpy(late, w.bytes, w.count);
         late_bytes = (uint8_t)w.count;
         w.count = 0;
         break;
-    case 8:     /* the late one first */
+    case 8: /* the late one first */
         memmove(w.bytes + late_bytes, w.bytes, w.count);
         memcpy(w.bytes, late, late_bytes);
         w.count += late_bytes;
         break;
-    default:
-        break;
+    default: break;
     }
 }
 

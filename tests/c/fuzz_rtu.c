@@ -19,8 +19,7 @@ static bool sealed(const uint8_t *frame, uint32_t count, uint32_t seal)
             crc = (crc & 1) != 0 ? crc >> 1 ^ (seal == SEAL_CRC16 ? 0xA001U : 0x8CU) : crc >> 1;
         }
     }
-    return seal == SEAL_CRC16 ? frame[covered] == (crc & 0xFF) && frame[covered + 1] == crc >> 8
-                              : frame[covered] == crc;
+    return seal == SEAL_CRC16 ? frame[covered] == (crc & 0xFF) && frame[covered + 1] == crc >> 8 : frame[covered] == crc;
 }
 
 static line_frame frame_of(const uint8_t *data)
@@ -29,8 +28,8 @@ static line_frame frame_of(const uint8_t *data)
     frame.reply_seal = frame.request_seal;
     frame.request_bytes = 4 + data[1] % 16;
     frame.reply_bytes = data[0] & 4 ? frame.request_bytes : 4U + data[2] % 24;
-    frame.echo_bytes = data[0] & 8 ? 1 + data[3] % (frame.request_bytes < frame.reply_bytes ? frame.request_bytes
-                                                                                            : frame.reply_bytes) : 0;
+    frame.echo_bytes =
+        data[0] & 8 ? 1 + data[3] % (frame.request_bytes < frame.reply_bytes ? frame.request_bytes : frame.reply_bytes) : 0;
     frame.match_bytes = 1 + data[3] % 3;
     memcpy(frame.match, data + 4, FRAME_MATCH_MAX);
     memcpy(frame.request, data + 12, frame.request_bytes);
@@ -78,8 +77,8 @@ static void once(const uint8_t *given, size_t size)
         memcpy(bytes + count, frame.echo_bytes > 0 ? frame.request : frame.match,
                frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes);
         rtu_seal(bytes + count, frame.reply_bytes, frame.reply_seal);
-        bool whole = frame.reply_bytes > rtu_seal_bytes(frame.reply_seal) +
-                     (frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes) - 1;
+        bool whole = frame.reply_bytes >
+                     rtu_seal_bytes(frame.reply_seal) + (frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes) - 1;
         count += frame.reply_bytes;
         heard found = rtu_find_answer(&frame, frame.request, 0, bytes, count);
         CHECK(!whole || (found.kind != HEARD_MORE && found.offset <= begin));

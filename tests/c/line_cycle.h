@@ -15,7 +15,8 @@ static inline void begin_ways(double wanted_rad_s)
     begin_with(2, 0);
     line_drive *table = &w.table.drive[0];
     table->way_count = 1;
-    table->way[0] = (line_way){.rest = frame_of(1, WRITE, WAY, WAY_REST), .forward = frame_of(1, WRITE, WAY, WAY_FORWARD),
+    table->way[0] = (line_way){.rest = frame_of(1, WRITE, WAY, WAY_REST),
+                               .forward = frame_of(1, WRITE, WAY, WAY_FORWARD),
                                .reverse = frame_of(1, WRITE, WAY, WAY_REVERSE)};
     table->cyclic[0].setpoint[0].magnitude = 1;
     table->cyclic[0].setpoint[0].raw_min = 0.0;
@@ -23,16 +24,16 @@ static inline void begin_ways(double wanted_rad_s)
     for (uint32_t i = 0; i < 2; i++) {
         table->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
         table->extra[i].field_count = 1;
-        table->extra[i].field[0] = (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xff,
-                                                .equals = 1, .si_per_raw = 1.0};
+        table->extra[i].field[0] =
+            (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xff, .equals = 1, .si_per_raw = 1.0};
     }
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
-                                   .joint = {{.velocity_rad_s = wanted_rad_s}}};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = wanted_rad_s}}};
     drive = &w.machine.drive[0];
     drive->mode = DRIVE_ARMED;
     drive->enabled = 1;
-    drive->cycle_count = 1;   /* its extra range is read in every fourth cycle, and not in this one */
+    drive->cycle_count = 1; /* its extra range is read in every fourth cycle, and not in this one */
     drive->answered_ns = w.now_ns;
 }
 

@@ -24,12 +24,12 @@ typedef struct {
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool echoes;
-    bool babbles;                           /* a device sends a byte a millisecond, unasked */
-    uint32_t power_offs[LINE_DRIVES_MAX];   /* frames of `disarm` heard by each */
-    uint32_t released[LINE_DRIVES_MAX];     /* of them the last frame */
-    uint32_t told_off[LINE_DRIVES_MAX];     /* sent to each, heard or not, as the next one */
+    bool babbles;                         /* a device sends a byte a millisecond, unasked */
+    uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` heard by each */
+    uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
+    uint32_t told_off[LINE_DRIVES_MAX];   /* sent to each, heard or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
-    uint8_t refused;                        /* a register that cannot be written; 0: none */
+    uint8_t refused; /* a register that cannot be written; 0: none */
     uint32_t refusals;
     uint8_t bytes[2 * FRAME_BYTES_MAX];
     uint32_t count;
@@ -39,7 +39,10 @@ static wire w;
 
 static inline line_frame frame_of(uint8_t unit, uint8_t function, uint8_t address, uint8_t value)
 {
-    line_frame frame = {.request_bytes = 8, .request_seal = SEAL_CRC16, .reply_seal = SEAL_CRC16, .has_exceptions = 1,
+    line_frame frame = {.request_bytes = 8,
+                        .request_seal = SEAL_CRC16,
+                        .reply_seal = SEAL_CRC16,
+                        .has_exceptions = 1,
                         .request = {unit, function, 0, address, 0, value}};
     rtu_seal(frame.request, 8, SEAL_CRC16);
     if (function == WRITE) {
@@ -56,16 +59,23 @@ static inline line_frame frame_of(uint8_t unit, uint8_t function, uint8_t addres
 static inline line_drive drive_of(uint32_t joint)
 {
     uint8_t unit = (uint8_t)(joint + 1);
-    line_drive drive = {.tries = 3, .extra_every = 4, .period_ns = 20 * MS, .turnaround_ns = 5 * MS,
-                        .watchdog_ns = 500 * MS, .cyclic_count = 2, .quick_stop_count = 1, .disarm_count = 2, .probe = 2};
+    line_drive drive = {.tries = 3,
+                        .extra_every = 4,
+                        .period_ns = 20 * MS,
+                        .turnaround_ns = 5 * MS,
+                        .watchdog_ns = 500 * MS,
+                        .cyclic_count = 2,
+                        .quick_stop_count = 1,
+                        .disarm_count = 2,
+                        .probe = 2};
     drive.cyclic[0].frame = frame_of(unit, WRITE, SPEED, 0);
     drive.cyclic[0].setpoint_count = 1;
-    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint, .byte = 4, .form = FORM_I16, .raw_per_si = 100.0,
-                                                  .raw_min = -1000.0, .raw_max = 1000.0};
+    drive.cyclic[0].setpoint[0] =
+        (line_setpoint){.joint = joint, .byte = 4, .form = FORM_I16, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0};
     drive.cyclic[1].frame = frame_of(unit, READ, STATUS, 1);
     drive.cyclic[1].field_count = 1;
-    drive.cyclic[1].field[0] = (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 3, .form = FORM_I16,
-                                            .si_per_raw = 0.01};
+    drive.cyclic[1].field[0] =
+        (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
     drive.quick_stop[0] = frame_of(unit, WRITE, CONTROL, QUICK_STOP);
     drive.disarm[0] = frame_of(unit, WRITE, CONTROL, DISABLE);
     drive.disarm[1] = frame_of(unit, WRITE, RELEASE, 0);
@@ -77,8 +87,12 @@ static inline void begin_with(uint32_t drives, uint32_t echo)
     memset(&w, 0, sizeof w);
     w.now_ns = 1000 * MS;
     w.echoes = echo != 0;
-    w.table = (line_table){.drive_count = drives, .echo = echo, .character_ns = (double)CHARACTER_NS,
-                           .gap_ns = GAP_NS, .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1};
+    w.table = (line_table){.drive_count = drives,
+                           .echo = echo,
+                           .character_ns = (double)CHARACTER_NS,
+                           .gap_ns = GAP_NS,
+                           .setpoint_timeout_ns = 100 * MS,
+                           .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = drive_of(i);
     }
@@ -140,10 +154,10 @@ static inline void go_on(void)
         line_machine_sent(&w.machine, w.now_ns);
         answer_on_the_wire(w.out.send);
         if (w.count == 0 && !w.babbles) {
-            w.now_ns += (w.machine.until_ns - w.now_ns) / 2;   /* a look in the middle of the waiting */
+            w.now_ns += (w.machine.until_ns - w.now_ns) / 2; /* a look in the middle of the waiting */
         }
     } else if (!w.babbles) {
-        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);   /* it never asks to be woken at once for nothing */
+        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered); /* it never asks to be woken at once for nothing */
         w.now_ns = w.out.wake_ns;
     }
     if (w.babbles) {

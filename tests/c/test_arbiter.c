@@ -36,8 +36,12 @@ static void begin(void)
 
 static command_datagram command_of(uint32_t lease, uint64_t sequence, double linear_m_s)
 {
-    command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
-                                .sequence = sequence, .stamp_ns = b.now_ns, .linear_m_s = linear_m_s};
+    command_datagram command = {.magic = COMMAND_MAGIC,
+                                .version = COMMAND_VERSION,
+                                .kind = COMMAND_TWIST,
+                                .sequence = sequence,
+                                .stamp_ns = b.now_ns,
+                                .linear_m_s = linear_m_s};
     memcpy(command.token, b.grants.lease[lease].token, TOKEN_BYTES);
     return command;
 }
@@ -158,7 +162,7 @@ static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place
     begin();
     b.grants.lease[0].priority = 20;
     arbiter_grant(&b.arbiter, &b.grants);
-    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);   /* the lower one was first, and comes later in the list */
+    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0); /* the lower one was first, and comes later in the list */
     CHECK(obeyed().linear_m_s == 0.1);
 }
 
@@ -236,7 +240,7 @@ static void who_was_held_is_held_under_his_next_lease_until_the_bar_is_over(void
     begin_barred(until_ns);
     b.now_ns = until_ns - 1;
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
-    b.now_ns += 200 * MS;          /* it goes on, and so does the hold */
+    b.now_ns += 200 * MS; /* it goes on, and so does the hold */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
     CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     begin_barred(until_ns);
@@ -249,7 +253,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
     int64_t until_ns = 5000 * MS + 2000 * MS;
     begin_barred(until_ns);
     CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
-    b.now_ns += LIFE_NS;           /* his command has lapsed */
+    b.now_ns += LIFE_NS; /* his command has lapsed */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     b.grants.lease[0].barred_until_ns = until_ns + 1;
     arbiter_grant(&b.arbiter, &b.grants);

@@ -61,7 +61,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
 {
     begin();
     arm_and_turn();
-    w.machine.control.wish.count++;   /* STAND_DOWN or OFF, before the next one took its place */
+    w.machine.control.wish.count++; /* STAND_DOWN or OFF, before the next one took its place */
     wish(DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0);
@@ -75,7 +75,7 @@ static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
     board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = CONTROL_CLEAR}};
     CHECK(board_machine_order(&w.machine, &one));
     one.write.raw = 0;
-    CHECK(!board_machine_order(&w.machine, &one));   /* the first has not gone out */
+    CHECK(!board_machine_order(&w.machine, &one)); /* the first has not gone out */
     w.full = true;
     go_on(30 * MS);
     CHECK(w.machine.has_order && w.machine.no_room > 0);
@@ -153,7 +153,7 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     CHECK((w.machine.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.machine.mode == DRIVE_READY);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.stopping);
     go_on(300 * MS);
-    CHECK(w.peer.braking == 1);   /* the wheels turn still */
+    CHECK(w.peer.braking == 1); /* the wheels turn still */
     w.stuck = false;
     go_on(50 * MS);
     CHECK(w.peer.braking == 0 && !w.machine.stopping);
@@ -167,7 +167,7 @@ static void a_wheel_rests_below_the_speed_of_the_table(void)
 {
     for (uint32_t strict = 0; strict < 2; strict++) {
         begin();
-        w.table.rest_velocity_rad_s = strict ? 0.02 : 1.5;   /* the wheels turn at 1 rad/s */
+        w.table.rest_velocity_rad_s = strict ? 0.02 : 1.5; /* the wheels turn at 1 rad/s */
         restart();
         arm_and_turn();
         w.stuck = true;
@@ -194,7 +194,7 @@ static void rest_is_only_what_was_said_after_the_stop_was_heard(void)
     begin();
     arm();
     go_on(20 * MS);
-    w.stuck = true;   /* it says 0, and turns */
+    w.stuck = true; /* it says 0, and turns */
     w.measured[0].velocity_mrad_s = 0;
     w.measured[1].velocity_mrad_s = 0;
     go_on(20 * MS);
@@ -215,7 +215,7 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
     step();
     w.enabled = 0;
     w.now_ns += MS;
-    step();   /* no cycle is due */
+    step(); /* no cycle is due */
     CHECK(w.peer.enabled == 0 && w.peer.braking == 0 && w.machine.mode == DRIVE_READY);
     CHECK(told(CONTROL, 1, 0) == CONTROL_OFF && told(TARGET, 4, 1) == 0);
 }
@@ -236,7 +236,7 @@ static void a_stop_may_be_many_writes(void)
     CHECK(told(CONTROL, 1, 0) == CONTROL_BRAKE && told(4, 2, 0) == 11);
     w.enabled = 1;
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_READY);   /* not while it comes to rest */
+    CHECK(w.machine.mode == DRIVE_READY); /* not while it comes to rest */
 }
 
 static void one_that_is_wished_off_is_off_at_once(void)
@@ -281,7 +281,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     w.now_ns = w.machine.cycle.due_ns;
     step();
     w.now_ns += MS;
-    wish(DRIVE_STAND_DOWN);   /* no cycle is due, and nothing is said to turn */
+    wish(DRIVE_STAND_DOWN); /* no cycle is due, and nothing is said to turn */
     CHECK(w.peer.enabled == 0);
 }
 
@@ -292,7 +292,7 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     w.full = true;
     go_on((WATCHDOG_MS + 30) * MS);
     CHECK(w.machine.mode != DRIVE_ARMED && (w.machine.demoted & DEMOTED_LEFT_ALONE) != 0);
-    CHECK(w.peer.enabled == 0 && w.peer.braking == 1);   /* by its own watchdog */
+    CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
     w.full = false;
     w.moving_count = 0;
     go_on(50 * MS);
@@ -346,7 +346,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
     CHECK(w.peer.enabled == 0 && (w.machine.demoted & DEMOTED_STILL_ENABLED) == 0);
-    for (uint32_t i = 0; i < 3; i++) {   /* one that does not obey */
+    for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
         uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
         go_on(20 * MS);
@@ -372,7 +372,7 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     uint32_t before = w.sent_count;
     w.moving_count = 0;
     go_on(200 * MS);
-    CHECK(w.sent_count >= before + 19 && w.moving_count == 0);   /* told so in every cycle */
+    CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* told so in every cycle */
     wish(DRIVE_ARMED);
     wish(DRIVE_READY);
     CHECK(w.machine.mode == DRIVE_QUIET);
@@ -406,12 +406,12 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     begin_with(table);
     go_on(1000 * MS);
     CHECK(w.sent_count >= 98 && w.sent_count <= 101);
-    table.period_ns = 100 * MS;   /* a slow line */
+    table.period_ns = 100 * MS; /* a slow line */
     begin_with(table);
     arm();
     go_on(210 * MS);
     w.now_ns = w.machine.cycle.due_ns;
-    step();   /* the next cycle is 100 ms away */
+    step(); /* the next cycle is 100 ms away */
     int64_t last_ns = w.machine.newest.stamp_ns;
     w.enabled = 2;
     w.velocity_rad_s = 0.0;

@@ -28,17 +28,17 @@ static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
     step();
     uint32_t before = w.sent_count;
     w.now_ns += 10 * MS;
-    kick(1.0);   /* nothing new */
+    kick(1.0); /* nothing new */
     step();
     CHECK(w.sent_count == before);
     kick(2.0);
     step();
     CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 2000);
-    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS);   /* the cycle goes on from there */
+    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle goes on from there */
     w.now_ns += MS;
     kick(3.0);
     step();
-    CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS);   /* the wire is still busy */
+    CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS); /* the wire is still busy */
     w.now_ns = w.wake_ns;
     step();
     CHECK(w.sent_count == before + 2 && told(TARGET, 4, 1) == 3000);
@@ -68,7 +68,7 @@ static void a_stop_goes_out_at_once_however_much_was_said_before(void)
         speak();
         w.now_ns += MS;
     }
-    while (w.machine.cycle.due_ns <= w.now_ns + MS) {   /* its cycle is not near */
+    while (w.machine.cycle.due_ns <= w.now_ns + MS) { /* its cycle is not near */
         w.now_ns = w.machine.cycle.due_ns;
         step();
         w.now_ns += MS;

@@ -17,17 +17,17 @@ static bool refused(const char *name)
     return board_table_check(&t, bad_name) == bad_name && strcmp(bad_name, name) == 0;
 }
 
-#define GOOD(field, value)                                                                                \
-    do {                                                                                                  \
-        t = frames_table();                                                                               \
-        (field) = (value);                                                                                \
-        CHECK(is_good());                                                                                 \
+#define GOOD(field, value)                                                                                                       \
+    do {                                                                                                                         \
+        t = frames_table();                                                                                                      \
+        (field) = (value);                                                                                                       \
+        CHECK(is_good());                                                                                                        \
     } while (0)
-#define BAD(field, value, name)                                                                           \
-    do {                                                                                                  \
-        t = frames_table();                                                                               \
-        (field) = (value);                                                                                \
-        CHECK(refused(name));                                                                             \
+#define BAD(field, value, name)                                                                                                  \
+    do {                                                                                                                         \
+        t = frames_table();                                                                                                      \
+        (field) = (value);                                                                                                       \
+        CHECK(refused(name));                                                                                                    \
     } while (0)
 
 static void the_numbers_of_a_board(void)
@@ -55,8 +55,10 @@ static void the_numbers_of_a_board(void)
 
 static void its_times(void)
 {
-    const struct { int64_t *time_ns; const char *name; } times[] = {
-        {&t.period_ns, "period_ns"}, {&t.silence_ns, "silence_ns"}, {&t.setpoint_timeout_ns, "setpoint_timeout_ns"}};
+    const struct {
+        int64_t *time_ns;
+        const char *name;
+    } times[] = {{&t.period_ns, "period_ns"}, {&t.silence_ns, "silence_ns"}, {&t.setpoint_timeout_ns, "setpoint_timeout_ns"}};
     for (uint32_t i = 0; i < 3; i++) {
         BAD(*times[i].time_ns, 0, times[i].name);
         GOOD(*times[i].time_ns, 1);
@@ -82,16 +84,16 @@ static void full_lists_are_looked_at_to_their_last_entry(void)
     t.quick_stop_count = t.disarm_count = BOARD_WRITES_MAX;
     CHECK(is_good());
     const board_table full = t;
-    board_place *const last[] = {
-        &t.setpoint[0].place, &t.setpoint[BOARD_SETPOINTS_MAX - 1].place, &t.field[0].place,
-        &t.field[BOARD_FIELDS_MAX - 1].place, &t.quick_stop[0].place, &t.quick_stop[BOARD_WRITES_MAX - 1].place,
-        &t.disarm[0].place, &t.disarm[BOARD_WRITES_MAX - 1].place};
+    board_place *const last[] = {&t.setpoint[0].place,   &t.setpoint[BOARD_SETPOINTS_MAX - 1].place,
+                                 &t.field[0].place,      &t.field[BOARD_FIELDS_MAX - 1].place,
+                                 &t.quick_stop[0].place, &t.quick_stop[BOARD_WRITES_MAX - 1].place,
+                                 &t.disarm[0].place,     &t.disarm[BOARD_WRITES_MAX - 1].place};
     for (uint32_t i = 0; i < 8; i++) {
         t = full;
         last[i]->bytes = 0;
         CHECK(refused("place.bytes"));
     }
-    t = frames_table();            /* what is not counted is not looked at */
+    t = frames_table(); /* what is not counted is not looked at */
     t.setpoint[t.setpoint_count] = t.setpoint[0];
     t.setpoint[t.setpoint_count].scale.kind = 99;
     t.quick_stop[1].place.bytes = t.disarm[1].place.bytes = t.field[t.field_count].place.bytes = 7;
@@ -110,7 +112,7 @@ static void where_a_number_stands(void)
     CHECK(is_good());
     place->byte++;
     CHECK(refused("place.byte"));
-    place->byte = UINT32_MAX;      /* its end wraps round */
+    place->byte = UINT32_MAX; /* its end wraps round */
     CHECK(refused("place.byte"));
     *place = at(0, 2, 2);
     CHECK(refused("place.is_signed"));
@@ -139,7 +141,10 @@ static void set_points_and_writes_end_where_their_place_does(void)
     CHECK(is_good());
     scale->kind = SETPOINT_DUTY + 1;
     CHECK(refused("setpoint.kind"));
-    const struct { uint32_t is_signed; int64_t least, most; } places[] = {{0, 0, 255}, {1, -128, 127}};
+    const struct {
+        uint32_t is_signed;
+        int64_t least, most;
+    } places[] = {{0, 0, 255}, {1, -128, 127}};
     for (uint32_t i = 0; i < 2; i++) {
         board_write write = {.place = at(17, 1, places[i].is_signed), .raw = places[i].least};
         CHECK(board_write_is_good(&write, 18) && !board_write_is_good(&write, 17));
@@ -177,7 +182,7 @@ static void the_axes_of_a_sensor(void)
         BAD(t.imu.axis[axis], 3, "imu.axis");
     }
     t = frames_table();
-    t.imu.used = 1;                /* in frames its rate stands where the protocol says */
+    t.imu.used = 1; /* in frames its rate stands where the protocol says */
     CHECK(is_good());
 }
 
@@ -188,24 +193,24 @@ static void begin_text(void)
     t.dialect = BOARD_TEXT;
     t.written = (board_text){.part_count = 2, .literal = "m ,"};
     t.written.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_INTEGER, .number_per_raw = {1.0}};
-    t.written.part[1] = (board_part){.literal_bytes = 1, .form = NUMBER_FIXED, .sign = '+', .precision = 2,
-                                     .number_per_raw = {0.0, 0.5}};
+    t.written.part[1] =
+        (board_part){.literal_bytes = 1, .form = NUMBER_FIXED, .sign = '+', .precision = 2, .number_per_raw = {0.0, 0.5}};
     t.read = (board_text){.part_count = 2, .literal = "a  b "};
     t.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_INTEGER, .place = at(0, 4, 1), .raw_per_number = 1.0};
     t.read.part[1] = (board_part){.literal_bytes = 3, .form = NUMBER_FIXED, .place = at(4, 4, 1), .raw_per_number = 1.0};
 }
 
-#define TEXT_GOOD(field, value)                                                                           \
-    do {                                                                                                  \
-        begin_text();                                                                                     \
-        (field) = (value);                                                                                \
-        CHECK(is_good());                                                                                 \
+#define TEXT_GOOD(field, value)                                                                                                  \
+    do {                                                                                                                         \
+        begin_text();                                                                                                            \
+        (field) = (value);                                                                                                       \
+        CHECK(is_good());                                                                                                        \
     } while (0)
-#define TEXT_BAD(field, value, name)                                                                      \
-    do {                                                                                                  \
-        begin_text();                                                                                     \
-        (field) = (value);                                                                                \
-        CHECK(refused(name));                                                                             \
+#define TEXT_BAD(field, value, name)                                                                                             \
+    do {                                                                                                                         \
+        begin_text();                                                                                                            \
+        (field) = (value);                                                                                                       \
+        CHECK(refused(name));                                                                                                    \
     } while (0)
 
 static void templates_have_parts_of_known_forms(void)
@@ -224,7 +229,7 @@ static void templates_have_parts_of_known_forms(void)
     TEXT_GOOD(t.written.part[1].form, NUMBER_GENERAL);
     TEXT_BAD(t.written.part[1].form, NUMBER_GENERAL + 1, "written.part.form");
     TEXT_GOOD(t.written.part[1].form, NUMBER_NONE);
-    TEXT_BAD(t.written.part[0].form, NUMBER_NONE, "written.part.form");   /* no number only at the end */
+    TEXT_BAD(t.written.part[0].form, NUMBER_NONE, "written.part.form"); /* no number only at the end */
     TEXT_GOOD(t.read.part[1].form, NUMBER_NONE);
     TEXT_BAD(t.read.part[0].form, NUMBER_NONE, "read.part.form");
     TEXT_GOOD(t.written.part[1].literal_bytes, BOARD_TEXT_MAX - 2);
@@ -256,17 +261,17 @@ static void what_is_written_is_exact_and_of_a_width_that_fits(void)
     TEXT_BAD(t.written.part[0].number_per_raw[0], -1.000001e9, "written.part.number_per_raw");
     TEXT_BAD(t.written.part[0].number_per_raw[0], (double)NAN, "written.part.number_per_raw");
     begin_text();
-    t.written.part[0].number_per_raw[0] = t.written.part[0].number_per_raw[1] = 0.6e9;   /* together it is too much */
+    t.written.part[0].number_per_raw[0] = t.written.part[0].number_per_raw[1] = 0.6e9; /* together it is too much */
     CHECK(refused("written.part.number_per_raw"));
     begin_text();
     t.written.part[0].number_per_raw[0] = 1e9;
-    t.setpoint[0].scale.raw_min = -2e6;                      /* the greater side counts */
+    t.setpoint[0].scale.raw_min = -2e6; /* the greater side counts */
     CHECK(refused("written.part.number_per_raw"));
     begin_text();
     t.written.part[0].number_per_raw[0] = 1e9;
     t.setpoint[0].scale.raw_max = 2e6;
     CHECK(refused("written.part.number_per_raw"));
-    TEXT_GOOD(t.written.part[0].number_per_raw[2], 1e300);   /* there is no third set-point */
+    TEXT_GOOD(t.written.part[0].number_per_raw[2], 1e300); /* there is no third set-point */
 }
 
 static void a_number_that_is_read_ends_where_no_number_goes_on(void)
@@ -275,7 +280,7 @@ static void a_number_that_is_read_ends_where_no_number_goes_on(void)
     for (uint32_t i = 0; goes_on[i] != '\0'; i++) {
         TEXT_BAD(t.read.literal[2], (uint8_t)goes_on[i], "read.part.literal_bytes");
         TEXT_GOOD(t.read.literal[2], (uint8_t)ends[i]);
-        TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]);   /* before the first number stands what likes to */
+        TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]); /* before the first number stands what likes to */
         TEXT_GOOD(t.written.literal[2], (uint8_t)goes_on[i]);
     }
     TEXT_BAD(t.read.part[1].literal_bytes, 0, "read.part.literal_bytes");
@@ -283,7 +288,7 @@ static void a_number_that_is_read_ends_where_no_number_goes_on(void)
     TEXT_BAD(t.read.part[0].raw_per_number, (double)INFINITY, "read.part.raw_per_number");
     TEXT_BAD(t.read.part[1].place.byte, 33, "read.place.byte");
     begin_text();
-    t.read.part[1].form = NUMBER_NONE;   /* what is no number has no place */
+    t.read.part[1].form = NUMBER_NONE; /* what is no number has no place */
     t.read.part[1].place.byte = 33;
     CHECK(is_good());
 }

@@ -8,7 +8,7 @@ static void feedback_is_counts_and_si_in_the_board_s_time(void)
     begin();
     arm_and_turn();
     w.velocity_rad_s = 2.0;
-    w.health.faults = 4;   /* a warning: harmless to the core, but the reference board switches off */
+    w.health.faults = 4; /* a warning: harmless to the core, but the reference board switches off */
     go_on(40 * MS);
     const joint_feedback *feedback = &w.machine.joint[1].feedback;
     CHECK(feedback->voltage_v == 24.0 && isnan(feedback->current_a) && feedback->drive_faults == 0);
@@ -60,9 +60,9 @@ static void noise_is_counted_and_changes_nothing(void)
     board_machine_hear(&w.machine, noise, sizeof noise, w.now_ns);
     CHECK(w.machine.bad_frames == 1);
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
-    uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame);   /* for a board, not for us */
+    uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame); /* for a board, not for us */
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame);   /* too short */
+    count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame); /* too short */
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.bad_frames == 3 && w.machine.mode == DRIVE_ARMED);
     go_on(50 * MS);
@@ -73,7 +73,7 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
 {
     begin();
     arm();
-    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};   /* restarted, not enabled: of long ago */
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0}; /* restarted, not enabled: of long ago */
     payload[STATUS] = STATUS_RESTARTED;
     board_place heard = at(6, 2, 0);
     board_put(payload, &heard, w.machine.sequence + 1000);
@@ -82,7 +82,7 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
     CHECK(w.machine.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &heard, w.machine.sequence);
-    board_put(payload, &ago, 60000);   /* heard six seconds ago: before it was sent, by an earlier program */
+    board_put(payload, &ago, 60000); /* heard six seconds ago: before it was sent, by an earlier program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.mode == DRIVE_ARMED);
@@ -95,10 +95,17 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
 /* ------------------------------------------------------------------------------------------------------- text */
 static board_table text_table(bool answers)
 {
-    board_table table = {.dialect = BOARD_TEXT, .answers = answers, .tries = 3, .payload_bytes = 8, .setpoint_count = 2,
-                         .said_bytes = answers ? 6 : 0, .period_ns = 20 * MS, .silence_ns = 150 * MS,
+    board_table table = {.dialect = BOARD_TEXT,
+                         .answers = answers,
+                         .tries = 3,
+                         .payload_bytes = 8,
+                         .setpoint_count = 2,
+                         .said_bytes = answers ? 6 : 0,
+                         .period_ns = 20 * MS,
+                         .silence_ns = 150 * MS,
                          .setpoint_timeout_ns = 100 * MS,
-                         .rest_velocity_rad_s = 0.1, .written = {.part_count = 3, .literal = ",\n"}};
+                         .rest_velocity_rad_s = 0.1,
+                         .written = {.part_count = 3, .literal = ",\n"}};
     for (uint32_t j = 0; j < 2; j++) {
         table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
                                              .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
@@ -108,8 +115,8 @@ static board_table text_table(bool answers)
     table.written.part[2].literal_bytes = 1;
     if (answers) {
         table.read = (board_text){.part_count = 2, .literal = "v \n"};
-        table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1),
-                                          .raw_per_number = 1000.0};
+        table.read.part[0] =
+            (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1000.0};
         table.read.part[1].literal_bytes = 1;
         table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
     }
@@ -149,7 +156,7 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
 {
     begin_with(text_table(true));
     wish(DRIVE_READY);
-    hear("v 9\nv 1.5\r\n");   /* the first may have begun anywhere */
+    hear("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 && w.machine.bad_frames == 0);
     for (uint32_t i = 0; i < 100; i++) {
         hear("v 123456");
@@ -199,7 +206,7 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     CHECK(isnan(imu->acceleration_m_s2[0]) && is_near(imu->acceleration_m_s2[1], 9.807));
     CHECK(is_near(imu->acceleration_m_s2[2], 1.0) && imu->saturated == 1 && imu->epoch == 3);
     CHECK(imu->stamp_ns == w.machine.stamp_ns);
-    CHECK(!say_with_sensor(55) && w.machine.bad_frames == 1);   /* it says that it has one, and ends before */
+    CHECK(!say_with_sensor(55) && w.machine.bad_frames == 1); /* it says that it has one, and ends before */
     table.imu.used = 0;
     begin_with(table);
     CHECK(say_with_sensor(56) && !w.machine.imu_is_new);
@@ -213,7 +220,7 @@ static void a_text_has_its_rate_about_z(void)
     board_table table = text_table(true);
     table.imu = mounted();
     table.imu.axis[2] = 2;
-    table.imu.rate_z = at(0, 6, 1);   /* the number that is read, in units of 1e-6 rad/s: times 1000 here */
+    table.imu.rate_z = at(0, 6, 1); /* the number that is read, in units of 1e-6 rad/s: times 1000 here */
     begin_with(table);
     hear("\nv 500\n");
     CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) && isnan(w.machine.imu.angular_rad_s[1]));

@@ -124,9 +124,9 @@ static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 3 * MS) == 0.5);
     bridge_control stop = {.wish = PWM_STOP, .number = 5};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 4 * MS) == 0.0 && state.stop_until_ns != 0);
-    arm.number = 7;   /* it brakes, and a power-off may have been overtaken */
+    arm.number = 7; /* it brakes, and a power-off may have been overtaken */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 && state.armed == 0 && state.stop_until_ns == 0);
-    arm.number = 9;   /* it has no power: there is nothing to take */
+    arm.number = 9; /* it has no power: there is nothing to take */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.5);
 }
 
@@ -209,7 +209,7 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
-    config.output_count = 1;   /* no GPIO lines here */
+    config.output_count = 1; /* no GPIO lines here */
     config.outputs_fd = -1;
     bridge_report report;
     exchange_init((exchange *)exchange_memory);
@@ -231,7 +231,7 @@ static void the_thread_ends_with_the_errno_and_the_pin(void)
 {
     int ends[2];
     CHECK(pipe(ends) == 0);
-    bridge_config config = config_of(ends[1]);   /* pwrite to a pipe: ESPIPE */
+    bridge_config config = config_of(ends[1]); /* pwrite to a pipe: ESPIPE */
     config.output_count = 1;
     bridge_report report = {.running = 1};
     CHECK(pwm_line_start(2, &config) == 0);
@@ -259,7 +259,7 @@ static void pins_that_rest_after_a_failure_are_told_to_rest(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
-    config.inputs_fd = 98;   /* nobody's */
+    config.inputs_fd = 98; /* nobody's */
     config.joint[0].fault_mask = 1;
     bridge_report report = {.running = 1};
     exchange_init((exchange *)exchange_memory);
@@ -281,7 +281,7 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
     CHECK(comes_true(fd, 25000, duty));
     CHECK(((bits_set_to & WAY_BIT) != 0) == (duty > 0.0));
-    CHECK(dup2(pipe_ends[1], fd) == fd);   /* from now on its writes fail, with ESPIPE */
+    CHECK(dup2(pipe_ends[1], fd) == fd); /* from now on its writes fail, with ESPIPE */
     bits_that_changed = 0;
     CHECK(ends(1, then, &report));
     CHECK(report.error == ESPIPE && report.error_output == 0);
@@ -294,7 +294,7 @@ static void a_motor_whose_duty_cannot_be_taken_back_is_not_turned(void)
 {
     bridge_config config = config_of(-1);
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
-    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0);     /* at rest the line would say forward */
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest the line would say forward */
     CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
 }
 

@@ -44,8 +44,15 @@ static void set_points_from_before_a_suspend_take_the_power(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = {
-        .exchange = &shared, .outputs_fd = -1, .inputs_fd = -1, .event_fd = -1, .period_ns = MS,
-        .setpoint_timeout_ns = 60000 * MS, .joint_count = 1, .output_count = 1, .joint = {{.sign = 1.0}},
+        .exchange = &shared,
+        .outputs_fd = -1,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = MS,
+        .setpoint_timeout_ns = 60000 * MS,
+        .joint_count = 1,
+        .output_count = 1,
+        .joint = {{.sign = 1.0}},
         .output = {{.fd = fd, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
     const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}};

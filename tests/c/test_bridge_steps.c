@@ -14,13 +14,20 @@ static const int64_t MS = 1000000, START_NS = 5000000000;
 static bridge_config two_motors(void)
 {
     bridge_config config = {
-        .outputs_fd = 0, .inputs_fd = -1, .event_fd = -1, .period_ns = 1, .setpoint_timeout_ns = 100 * MS,
-        .stopping_ns = 300 * MS, .joint_count = 2, .output_count = 2,
+        .outputs_fd = 0,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = 1,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS,
+        .joint_count = 2,
+        .output_count = 2,
         .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}, {.index = 1, .sign = -1.0, .rest_mode = BRIDGE_COAST}},
     };
-    for (uint32_t i = 0; i < 2; i++)
-        config.output[i] = (bridge_pin){.joint = i, .fd = -1, .bit = i, .base = {0.1, 0.2, 0.3, 0.4},
-                                        .slope = {0.05, 0.15, 0.25, 0.35}};
+    for (uint32_t i = 0; i < 2; i++) {
+        config.output[i] =
+            (bridge_pin){.joint = i, .fd = -1, .bit = i, .base = {0.1, 0.2, 0.3, 0.4}, .slope = {0.05, 0.15, 0.25, 0.35}};
+    }
     return config;
 }
 
@@ -35,7 +42,8 @@ typedef struct {
 
 static bench begun(void)
 {
-    bench b = {.config = two_motors(), .now_ns = START_NS,
+    bench b = {.config = two_motors(),
+               .now_ns = START_NS,
                .newest = {.enabled = 1, .joint_count = 2, .joint = {{.duty = 0.5}, {.duty = 0.5}, {.duty = 0.7}}}};
     return b;
 }
@@ -44,11 +52,13 @@ static const double *steps_on(bench *b, int64_t after_ns)
 {
     b->now_ns += after_ns;
     b->newest.stamp_ns = b->now_ns - b->age_ns;
-    for (int i = 0; i < PWM_OUTPUTS_MAX; i++)
+    for (int i = 0; i < PWM_OUTPUTS_MAX; i++) {
         b->level[i] = 77.0;
+    }
     bridge_step(&b->state, &b->config, &b->control, &b->newest, b->now_ns, b->level);
-    for (uint32_t i = b->config.output_count; i < PWM_OUTPUTS_MAX; i++)
+    for (uint32_t i = b->config.output_count; i < PWM_OUTPUTS_MAX; i++) {
         CHECK(b->level[i] == 77.0);
+    }
     return b->level;
 }
 
@@ -77,11 +87,12 @@ static void each_mode_has_its_level(void)
     b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
     steps_on(&b, MS);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each rests in its way */
-    for (int way = -1; way <= 1; way += 2)
+    for (int way = -1; way <= 1; way += 2) {
         for (int i = 0; i < 4; i++) {
             b.newest.joint[0].duty = way * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
             CHECK(is(steps_on(&b, MS)[0], way > 0 ? 0.3 + 0.25 : 0.4 + 0.35));
         }
+    }
     asks(&b, PWM_STOP);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.2);
     CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && b.state.stop_until_ns == 0);
@@ -238,10 +249,12 @@ static void each_number_of_a_config_ends_where_it_says(void)
         config.output[i].period_ns = 1, config.output[i].pumps = 1;
         CHECK(bridge_config_check(&config) == -EINVAL);
     }
-    for (uint32_t i = 0; i < JOINTS_MAX; i++)
+    for (uint32_t i = 0; i < JOINTS_MAX; i++) {
         config.joint[i] = two_motors().joint[0];
-    for (uint32_t i = 0; i < PWM_OUTPUTS_MAX; i++)
+    }
+    for (uint32_t i = 0; i < PWM_OUTPUTS_MAX; i++) {
         config.output[i] = two_motors().output[0];
+    }
     config.joint_count = JOINTS_MAX, config.output_count = PWM_OUTPUTS_MAX;
     CHECK(bridge_config_check(&config) == 0);
     config.output[PWM_OUTPUTS_MAX - 1].joint = JOINTS_MAX;

@@ -73,7 +73,7 @@ static void another_encoding_or_length_is_no_twist(void)
     size_t bytes = encoded(raw, 5, LITTLE, twist);
     CHECK(twist_parse(raw, 0, &found) == 1 + TWIST_NOT_ONE);
     CHECK(twist_parse(raw, 15, &found) == 1 + TWIST_NOT_ONE);
-    raw[1] = 7;   /* version 2 of the encoding */
+    raw[1] = 7; /* version 2 of the encoding */
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
     raw[1] = LITTLE;
     raw[0] = 1;
@@ -130,7 +130,7 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     CHECK(outlet_send(&o, &own, sizeof own, -1) == 0);
     came = received(first[1]);
     CHECK(came.sequence == 43 && came.kind == COMMAND_RELEASE && came.stamp_ns == 5);
-    outlet_hold(&o, second[0], b, 0);   /* the daemon came back */
+    outlet_hold(&o, second[0], b, 0); /* the daemon came back */
     CHECK(outlet_send_direct(&o, &twist, 8, 1) == 0);
     came = received(second[1]);
     CHECK(came.sequence == 1 && memcmp(came.token, b, sizeof b) == 0);
@@ -172,7 +172,7 @@ static void while_python_stands_still_nothing_is_handed_on(void)
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN);   /* it never was alive */
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN); /* it never was alive */
     outlet_alive(&o, begin_ns);
     CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 && received(pair[1]).sequence == 1);
     CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN && outlet_direct(&o) == 1);

@@ -63,7 +63,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
     arm(0);
     say_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
-    say_motion(0, -0.25F, 3.0F);   /* so soon after the other it tells nothing new */
+    say_motion(0, -0.25F, 3.0F); /* so soon after the other it tells nothing new */
     CHECK(w.machine.joint[0].feedback.count == 1000);
     w.now_ns += 6 * MS;
     say_motion(0, -0.25F, 3.0F);
@@ -103,7 +103,7 @@ static void frames_that_come_make_none_go_out(void)
         w.now_ns += MS / 100;
         step();
     }
-    CHECK(w.sent_count <= 2);   /* 10 ms are one cycle, or two */
+    CHECK(w.sent_count <= 2); /* 10 ms are one cycle, or two */
 }
 
 static void what_is_held_goes_out_with_the_set_points(void)
@@ -124,7 +124,9 @@ static void an_order_of_a_job_that_was_stopped_is_not_sent(void)
 {
     begin_with(1);
     arm(0);
-    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 1000 * MS, .guarded = 1,
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)},
+                       .expires_ns = w.now_ns + 1000 * MS,
+                       .guarded = 1,
                        .stops = w.machine.drive[0].stops};
     CHECK(can_machine_order(&w.machine, &order));
     wish(0, DRIVE_STAND_DOWN);
@@ -266,7 +268,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     begin_with(1);
     arm(0);
     go_on(50 * MS);
-    w.now_ns += 600 * MS;   /* nothing was told: it has stopped by itself, if it can */
+    w.now_ns += 600 * MS; /* nothing was told: it has stopped by itself, if it can */
     say_state(0, 8);
     say_motion(0, 1.0F, 1.0F);
     step();
@@ -426,7 +428,7 @@ static void a_table_that_points_outside_its_frames_is_refused(void)
     drive->output[0].setpoint[0].place.start_bit = UINT32_MAX;
     CHECK(is_bad());
     begin_with(2);
-    drive->match[1].bytes = 7;   /* shorter than what is read in it */
+    drive->match[1].bytes = 7; /* shorter than what is read in it */
     CHECK(is_bad());
     begin_with(2);
     drive->input[0].field[0].meaning.joint = JOINTS_MAX;
@@ -441,7 +443,7 @@ static void a_table_that_points_outside_its_frames_is_refused(void)
     drive->match[0].input = 3;
     CHECK(is_bad());
     begin_with(2);
-    drive->output[0].packet.bytes = 9;   /* of a classic frame */
+    drive->output[0].packet.bytes = 9; /* of a classic frame */
     CHECK(is_bad());
 }
 

@@ -96,7 +96,7 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     w.enabled = 0;
     step();
     CHECK(state_of(0)->demoted == DEMOTED_NOT_ENABLED);
-    go_on(60 * MS);                /* and it goes on saying that it has power */
+    go_on(60 * MS); /* and it goes on saying that it has power */
     CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED));
     become_quiet();
     CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED | DEMOTED_QUIET));
@@ -136,7 +136,7 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
 {
     begin_with(1);
     arm_by_hand();
-    w.machine.newest.stamp_ns = w.now_ns + 200 * MS;   /* only the silence is looked at */
+    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is looked at */
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
     say_state(0, 8);
     say_motion(0, 1.0F, 0.0F);
@@ -171,7 +171,7 @@ static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(v
 static void an_answer_to_a_hello_is_good_for_five_seconds(void)
 {
     begin_with(1);
-    table_of(0)->hello = 1;        /* the first of its inputs */
+    table_of(0)->hello = 1; /* the first of its inputs */
     w.now_ns = 1;
     restart();
     step();
@@ -194,7 +194,7 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet(void
     w.silent = true;
     while (state_of(0)->mode == DRIVE_ARMED) {
         say_state(0, 8);
-        go_on(10 * MS);            /* its motion is heard no more */
+        go_on(10 * MS); /* its motion is heard no more */
     }
     go_on(10 * MS);
     CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 1);
@@ -208,7 +208,7 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     begin_with(1);
     arm(0);
     w.said_rad_s = 1.0;
-    go_on(3000 * MS);              /* all that it was told before is long ago */
+    go_on(3000 * MS); /* all that it was told before is long ago */
     w.enabled = 2;
     go_on(110 * MS);
     CHECK(state_of(0)->stopping);
@@ -230,7 +230,7 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    w.not_taken = SPEED;           /* so it is told anew in each cycle */
+    w.not_taken = SPEED; /* so it is told anew in each cycle */
     become_quiet();
     int64_t quiet_ns = state_of(0)->quiet_since_ns;
     w.machine.cycle.due_ns = quiet_ns + 1000 * MS;
@@ -258,7 +258,7 @@ static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
     }
     forget_sent();
     go_on(8000 * MS);
-    const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000};   /* the first, after 100 ms, has begun before */
+    const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000}; /* the first, after 100 ms, has begun before */
     CHECK(w.sent_count >= 7);
     for (uint32_t i = 0; i < 6; i++) {
         CHECK(w.sent_ns[i + 1] - w.sent_ns[i] == pauses_ms[i] * MS);
@@ -299,7 +299,7 @@ static void frames_that_the_bus_does_not_take_are_counted(void)
     uint64_t before = w.machine.tx_full, cycles = w.machine.cycle.count;
     go_on(100 * MS);
     CHECK(w.machine.cycle.count >= cycles + 9);
-    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles);   /* each has one frame */
+    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each has one frame */
 }
 
 static void standing_down_is_a_stop_that_ends_jobs(void)
@@ -315,7 +315,7 @@ static void a_request_that_was_never_seen_may_have_been_a_stop(void)
 {
     begin_with(1);
     arm(0);
-    wish(0, DRIVE_READY);          /* it is more than that already */
+    wish(0, DRIVE_READY); /* it is more than that already */
     CHECK(state_of(0)->mode == DRIVE_ARMED);
     uint32_t stops = state_of(0)->stops;
     w.machine.control.drive[0].count++;
@@ -349,7 +349,7 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
     w.powered = true;
     go_on(50 * MS);
     CHECK(state_of(0)->mode == DRIVE_ARMED);
-    w.machine.enabled_count = 6;   /* it was enabled, and is no more */
+    w.machine.enabled_count = 6; /* it was enabled, and is no more */
     step();
     CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_NOT_ENABLED);
 }
@@ -378,7 +378,7 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
         uint32_t turn = 0;
         for (uint32_t i = 0; i < w.sent_count; i++) {
             if (w.sent[i].id >= SLOW) {
-                CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1);   /* after each second set-point frame */
+                CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1); /* after each second set-point frame */
                 turn++;
             }
         }
@@ -388,7 +388,7 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
     drive->slow_count = 1;
     restart();
     forget_sent();
-    wish(0, DRIVE_READY);          /* the first cycle is due */
+    wish(0, DRIVE_READY); /* the first cycle is due */
     CHECK(count_sent(SLOW) == 1 && count_sent(SLOW + 1) == 0);
 }
 
@@ -441,7 +441,7 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
     drive->output[1].packet.id = OFF_WORD;
     drive->output[1].setpoint[0].scale.raw_per_si = -100.0;
     drive->output[1].setpoint[0].scale.joint = 1;
-    drive->output[0].setpoint[0].scale.raw_max = 0.0;   /* backwards only */
+    drive->output[0].setpoint[0].scale.raw_max = 0.0; /* backwards only */
     restart();
     arm(0);
     go_on(30 * MS);
@@ -453,7 +453,7 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
         say_motion(0, 1.0F, 0.0F);
         step();
     }
-    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2);   /* 10 ms are one cycle, or two */
+    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* 10 ms are one cycle, or two */
 }
 
 int main(void)

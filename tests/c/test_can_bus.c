@@ -31,11 +31,11 @@ static void identifiers_may_stand_in_any_order_and_frames_of_one_are_told_apart_
     can_drive *drive = table_of(0);
     const can_match state = drive->match[0];
     drive->match_count = 6;
-    drive->match[0] = drive->match[2];                    /* the greatest identifier first, the least last */
+    drive->match[0] = drive->match[2]; /* the greatest identifier first, the least last */
     drive->match[2] = (can_match){.id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x44}, .begins_mask = {0xFF}};
-    drive->match[3] = (can_match){.id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x45}, .begins_mask = {0xFF},
-                                  .input = 1};
-    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8};   /* all others of that identifier */
+    drive->match[3] =
+        (can_match){.id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x45}, .begins_mask = {0xFF}, .input = 1};
+    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all others of that identifier */
     drive->match[5] = state;
     drive->input[0].field[0].place.start_bit = 0;
     restart();
@@ -59,7 +59,7 @@ static void the_first_frames_count_however_young_the_clock_is(void)
     say_motion(0, 1.0F, 0.0F);
     CHECK(state_of(0)->sample_ns[1] == 1);
     w.now_ns = 2;
-    say_motion(0, 2.0F, 0.0F);   /* so soon it tells nothing new */
+    say_motion(0, 2.0F, 0.0F); /* so soon it tells nothing new */
     CHECK(state_of(0)->sample_ns[1] == 1 && w.machine.joint[0].feedback.count == 1000);
     w.now_ns = 1 + 5 * MS;
     say_motion(0, 3.0F, 0.0F);
@@ -70,12 +70,12 @@ static void the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alon
 {
     begin_with(2);
     go_on(50 * MS);
-    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0);   /* both speak, and are off */
+    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both speak, and are off */
     table_of(0)->match_count = 4;
     table_of(0)->match[3] = (can_match){.id = ANSWER + 0x20, .bytes = 1, .input = 3};
     table_of(0)->input_count = 3;
-    table_of(0)->input[2] = (can_input){.field_count = 1, .field[0] = {
-        .place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}}};
+    table_of(0)->input[2] = (can_input){
+        .field_count = 1, .field[0] = {.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}}};
     restart();
     go_on(20 * MS);
     wish(0, DRIVE_READY);
@@ -92,7 +92,7 @@ static void the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alon
 static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
 {
     begin_with(1);
-    const can_input state = table_of(0)->input[0];       /* the power is said in the second input now, not the first */
+    const can_input state = table_of(0)->input[0]; /* the power is said in the second input now, not the first */
     table_of(0)->input[0] = table_of(0)->input[1];
     table_of(0)->input[1] = state;
     table_of(0)->match[0].input = 2;
@@ -149,7 +149,7 @@ static void one_that_may_turn_after_a_reopening_is_told_so_less_and_less_often(v
 static void the_cycles_keep_the_grid_that_began_with_the_bus(void)
 {
     begin_with(1);
-    w.now_ns += 3 * MS;   /* the thread comes late */
+    w.now_ns += 3 * MS; /* the thread comes late */
     step();
     CHECK(w.machine.cycle.count == 1 && w.wake_ns == 1010 * MS);
 }
@@ -162,9 +162,9 @@ static void fill_drive(uint32_t n)
     for (uint32_t o = 0; o < CAN_OUTPUTS_MAX; o++) {
         drive->output[o] = (can_output){.packet = packet_of(SPEED + n + 8 * o, 8), .setpoint_count = CAN_SETPOINTS_MAX};
         for (uint32_t i = 0; i < CAN_SETPOINTS_MAX; i++) {
-            drive->output[o].setpoint[i] = (can_setpoint){
-                .place = {.start_bit = 16 * i, .length = 16, .form = CAN_SIGNED},
-                .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
+            drive->output[o].setpoint[i] =
+                (can_setpoint){.place = {.start_bit = 16 * i, .length = 16, .form = CAN_SIGNED},
+                               .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
         }
     }
     const can_match motion = drive->match[1];
@@ -180,13 +180,12 @@ static void fill_drive(uint32_t n)
     can_input *last = &drive->input[CAN_INPUTS_MAX - 1];
     *last = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = CAN_FIELDS_MAX};
     for (uint32_t i = 0; i + 1 < CAN_FIELDS_MAX; i++) {
-        last->field[i] = (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .joint = n,
-                                                                        .si_per_raw = 1.0}};
+        last->field[i] =
+            (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .joint = n, .si_per_raw = 1.0}};
     }
     last->field[CAN_FIELDS_MAX - 1] = power;
     drive->match[CAN_MATCHES_MAX - 2] = motion;
-    drive->match[CAN_MATCHES_MAX - 1] = (can_match){.id = STATE + n, .bytes = 1, .input = CAN_INPUTS_MAX,
-                                                    .begins_bytes = 0};
+    drive->match[CAN_MATCHES_MAX - 1] = (can_match){.id = STATE + n, .bytes = 1, .input = CAN_INPUTS_MAX, .begins_bytes = 0};
     drive->match[0] = (can_match){.id = ANSWER + n, .bytes = CAN_BYTES_MAX, .begins_bytes = CAN_BEGINS_MAX};
     memset(drive->match[0].begins_mask, 0xFF, CAN_BEGINS_MAX);
     drive->ask_count = drive->slow_count = drive->probe_count = CAN_ASKS_MAX;
@@ -225,7 +224,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        CHECK(state_of(n)->mode == (n == last ? DRIVE_ARMED : DRIVE_OFF));   /* the others say that they are off */
+        CHECK(state_of(n)->mode == (n == last ? DRIVE_ARMED : DRIVE_OFF)); /* the others say that they are off */
     }
     w.powered = true;
     forget_sent();
@@ -255,8 +254,14 @@ static void eight_drives_are_all_there_are(void)
     step();
     uint8_t behind[sizeof w.machine.joint];
     for (int stop = CAN_STOP_NOTHING; stop <= CAN_STOP_POWER_OFF; stop++) {
-        can_drive_state mover = {.mode = DRIVE_ARMED, .stop = (uint32_t)stop, .told_motion = true, .stopping = true,
-                                 .may_turn = true, .missing = 1, .probe_at_ns = w.now_ns, .quiet_since_ns = w.now_ns};
+        can_drive_state mover = {.mode = DRIVE_ARMED,
+                                 .stop = (uint32_t)stop,
+                                 .told_motion = true,
+                                 .stopping = true,
+                                 .may_turn = true,
+                                 .missing = 1,
+                                 .probe_at_ns = w.now_ns,
+                                 .quiet_since_ns = w.now_ns};
         size_t bytes = sizeof mover < sizeof behind ? sizeof mover : sizeof behind;
         memcpy(w.machine.joint, &mover, bytes);
         memcpy(behind, w.machine.joint, sizeof behind);
@@ -309,7 +314,7 @@ static void a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first(voi
     arm(0);
     go_on(11 * MS);
     CHECK(speed_in(newest_of(0)) == 100);
-    can_machine_left(&w.machine);   /* nothing waits in the kernel */
+    can_machine_left(&w.machine); /* nothing waits in the kernel */
     w.full = true;
     go_on(35 * MS);
     CHECK(w.machine.clogged && w.machine.motion_since_ns == 0);
@@ -327,7 +332,7 @@ static void each_cycle_whose_motion_stays_is_counted_as_not_taken(void)
     arm(0);
     go_on(11 * MS);
     uint64_t before = w.machine.tx_full;
-    go_on(100 * MS);   /* nothing is heard to have left */
+    go_on(100 * MS); /* nothing is heard to have left */
     CHECK(w.machine.tx_full > before && w.machine.tx_full <= before + 10);
 }
 
@@ -365,7 +370,7 @@ static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(voi
         CHECK(can_machine_order(&w.machine, &order));
     }
     CHECK(!can_machine_order(&w.machine, &order) && w.machine.order_count == CAN_WAITING_MAX);
-    w.now_ns = order.expires_ns;   /* from now on it is too late */
+    w.now_ns = order.expires_ns; /* from now on it is too late */
     w.full = false;
     step();
     CHECK(count_sent(CONTROL) == 0 && state_of(0)->orders_dropped == CAN_WAITING_MAX);
@@ -384,7 +389,7 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.said_rad_s = 1.0;
     say_motion(0, 1.0F, 1.0F);
     w.enabled = 2;
-    w.now_ns += 101 * MS;          /* old set-points: it comes to rest, and was told no motion yet */
+    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was told no motion yet */
     say_state(0, 8);
     step();
     CHECK(state_of(0)->stopping && !state_of(0)->told_motion && w.wake_ns == w.now_ns + 5 * MS);
@@ -412,7 +417,7 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     forget_sent();
     w.machine.news = false;
     go_on(asked_ns + 480 * MS - w.now_ns);
-    CHECK(w.machine.shut == 2 && w.sent_count == 0 && !w.machine.news);   /* no set-point switches it on again */
+    CHECK(w.machine.shut == 2 && w.sent_count == 0 && !w.machine.news); /* no set-point switches it on again */
     step();
     CHECK(w.machine.shut == 3 && w.machine.news);
 }
@@ -428,7 +433,7 @@ static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with
     w.said_rad_s = 1.0;
     go_on(50 * MS);
     w.machine.control.shut_down = 1;
-    w.full = true;                 /* not even the quick stop is taken */
+    w.full = true; /* not even the quick stop is taken */
     go_on(360 * MS);
     CHECK(w.machine.shut == 2);
     w.full = false;
@@ -442,8 +447,8 @@ static void the_report_tells_fault_words_and_stops_that_wait(void)
 {
     begin_with(2);
     table_of(1)->input[0].field_count = 2;
-    table_of(1)->input[0].field[1] = (can_field){
-        .place = {.length = 8}, .meaning = {.joint = JOINTS_MAX - 1, .kind = FIELD_FAULT, .si_per_raw = 1.0}};
+    table_of(1)->input[0].field[1] =
+        (can_field){.place = {.length = 8}, .meaning = {.joint = JOINTS_MAX - 1, .kind = FIELD_FAULT, .si_per_raw = 1.0}};
     restart();
     arm(0);
     say_state(1, 5);

@@ -63,8 +63,7 @@ static void set_points_from_before_a_suspend_stop_the_drive(void)
 {
     can_report report;
     can_control control = {.drive = {{.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}}};
-    const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1,
-                              .joint = {{.velocity_rad_s = 1.0}}};
+    const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.velocity_rad_s = 1.0}}};
     CHECK(exchange_put_setpoints(&shared, 0, &newest) == 0);
     can_put_control(0, &control);
     wait_for(DRIVE_READY, &report);
@@ -85,7 +84,7 @@ int main(void)
     begin_with(1);
     w.table.setpoint_timeout_ns = 60000 * MS;
     for (uint32_t i = 0; i < w.table.drive[0].input_count; i++) {
-        w.table.drive[0].input[i].silence_ns = 0;   /* it need not speak */
+        w.table.drive[0].input[i].silence_ns = 0; /* it need not speak */
     }
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);

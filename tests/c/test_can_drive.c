@@ -56,7 +56,7 @@ static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
 static void what_was_held_is_forgotten_with_the_drive(void)
 {
     begin_with(1);
-    table_of(0)->disarm[0].mask[1] = 0;   /* byte 1 is not the stop's to write */
+    table_of(0)->disarm[0].mask[1] = 0; /* byte 1 is not the stop's to write */
     table_of(0)->quick_stop[0].mask[1] = 0;
     restart();
     arm(0);
@@ -96,8 +96,8 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
     go_on(15 * MS);
     CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
     CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
-                                   .joint = {[1] = {.velocity_rad_s = 1.0}}};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {[1] = {.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0);
 }
@@ -140,14 +140,14 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
     (void)took_news();
     say_state(0, 8);
     say_state(0, 8);
-    say_state(0, 1);                /* the count begins anew */
+    say_state(0, 1); /* the count begins anew */
     say_state(0, 8);
     say_state(0, 8);
     CHECK(state_of(0)->demoted == 0 && !took_news());
     say_state(0, 8);
     CHECK(state_of(0)->demoted == DEMOTED_STILL_ENABLED && took_news());
     say_state(0, 8);
-    CHECK(!took_news() && count_sent(SPEED) == 0);   /* frames that come send nothing */
+    CHECK(!took_news() && count_sent(SPEED) == 0); /* frames that come send nothing */
     uint32_t stops = state_of(0)->stops;
     w.now_ns = w.machine.cycle.due_ns;
     step();
@@ -188,12 +188,12 @@ static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_arm
     w.enabled = 2;
     go_on(105 * MS);
     forget_sent();
-    go_on(300 * MS);                /* it comes to rest: its power stays until then */
+    go_on(300 * MS); /* it comes to rest: its power stays until then */
     CHECK(state_of(0)->stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
     w.said_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
-    CHECK(!state_of(0)->stopping && count_sent(CONTROL) == 1);   /* told once */
+    CHECK(!state_of(0)->stopping && count_sent(CONTROL) == 1); /* told once */
 }
 
 static void time_without_set_points_before_arming_is_not_being_left_alone(void)
@@ -245,7 +245,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
     wish(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
     wish(0, DRIVE_READY);
-    w.velocity_rad_s = 0.0;         /* armed, and told to stand still */
+    w.velocity_rad_s = 0.0; /* armed, and told to stand still */
     wish(0, DRIVE_ARMED);
     go_on(30 * MS);
     forget_sent();
@@ -255,7 +255,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
     wish(0, DRIVE_ARMED);
     w.said_rad_s = 1.0;
     go_on(20 * MS);
-    w.enabled = 2;                  /* a quick stop that waits for rest */
+    w.enabled = 2; /* a quick stop that waits for rest */
     go_on(120 * MS);
     CHECK(state_of(0)->stopping && !state_of(0)->told_motion);
     forget_sent();
@@ -361,7 +361,7 @@ static void asyncio_hears_of_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->back && took_news());    /* it has to be told off first */
+    CHECK(state_of(0)->back && took_news()); /* it has to be told off first */
     go_on(20 * MS);
     CHECK(state_of(0)->mode == DRIVE_QUIET && !took_news());
     w.full = false;

@@ -24,7 +24,7 @@ static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
     w.now_ns += MS;
     int64_t due_ns = w.machine.cycle.due_ns;
     forget_sent();
-    kick(1.0);   /* nothing new */
+    kick(1.0); /* nothing new */
     step();
     CHECK(w.sent_count == 0);
     kick(2.0);
@@ -32,7 +32,7 @@ static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
     step();
     CHECK(w.sent_count == 2 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200);
     CHECK(w.machine.cycle.due_ns == due_ns);
-    step();   /* once */
+    step(); /* once */
     CHECK(w.sent_count == 2);
 }
 
@@ -81,7 +81,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     w.machine.hears_own = true;
     can_machine_left(&w.machine);
     w.now_ns = w.machine.cycle.due_ns;
-    step();   /* a motion frame waits from now on: the cable is out */
+    step(); /* a motion frame waits from now on: the cable is out */
     forget_sent();
     w.now_ns += MS;
     kick(2.0);

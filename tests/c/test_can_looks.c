@@ -23,7 +23,7 @@ static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(v
     begin_with_a_slow_cycle();
     go_on(20 * MS);
     CHECK(next_look_ns() == 20 * MS);
-    arm(2);                         /* the last of them */
+    arm(2); /* the last of them */
     w.machine.cycle.due_ns = w.now_ns + 500 * MS;
     CHECK(!state_of(2)->told_motion && next_look_ns() == 5 * MS);
     w.machine.cycle.due_ns = w.now_ns;
@@ -62,7 +62,7 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     for (uint32_t i = 0; i < 3; i++) {
         say_motion(i, 1.0F, 0.0F);
     }
-    w.silent = true;                /* what is said from now on is said by hand */
+    w.silent = true; /* what is said from now on is said by hand */
     go_on(30 * MS);
     say_motion(2, 1.0F, 5.0F);
     forget_sent();

@@ -81,14 +81,14 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     can_drive *drive = table_of(0);
     drive->quick_stop_count = 2;
     drive->quick_stop[1] = drive->quick_stop[0];
-    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};   /* this one is not taken */
+    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)}; /* this one is not taken */
     restart();
     arm_and_go();
     w.not_taken = CONTROL;
     become_quiet();
     forget_sent();
     go_on(50 * MS);
-    CHECK(count_sent(SPEED) >= 8);   /* two a cycle: its stop and its zero */
+    CHECK(count_sent(SPEED) >= 8); /* two a cycle: its stop and its zero */
     w.not_taken = 0;
     go_on(12 * MS);
     CHECK(count_sent(CONTROL) == 1);
@@ -159,7 +159,7 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     become_quiet();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 3);   /* its old answer counts no more */
+    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 3); /* its old answer counts no more */
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
     CHECK(state_of(0)->mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);

@@ -8,8 +8,8 @@ static void begin_drive(void)
 {
     begin_with(2);
     drive = &w.machine.drive[0];
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
-                                   .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){
+        .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
         drive->heard_ns[i] = w.now_ns;
     }
@@ -24,13 +24,13 @@ static void obey(uint32_t mode, uint32_t unseen)
     can_obey_wish(&w.machine, 0, w.now_ns);
     CHECK(w.machine.news);
     w.machine.news = false;
-    can_obey_wish(&w.machine, 0, w.now_ns);   /* the same again is no wish */
+    can_obey_wish(&w.machine, 0, w.now_ns); /* the same again is no wish */
     CHECK(!w.machine.news);
 }
 
 static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
 {
-    for (uint32_t powered = 0; powered < 3; powered++)
+    for (uint32_t powered = 0; powered < 3; powered++) {
         for (uint32_t from = 0; from < 2; from++) {
             begin_drive();
             drive->mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
@@ -48,6 +48,7 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
                 CHECK(drive->heard_ns[i] == w.now_ns);
             }
         }
+    }
 }
 
 static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(void)
@@ -64,7 +65,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->off_next_cycle = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        bool armed = against == 0 || against == 5;   /* what was not seen may have been a stop: there is nothing to stop */
+        bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
         CHECK((drive->mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
             CHECK(!drive->was_enabled && drive->enabled_count == 8 && drive->demoted == 0 && drive->still_enabled == 0);
@@ -77,8 +78,8 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};
-    for (uint32_t has = 0; has < 5; has++)
-        for (uint32_t unseen = 0; unseen < 3; unseen++)
+    for (uint32_t has = 0; has < 5; has++) {
+        for (uint32_t unseen = 0; unseen < 3; unseen++) {
             for (uint32_t i = 0; i < 4; i++) {
                 uint32_t mode = MODES[i];
                 begin_drive();
@@ -99,11 +100,13 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                     expected = DRIVE_ARMED;
                 }
                 if (mode == DRIVE_READY && has == 1 && !off) {
-                    expected = DRIVE_ARMED;   /* it is set up */
+                    expected = DRIVE_ARMED; /* it is set up */
                 }
                 CHECK(drive->mode == expected && drive->back == (mode != DRIVE_OFF));
                 CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED || drive->enabled == 2);
             }
+        }
+    }
     begin_drive();
     drive->mode = DRIVE_QUIET;
     obey(DRIVE_READY, 0);
@@ -160,7 +163,7 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     begin_armed();
     w.machine.newest.enabled = 0;
     drive->enabled_count = w.machine.enabled_count = 7;
-    guarded(0, CAN_STOP_NOTHING);   /* they were not enabled yet */
+    guarded(0, CAN_STOP_NOTHING); /* they were not enabled yet */
     w.machine.newest.enabled = 1;
     guarded(0, CAN_STOP_NOTHING);
     CHECK(drive->was_enabled);
@@ -168,7 +171,7 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(DEMOTED_NOT_ENABLED, CAN_STOP_POWER_OFF);
     begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = 7, w.machine.enabled_count = 8;   /* they were, between two looks */
+    drive->enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
     guarded(DEMOTED_NOT_ENABLED, CAN_STOP_POWER_OFF);
 }
 

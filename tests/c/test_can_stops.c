@@ -22,7 +22,7 @@ static void standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_
     forget_sent();
     wish(0, DRIVE_STAND_DOWN);
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
-    w.machine.control.drive[0].arming_until_ns = INT64_MAX;   /* its power is Python's to take: nothing more is said */
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX; /* its power is Python's to take: nothing more is said */
     go_on(50 * MS);
     CHECK(count_sent(SPEED) == 1);
 }
@@ -43,7 +43,7 @@ static void a_stop_that_waits_outlives_a_new_set_up(void)
     wish(0, DRIVE_OFF);
     wish(0, DRIVE_READY);
     wish(0, DRIVE_ARMED);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY);   /* not before it has been stopped */
+    CHECK(w.machine.drive[0].mode == DRIVE_READY); /* not before it has been stopped */
     w.full = false;
     go_on(2 * MS);
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
@@ -53,7 +53,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
 {
     drive_off_on_a_full_bus();
     w.full = false;
-    w.machine.control.drive[0].count++;   /* STAND_DOWN or OFF, before the next one took its place */
+    w.machine.control.drive[0].count++; /* STAND_DOWN or OFF, before the next one took its place */
     wish(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].mode == DRIVE_READY);
     go_on(2 * MS);
@@ -97,19 +97,19 @@ static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_he
     go_on(12 * MS);
     CHECK(w.machine.drive[0].mode == DRIVE_OFF);
     CHECK(told_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
-    CHECK(count_sent(SPEED + 1) == 0);   /* it was never armed */
+    CHECK(count_sent(SPEED + 1) == 0); /* it was never armed */
     go_on(2500 * MS);
     CHECK(told_ns(0, DISABLE) > opened_ns);
     w.silent = false;
     go_on(100 * MS);
     forget_sent();
     go_on(2500 * MS);
-    CHECK(count_sent(SPEED) == 0);   /* heard: its set-up is Python's */
+    CHECK(count_sent(SPEED) == 0); /* heard: its set-up is Python's */
     wish(0, DRIVE_READY);
     restart();
     forget_sent();
     go_on(100 * MS);
-    CHECK(count_sent(SPEED) == 0);   /* and since then it does not turn */
+    CHECK(count_sent(SPEED) == 0); /* and since then it does not turn */
 }
 
 /* ------------------------------------------------------------------------------------- what waits for a dead bus */
@@ -169,12 +169,12 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
 {
     turning(2);
     can_machine_left(&w.machine);
-    w.machine.hears_own = true;   /* and nothing more is heard to have left */
+    w.machine.hears_own = true; /* and nothing more is heard to have left */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->mode == DRIVE_ARMED);
     }
-    CHECK(w.machine.tx_full >= 10);   /* somebody can see it */
+    CHECK(w.machine.tx_full >= 10); /* somebody can see it */
     can_machine_left(&w.machine);
     forget_sent();
     go_on(10 * MS);

@@ -20,17 +20,17 @@ static bool refused(const char *name)
 }
 
 /* The table of two drives, with one number changed. */
-#define GOOD(field, value)                                                                                \
-    do {                                                                                                  \
-        begin_with(2);                                                                                    \
-        (field) = (value);                                                                                \
-        CHECK(is_good());                                                                                 \
+#define GOOD(field, value)                                                                                                       \
+    do {                                                                                                                         \
+        begin_with(2);                                                                                                           \
+        (field) = (value);                                                                                                       \
+        CHECK(is_good());                                                                                                        \
     } while (0)
-#define BAD(field, value, name)                                                                           \
-    do {                                                                                                  \
-        begin_with(2);                                                                                    \
-        (field) = (value);                                                                                \
-        CHECK(refused(name));                                                                             \
+#define BAD(field, value, name)                                                                                                  \
+    do {                                                                                                                         \
+        begin_with(2);                                                                                                           \
+        (field) = (value);                                                                                                       \
+        CHECK(refused(name));                                                                                                    \
     } while (0)
 
 #define DRIVE w.table.drive[1]
@@ -56,7 +56,7 @@ static void the_bus_s_own_numbers(void)
         w.table.sync_count = CAN_SYNCS_MAX;
         w.table.sync[i].id = 0x800;
         CHECK(refused("packet.id"));
-        w.table.sync_count = i;    /* what is not counted is not looked at */
+        w.table.sync_count = i; /* what is not counted is not looked at */
         CHECK(is_good());
     }
 }
@@ -108,10 +108,17 @@ static void the_numbers_of_a_drive(void)
 
 static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_can_have(void)
 {
-    can_packet *const packets[] = {
-        &DRIVE.output[0].packet, &DRIVE.ask[0], &DRIVE.slow[0], &DRIVE.probe[0], &DRIVE.ask[CAN_ASKS_MAX - 1],
-        &DRIVE.slow[CAN_ASKS_MAX - 1], &DRIVE.probe[CAN_ASKS_MAX - 1], &DRIVE.quick_stop[0].packet,
-        &DRIVE.quick_stop[1].packet, &DRIVE.disarm[0].packet, &DRIVE.disarm[1].packet};
+    can_packet *const packets[] = {&DRIVE.output[0].packet,
+                                   &DRIVE.ask[0],
+                                   &DRIVE.slow[0],
+                                   &DRIVE.probe[0],
+                                   &DRIVE.ask[CAN_ASKS_MAX - 1],
+                                   &DRIVE.slow[CAN_ASKS_MAX - 1],
+                                   &DRIVE.probe[CAN_ASKS_MAX - 1],
+                                   &DRIVE.quick_stop[0].packet,
+                                   &DRIVE.quick_stop[1].packet,
+                                   &DRIVE.disarm[0].packet,
+                                   &DRIVE.disarm[1].packet};
     for (uint32_t i = 0; i < sizeof packets / sizeof packets[0]; i++) {
         can_packet *packet = packets[i];
         begin_with(2);
@@ -144,10 +151,10 @@ static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_
         packet->id = CAN_ID_REMOTE | 1;
         CHECK(refused("drive[1].packet.fd"));
         packet->fd = 0;
-        CHECK(i == 0 ? refused("drive[1].output.packet.id") : is_good());   /* set-points are no question */
+        CHECK(i == 0 ? refused("drive[1].output.packet.id") : is_good()); /* set-points are no question */
     }
     begin_with(2);
-    DRIVE.quick_stop[1].packet.id = DRIVE.disarm[1].packet.id = 0x800;   /* not counted */
+    DRIVE.quick_stop[1].packet.id = DRIVE.disarm[1].packet.id = 0x800; /* not counted */
     CHECK(is_good());
 }
 
@@ -175,13 +182,13 @@ static void where_a_number_stands_and_what_it_is(void)
         place->length = 32;
         place->start_bit = 33;
         CHECK(refused("drive[1].place.start_bit"));
-        place->start_bit = UINT32_MAX - 30;   /* its end wraps round to 1 */
+        place->start_bit = UINT32_MAX - 30; /* its end wraps round to 1 */
         CHECK(refused("drive[1].place.start_bit"));
         place->start_bit = 0;
         place->form = CAN_FLOAT + 1;
         CHECK(refused("drive[1].place.form"));
     }
-    begin_with(2);   /* the last bit of the longest frame */
+    begin_with(2); /* the last bit of the longest frame */
     DRIVE.output[0].packet.fd = 1;
     DRIVE.output[0].packet.bytes = CAN_BYTES_MAX;
     DRIVE.output[0].setpoint[0].place = (can_place){.start_bit = 8 * CAN_BYTES_MAX - 1, .length = 1};
@@ -238,7 +245,10 @@ static void set_points(void)
 
 static void set_points_end_where_their_place_does(void)
 {
-    const struct { uint32_t form; double least, most; } forms[] = {{CAN_SIGNED, -32768.0, 32767.0}, {CAN_UNSIGNED, 0.0, 65535.0}};
+    const struct {
+        uint32_t form;
+        double least, most;
+    } forms[] = {{CAN_SIGNED, -32768.0, 32767.0}, {CAN_UNSIGNED, 0.0, 65535.0}};
     for (uint32_t i = 0; i < 2; i++) {
         begin_with(2);
         can_setpoint *setpoint = &DRIVE.output[0].setpoint[0];
@@ -311,7 +321,7 @@ static void what_is_read(void)
     }
     DRIVE.input[0].field_count = CAN_FIELDS_MAX;
     CHECK(is_good());
-    DRIVE.input[0].field[CAN_FIELDS_MAX - 1].place.length = 9;   /* the frame has a byte */
+    DRIVE.input[0].field[CAN_FIELDS_MAX - 1].place.length = 9; /* the frame has a byte */
     CHECK(refused("drive[1].place.start_bit"));
 }
 
@@ -327,7 +337,7 @@ static void how_a_frame_is_known(void)
     DRIVE.match[2].bytes = DRIVE.match[2].begins_bytes = CAN_BEGINS_MAX;
     CHECK(is_good());
     begin_with(2);
-    DRIVE.match[3].input = 3;   /* not counted */
+    DRIVE.match[3].input = 3; /* not counted */
     CHECK(is_good());
     for (uint32_t i = 3; i < CAN_MATCHES_MAX; i++) {
         DRIVE.match[i].input = 0;

@@ -82,7 +82,7 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(heard > 200);
     CHECK(close(ends[1]) == 0);
-    CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV);   /* the other end has gone: the thread says so, and ends */
+    CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV); /* the other end has gone: the thread says so, and ends */
     CHECK(can_stop(0) == 0);
     return checks_report("can thread");
 }

@@ -57,7 +57,9 @@ static void say_health(uint32_t word)
 static void want(double first_rad_s, double second_rad_s)
 {
     w.enabled = 2;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
+                                   .enabled = 1,
+                                   .joint_count = 2,
                                    .joint = {{.velocity_rad_s = first_rad_s}, {.velocity_rad_s = second_rad_s}}};
 }
 
@@ -83,7 +85,7 @@ static void both_wheels_are_told_in_one_frame(void)
     forget_sent();
     go_on(90 * MS);
     CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->told_motion);
-    CHECK(w.sent_count >= 8 && w.sent_count <= 10);   /* one wheel turns: nothing is to be stopped between two cycles */
+    CHECK(w.sent_count >= 8 && w.sent_count <= 10); /* one wheel turns: nothing is to be stopped between two cycles */
     want(0.0, 0.0);
     step();
     CHECK(second_speed() == 0 && !state_of(0)->told_motion);
@@ -98,7 +100,7 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     w.enabled = 2;
     go_on(150 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && state_of(0)->stopping && told_ns(0, DISABLE) == 0);
-    say_second(0, 1);               /* 0 rad/s */
+    say_second(0, 1); /* 0 rad/s */
     step();
     CHECK(!state_of(0)->stopping);
     step();
@@ -143,8 +145,8 @@ static void what_raw_zero_says_is_added(void)
 static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word(void)
 {
     begin_with_two_wheels();
-    table_of(0)->input[1].field_count = 1;                          /* wheel 0: a count alone, and its speed in HEALTH */
-    table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT;    /* wheel 1: no count */
+    table_of(0)->input[1].field_count = 1;                       /* wheel 0: a count alone, and its speed in HEALTH */
+    table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT; /* wheel 1: no count */
     table_of(0)->input[4].field[0] = field_of(0, FIELD_VELOCITY, 0, 32);
     restart();
     wish(0, DRIVE_READY);
@@ -157,11 +159,11 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     say_health(0);
     const uint8_t powers[8] = {0};
     (void)say(POWERS, powers, sizeof powers);
-    say_state(0, 8);                /* the last of the fast ones: now both wheels are known */
+    say_state(0, 8); /* the last of the fast ones: now both wheels are known */
     CHECK(w.machine.feedback_mask == 3 && state_of(0)->cycles == 1);
     CHECK(feedback_of(0)->stamp_ns == count_ns && feedback_of(1)->stamp_ns == speed_ns);
     CHECK(feedback_of(0)->enabled == 1 && feedback_of(1)->enabled == 1);
-    table_of(0)->input[2].field[1].meaning.kind = FIELD_VOLTAGE;    /* wheel 1: no speed either */
+    table_of(0)->input[2].field[1].meaning.kind = FIELD_VOLTAGE; /* wheel 1: no speed either */
     restart();
     wish(0, DRIVE_READY);
     say_motion(0, 1.0F, 0.0F);
@@ -171,7 +173,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
     say_state(0, 8);
-    CHECK(feedback_of(1)->stamp_ns == powers_ns);   /* whether it has power says nothing of the wheel */
+    CHECK(feedback_of(1)->stamp_ns == powers_ns); /* whether it has power says nothing of the wheel */
 }
 
 static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before(void)
@@ -183,7 +185,7 @@ static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_be
     wish(0, DRIVE_READY);
     CHECK(state_of(0)->enabled == 2);
     w.machine.feedback_mask = 0;
-    w.now_ns += MS;                 /* sooner than the spacing of wheel 0's frames */
+    w.now_ns += MS; /* sooner than the spacing of wheel 0's frames */
     say_motion(0, 2.0F, 0.0F);
     say_second(0, 1);
     CHECK(w.machine.feedback_mask == 0);
@@ -207,7 +209,7 @@ static void a_fault_word_is_news_once_and_stops_unless_it_is_a_warning(void)
     w.machine.news = false;
     say_health(HARMLESS | 1);
     CHECK(!w.machine.news && state_of(0)->faults == 1);
-    w.machine.news = true;          /* of something else */
+    w.machine.news = true; /* of something else */
     say_health(HARMLESS | 1);
     CHECK(w.machine.news);
     say_health(0);
@@ -225,7 +227,7 @@ static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
     meaning->harmless_codes = 2;
     meaning->harmless[0] = 7;
     meaning->harmless[1] = 9;
-    meaning->harmless[2] = 11;      /* not one of the two */
+    meaning->harmless[2] = 11; /* not one of the two */
     restart();
     const uint32_t words[] = {7, 9, 11, 5, 0}, stop[] = {0, 0, 11, 5, 0};
     for (uint32_t i = 0; i < 5; i++) {

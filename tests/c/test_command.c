@@ -20,8 +20,12 @@ static lease_grant grant_of(uint8_t letter, uint32_t priority)
 
 static command_datagram command_of(uint8_t letter, uint64_t sequence, int64_t stamp_ns, double linear_m_s)
 {
-    command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
-                                .sequence = sequence, .stamp_ns = stamp_ns, .linear_m_s = linear_m_s};
+    command_datagram command = {.magic = COMMAND_MAGIC,
+                                .version = COMMAND_VERSION,
+                                .kind = COMMAND_TWIST,
+                                .sequence = sequence,
+                                .stamp_ns = stamp_ns,
+                                .linear_m_s = linear_m_s};
     memset(command.token, letter, TOKEN_BYTES);
     return command;
 }
@@ -86,7 +90,7 @@ static void a_lease_that_is_not_granted_any_more_is_over(void)
     two_sources(&a);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
     lease_grants grants = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
-    arbiter_grant(&a, &grants);   /* b has moved to another place, and goes on */
+    arbiter_grant(&a, &grants); /* b has moved to another place, and goes on */
     CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
     grants.lease[1] = (lease_grant){.number = 0};
     arbiter_grant(&a, &grants);
@@ -106,7 +110,7 @@ static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
     while (say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 0) {
         CHECK(++taken < 100);
     }
-    CHECK(taken == 5 && a.report.refused[REFUSED_RATE] == 1);   /* four may come early */
+    CHECK(taken == 5 && a.report.refused[REFUSED_RATE] == 1); /* four may come early */
     CHECK(say(&a, command_of('a', sequence++, START_NS, 0.0), START_NS, true) == 0 && speed_m_s(&a, START_NS, true) == 0.0);
     CHECK(say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 1 + REFUSED_RATE);
     int64_t later_ns = START_NS + 11 * MS;
@@ -162,7 +166,7 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
     CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
     uint64_t taken = 0, now = 0;
     while ((now = ingress_take(&in, &a, true)) > 0) {
-        CHECK(now <= 9 && (taken > 0 || now == 9));   /* eight of who floods, and the other one's beside them */
+        CHECK(now <= 9 && (taken > 0 || now == 9)); /* eight of who floods, and the other one's beside them */
         taken += now;
     }
     CHECK(taken == sent && sent > 1);
@@ -175,8 +179,12 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
 
 static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double right_rad_s, double other_right_rad_s)
 {
-    joint_datagram joints = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS,
-                             .sequence = sequence, .stamp_ns = START_NS, .joint_count = 3,
+    joint_datagram joints = {.magic = COMMAND_MAGIC,
+                             .version = COMMAND_VERSION,
+                             .kind = COMMAND_JOINTS,
+                             .sequence = sequence,
+                             .stamp_ns = START_NS,
+                             .joint_count = 3,
                              .velocity_rad_s = {left_rad_s, right_rad_s, other_right_rad_s}};
     memset(joints.token, 'a', TOKEN_BYTES);
     return joints;
@@ -197,7 +205,7 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     lease_grants grants = {.lease = {grant_of('a', 10)}};
     arbiter_init(&a, &base, &now);
     arbiter_grant(&a, &grants);
-    CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0);   /* the robot file's limit counts, too */
+    CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0); /* the robot file's limit counts, too */
     CHECK(speed_m_s(&a, START_NS, true) == -10.0);
     CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) == 1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
@@ -213,8 +221,12 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
 static void wheels_are_a_twist_or_they_are_refused(void)
 {
     static arbiter a;
-    static const core_config base = {.joint_count = 3, .track_m = 0.5, .limits = LIMITS, .joint = {
-        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+    static const core_config base = {.joint_count = 3,
+                                     .track_m = 0.5,
+                                     .limits = LIMITS,
+                                     .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
+                                               {.side = 1.0, .wheel_radius_m = 0.1},
+                                               {.side = 1.0, .wheel_radius_m = 0.2}}};
     lease_grants grants = {.lease = {grant_of('a', 10)}};
     twist_command out;
     arbiter_init(&a, &base, NULL);
@@ -242,9 +254,12 @@ static void wheels_are_a_twist_or_they_are_refused(void)
 /* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
 static bool twist_of(double first, double second, double third, double fourth, double *linear_m_s, double *angular_rad_s)
 {
-    static const core_config base = {.joint_count = 4, .track_m = 0.5, .joint = {
-        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1},
-        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+    static const core_config base = {.joint_count = 4,
+                                     .track_m = 0.5,
+                                     .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
+                                               {.side = 1.0, .wheel_radius_m = 0.1},
+                                               {.side = -1.0, .wheel_radius_m = 0.1},
+                                               {.side = 1.0, .wheel_radius_m = 0.2}}};
     const double velocity_rad_s[JOINTS_MAX] = {first, second, third, fourth, 1e9};
     return joints_twist(&base, velocity_rad_s, linear_m_s, angular_rad_s);
 }
@@ -268,9 +283,12 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side(v
     CHECK(goes(0.095, -10.0, -0.095, -5.0) && !goes(0.105, -10.0, -0.105, -5.0));
     CHECK(goes(-10.0, 0.095, -10.0, -0.0475) && !goes(-10.0, 0.105, -10.0, -0.0525));
     /* also the first of three, when the others are near enough */
-    static const core_config uneven = {.joint_count = 4, .track_m = 0.5, .joint = {
-        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = -1.0, .wheel_radius_m = 0.1},
-        {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1}}};
+    static const core_config uneven = {.joint_count = 4,
+                                       .track_m = 0.5,
+                                       .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
+                                                 {.side = -1.0, .wheel_radius_m = 0.1},
+                                                 {.side = -1.0, .wheel_radius_m = 0.1},
+                                                 {.side = 1.0, .wheel_radius_m = 0.1}}};
     CHECK(!joints_twist(&uneven, (const double[]){10.12, 9.94, 9.94, 0.0}, &linear_m_s, &angular_rad_s));
     CHECK(joints_twist(&uneven, (const double[]){10.08, 9.96, 9.96, 0.0}, &linear_m_s, &angular_rad_s));
     /* and, when all but rest, by a millionth of a metre a second */

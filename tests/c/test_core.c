@@ -16,15 +16,18 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
     base_limits limits = {{1.0, 1.0, 1.5, 8.0}, {2.0, 3.0, 4.0, 30.0}};
     limit_state axis[AXES] = {0};
     uint32_t seen = 0;
-    for (int i = 0; i < 3000; i++)
+    for (int i = 0; i < 3000; i++) {
         seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){1.0, 0.2}, 1e-3, false);
+    }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 1.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
-    for (int i = 0; i < 5000; i++)
+    for (int i = 0; i < 5000; i++) {
         seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
+    }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == -0.5 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     CHECK(seen == (REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
-    for (int i = 0; i < 5000; i++)
+    for (int i = 0; i < 5000; i++) {
         seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3, i % 2 == 0);
+    }
     CHECK(axis[AXIS_ANGULAR].velocity_u_s == -2.0);
     CHECK(seen & REASON_ANGULAR_ACCELERATION && seen & REASON_ANGULAR_DECELERATION && seen & REASON_ANGULAR_JERK);
     limits.linear = (axis_limits){1.0, NAN, NAN, INFINITY};
@@ -40,15 +43,16 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
 
 static void no_number_leaves_the_small_functions(void)
 {
-    for (int a = 0; a < HOSTILE_COUNT; a++)
-        for (int b = 0; b < HOSTILE_COUNT; b++)
+    for (int a = 0; a < HOSTILE_COUNT; a++) {
+        for (int b = 0; b < HOSTILE_COUNT; b++) {
             for (int c = 0; c < HOSTILE_COUNT; c++) {
                 axis_limits hostile = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]}, good = {1.0, 1.0, 1.5, 8.0};
                 base_limits limits = {hostile, a % 2 == 0 ? hostile : good};
                 limit_state axis[AXES] = {{HOSTILE[c], HOSTILE[a]}, {HOSTILE[b], HOSTILE[b]}};
                 ramp_step(axis, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]}, HOSTILE[b], b % 2 == 0);
-                for (int i = 0; i < AXES; i++)
+                for (int i = 0; i < AXES; i++) {
                     CHECK(isfinite(axis[i].velocity_u_s) && isfinite(axis[i].acceleration_u_s2));
+                }
                 pwm_config pwm = {0.1, -0.5, 1.0, 10.0, 5.0};
                 double duty = pwm_step(&pwm, HOSTILE[a], HOSTILE[b], HOSTILE[c]).duty;
                 CHECK(duty >= -0.5 && duty <= 1.0);
@@ -56,6 +60,8 @@ static void no_number_leaves_the_small_functions(void)
                 double factor = saturate_factor(&HOSTILE[c], &joint, 1);
                 CHECK(factor >= 0.0 && factor <= 1.0);
             }
+        }
+    }
 }
 
 static void counters_wrap_both_ways(void)
@@ -85,12 +91,12 @@ static void each_bad_field_is_refused_by_name(void)
     core_state state;
     core_config good = good_config(), bad;
     CHECK(core_config_check(&good, name) == NULL);
-#define REFUSED(field, value)                                     \
-    do {                                                          \
-        bad = good;                                               \
-        bad.field = value;                                        \
-        CHECK(strcmp(core_config_check(&bad, name), #field) == 0); \
-        CHECK(core_init(&state, &bad) == -EINVAL);                \
+#define REFUSED(field, value)                                                                                                    \
+    do {                                                                                                                         \
+        bad = good;                                                                                                              \
+        bad.field = value;                                                                                                       \
+        CHECK(strcmp(core_config_check(&bad, name), #field) == 0);                                                               \
+        CHECK(core_init(&state, &bad) == -EINVAL);                                                                               \
     } while (0)
     REFUSED(joint_count, 9);
     REFUSED(on_timeout, (stop_action)4);
@@ -104,8 +110,9 @@ static void each_bad_field_is_refused_by_name(void)
     REFUSED(joint[1].rad_per_count, 0.0);
     REFUSED(joint[1].line, LINES_MAX);
     bad = good;
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         bad.joint[j].side = 1.0;
+    }
     CHECK(strcmp(core_config_check(&bad, name), "joint[0].side") == 0);
 }
 
@@ -125,8 +132,9 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
     r.input.control.limits.linear.deceleration_u_s2 = 0.1;
     r.input.command.linear_m_s = 0.3;
     r.input.command.angular_rad_s = 2.0;
-    for (int i = 0; i < 2000; i++)
+    for (int i = 0; i < 2000; i++) {
         CHECK(fabs(tick(&r)->joint[1].setpoint_rad_s) <= 9.0);
+    }
     r.input.control.limits = config.limits;
     r.input.command.linear_m_s = 5.0;
     r.input.command.angular_rad_s = -5.0;
@@ -146,7 +154,7 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
 
 static void every_fault_ends_at_rest_under_every_action(void)
 {
-    for (int action = STOP_RAMP; action <= STOP_COAST; action++)
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
         for (int cause = 0; cause < 7; cause++) {
             rig r;
             core_config config = good_config();
@@ -156,11 +164,17 @@ static void every_fault_ends_at_rest_under_every_action(void)
             switch (cause) {
             case 0: r.input.control.estop = 1; break;
             case 1: r.input.control.fault = 1; break;
-            case 2: r.deaf = true; ticks(&r, 260); break;
+            case 2:
+                r.deaf = true;
+                ticks(&r, 260);
+                break;
             case 3: r.input.feedback[1].drive_faults = 1; break;
             case 4: r.input.feedback[1].enabled = 0; break;
             case 5: core_step(&r.state, &r.input, NAN, &r.out, &r.shown); break;
-            default: r.input.now_ns += 600 * TICK_NS; core_step(&r.state, &r.input, 1e-3, &r.out, &r.shown); break;
+            default:
+                r.input.now_ns += 600 * TICK_NS;
+                core_step(&r.state, &r.input, 1e-3, &r.out, &r.shown);
+                break;
             }
             CHECK(ticks(&r, 4000)->faults != 0 && r.shown.armed == 0);
             CHECK(zero(&r) && r.out.enabled == (action == STOP_HOLD));
@@ -173,11 +187,12 @@ static void every_fault_ends_at_rest_under_every_action(void)
             r.input.control.reset_count++;
             CHECK(tick(&r)->faults == 0 && r.out.enabled == 0);
         }
+    }
 }
 
 static void a_stop_and_a_lost_command_rest_under_every_action(void)
 {
-    for (int action = STOP_RAMP; action <= STOP_COAST; action++)
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
         for (int stop = 0; stop < 2; stop++) {
             rig r;
             core_config config = good_config();
@@ -189,6 +204,7 @@ static void a_stop_and_a_lost_command_rest_under_every_action(void)
             CHECK(ticks(&r, 1500)->faults == 0 && r.shown.armed == (action != STOP_COAST));
             CHECK(zero(&r) && r.shown.at_rest == 1);
         }
+    }
 }
 
 static void a_core_that_has_lost_its_numbers_rests(void)
@@ -198,12 +214,13 @@ static void a_core_that_has_lost_its_numbers_rests(void)
         core_config config = good_config();
         start(&r, &config);
         go(&r, 0.4, 0.0);
-        if (place == 0)
+        if (place == 0) {
             r.state.axis[AXIS_LINEAR].velocity_u_s = NAN;
-        else if (place == 1)
+        } else if (place == 1) {
             r.state.odometry.x_m = INFINITY;
-        else
+        } else {
             r.state.wheels.joint[0].duty = NAN;
+        }
         CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && isfinite(r.shown.x_m));
     }
 }
@@ -217,15 +234,17 @@ static void odometry_copes_with_silence_jumps_and_missing_counters(void)
     go(&r, 0.5, 0.0);
     CHECK(r.shown.odometry_degraded == 1);
     r.deaf = true;
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < 4; i++) {
         r.input.feedback[i].velocity_rad_s = NAN;
+    }
     r.input.feedback[0].count += 20000;
     r.input.feedback[0].stamp_ns = r.input.now_ns + TICK_NS;
     CHECK(tick(&r)->joint[0].jumps == 1);
     r.input.feedback[0].epoch++;
     r.input.feedback[0].velocity_rad_s = 1e6;
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+    }
     CHECK(tick(&r)->joint[0].jumps == 1);
     double before_m2 = r.shown.pose_covariance[0];
     CHECK(ticks(&r, 400)->pose_covariance[0] > before_m2);
@@ -316,11 +335,16 @@ static void a_gyro_turns_the_pose(void)
 {
     core_config config = good_config();
     rig r;
-    config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .bias_max_rad_s = 0.5, .still_variance_rad2_s2 = 1e-4,
-                                .heading_variance_rad2_per_s = 1e-7, .turn_variance_rad2_per_rad = 1e-4};
+    config.gyro = (gyro_config){.used = 1,
+                                .timeout_s = 0.05,
+                                .bias_max_rad_s = 0.5,
+                                .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7,
+                                .turn_variance_rad2_per_rad = 1e-4};
     start(&r, &config);
     for (int i = 0; i < 4000; i++) {
-        r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns, .angular_rad_s = {NAN, INFINITY, i < 2000 ? 0.0 : 0.5},
+        r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns,
+                                   .angular_rad_s = {NAN, INFINITY, i < 2000 ? 0.0 : 0.5},
                                    .acceleration_m_s2 = {0.0, 0.0, 9.8}};
         tick(&r);
         CHECK(isfinite(r.shown.heading_rad) && isnan(r.shown.imu.angular_rad_s[1]));

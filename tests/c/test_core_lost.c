@@ -8,22 +8,27 @@ static const double LOST[] = {NAN, INFINITY, -INFINITY};
 static void a_set_point_that_is_no_number_is_seen_at_once(void)
 {
     core_config config = good_config();
-    for (int j = 0; j < 4; j++)
-        for (int number = 0; number < 3; number++)
+    for (int j = 0; j < 4; j++) {
+        for (int number = 0; number < 3; number++) {
             for (int when = 0; when < 3; when++) {
                 rig r;
                 start(&r, &config);
-                if (when > 0)
+                if (when > 0) {
                     go(&r, 0.4, 0.0);
+                }
                 joint_setpoint *of = &r.state.wheels.joint[j];
                 *(number == 0 ? &of->velocity_rad_s : number == 1 ? &of->duty : &of->torque_n_m) = LOST[(j + number) % 3];
-                if (when == 2 && number == 1)
+                if (when == 2 && number == 1) {
                     r.input.command.linear_m_s = 0.3; /* on a ramp the next duty takes the place of the lost one */
-                if (when == 2 && number == 0)
+                }
+                if (when == 2 && number == 0) {
                     continue;
+                }
                 CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
                 CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
             }
+        }
+    }
 }
 
 /* The twist that it was told to go is worked out anew, too. */
@@ -54,10 +59,15 @@ static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
 static core_config watched(void)
 {
     core_config config = good_config();
-    for (int j = 0; j < 4; j++)
-        config.joint[j].plausible =
-            (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .short_rad_s = 100.0, .beyond_rad_s = 5.0,
-                               .apart_rad_s = 100.0, .stall_s = 0.5, .runaway_s = 0.5};
+    for (int j = 0; j < 4; j++) {
+        config.joint[j].plausible = (plausible_config){.slow_rad_s = 0.3,
+                                                       .setpoint_min_rad_s = 1.0,
+                                                       .short_rad_s = 100.0,
+                                                       .beyond_rad_s = 5.0,
+                                                       .apart_rad_s = 100.0,
+                                                       .stall_s = 0.5,
+                                                       .runaway_s = 0.5};
+    }
     return config;
 }
 
@@ -88,8 +98,9 @@ static void the_time_of_a_doubt_begins_anew_with_the_power(void)
         r.input.control.armed = 0;
         r.input.command.linear_m_s = 0.0;
         ticks(&r, 2);
-        for (int i = 0; i < 4; i++)
+        for (int i = 0; i < 4; i++) {
             CHECK(r.state.plausible[i].stamp_ns == 0);
+        }
         r.input.control.armed = 1;
         CHECK(tick(&r)->armed == 1);
         r.input.command.linear_m_s = 0.3;
@@ -123,11 +134,13 @@ static void a_runaway_ends_all_set_points_in_its_tick(void)
         tick(&r);
     }
     CHECK(r.shown.faults == FAULT_RUNAWAY && r.out.enabled == 0 && r.shown.setpoint_linear_m_s == 0.0);
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         CHECK(r.shown.joint[j].setpoint_rad_s == 0.0 && r.shown.joint[j].duty == 0.0);
+    }
     CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         CHECK(r.state.plausible[j].stamp_ns == 0);
+    }
 }
 
 /* Samples that come each millisecond are looked at each five. */
@@ -140,8 +153,9 @@ static void samples_that_come_fast_are_looked_at_together(void)
     int64_t before_ns = r.state.plausible[3].stamp_ns;
     for (int looks = 0; looks < 20;) {
         tick(&r);
-        if (r.state.plausible[3].stamp_ns == before_ns)
+        if (r.state.plausible[3].stamp_ns == before_ns) {
             continue;
+        }
         CHECK(r.state.plausible[3].stamp_ns - before_ns == 5 * MS_NS);
         before_ns = r.state.plausible[3].stamp_ns;
         looks++;
@@ -152,23 +166,31 @@ static void samples_that_come_fast_are_looked_at_together(void)
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
     core_config config = good_config();
-    config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .bias_max_rad_s = 0.5, .still_variance_rad2_s2 = 1e-4,
-                                .heading_variance_rad2_per_s = 1e-7, .turn_variance_rad2_per_rad = 1e-4};
+    config.gyro = (gyro_config){.used = 1,
+                                .timeout_s = 0.05,
+                                .bias_max_rad_s = 0.5,
+                                .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7,
+                                .turn_variance_rad2_per_rad = 1e-4};
     for (int how = 0; how < 3; how++) {
         rig r;
         start(&r, &config);
-        if (how == 1)
+        if (how == 1) {
             go(&r, 0.3, 0.0);
+        }
         for (int ms = 0; ms < 2000; ms++) {
             r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS, .angular_rad_s = {0.0, 0.0, 0.01}};
-            if (how == 2)
+            if (how == 2) {
                 r.input.feedback[3].stamp_ns = 0;
+            }
             r.deaf = how == 2;
-            for (int j = 0; j < 3 && r.deaf; j++)
+            for (int j = 0; j < 3 && r.deaf; j++) {
                 r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+            }
             tick(&r);
-            if (ms == 0)
+            if (ms == 0) {
                 CHECK(r.state.odometry.gyro.still_since_ns == (how == 0 ? r.input.now_ns : 0));
+            }
         }
         CHECK((r.state.odometry.gyro.bias_stamp_ns != 0) == (how == 0));
     }

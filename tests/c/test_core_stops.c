@@ -11,14 +11,16 @@ static int power_off_after_ms(const core_config *config, const change *of, bool 
     int zero_ms = 0;
     for (int ms = 0; ms < 5000; ms++) {
         prepare(&r);
-        for (int j = 0; j < 4 && !wheels_stop; j++)
+        for (int j = 0; j < 4 && !wheels_stop; j++) {
             r.input.feedback[j].velocity_rad_s = 1.0;
+        }
         apply(&r.input, of);
         step(&r);
         CHECK(r.shown.faults == of->expected);
         zero_ms += r.out.enabled && zero(&r);
-        if (!r.out.enabled)
+        if (!r.out.enabled) {
             return zero_ms;
+        }
     }
     return 0;
 }
@@ -28,8 +30,9 @@ static void the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for
     static const change EXTERNAL = LEVEL_OF(control.fault, 1, FAULT_EXTERNAL), ESTOP = LEVEL_OF(control.estop, 1, FAULT_ESTOP);
     static const change STALE = AGE_OF(feedback[2].stamp_ns, NEVER, FAULT_FEEDBACK_STALE);
     core_config config = good_config();
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         config.joint[j].counter_bits = 0;
+    }
     for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
         config.on_estop = config.on_fault = (stop_action)action;
         bool zero_first = action == STOP_RAMP || action == STOP_BRAKE;
@@ -118,7 +121,7 @@ static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(
     core_config config = good_config();
     rig r;
     ready(&r, &config);
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         for (int way = -1; way <= 1; way += 2) {
             prepare(&r);
             r.input.feedback[j].velocity_rad_s = way * 0.05;
@@ -127,18 +130,21 @@ static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(
             r.input.feedback[j].velocity_rad_s = way * nextafter(0.05, 0.0);
             CHECK(step(&r)->at_rest == 1);
         }
+    }
     prepare(&r);
     r.input.feedback[3].velocity_rad_s = 1.0;
     step(&r);
     for (int ms = 0; ms < 249; ms++) {
         r.input.now_ns += TICK_NS;
-        for (int j = 0; j < 3; j++)
+        for (int j = 0; j < 3; j++) {
             r.input.feedback[j].stamp_ns = r.input.now_ns;
+        }
         CHECK(step(&r)->at_rest == 0);
     }
     r.input.now_ns += 2 * TICK_NS; /* a wheel that is not heard any more says nothing */
-    for (int j = 0; j < 3; j++)
+    for (int j = 0; j < 3; j++) {
         r.input.feedback[j].stamp_ns = r.input.now_ns;
+    }
     CHECK(step(&r)->at_rest == 1 && r.shown.joint[3].stale == 1);
 }
 

@@ -33,12 +33,14 @@ static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
         prepare(&r);
         core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
         CHECK(r.shown.setpoint_linear_m_s == ACCELERATIONS_M_S2[i] * dt_s);
-        for (int axis = 0; axis < AXES; axis++)
+        for (int axis = 0; axis < AXES; axis++) {
             CHECK(r.state.axis[axis].acceleration_u_s2 == ACCELERATIONS_M_S2[i]);
+        }
         prepare(&r);
         core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
-        for (int axis = 0; axis < AXES; axis++)
+        for (int axis = 0; axis < AXES; axis++) {
             CHECK(r.state.axis[axis].acceleration_u_s2 == 0.0);
+        }
     }
 }
 
@@ -64,8 +66,9 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
     for (int slow = 0; slow < 4; slow++) {
         core_config config = good_config();
         config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             config.joint[j].pwm.slew_per_s = j == slow ? 0.95 / 12.5 : INFINITY; /* 1 rad/s a second */
+        }
         rig r;
         ready(&r, &config);
         r.input.control.armed = 1;
@@ -81,8 +84,9 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
 static void a_duty_on_its_way_arrives_though_the_twist_stands(void)
 {
     core_config config = good_config();
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         config.joint[j].pwm.slew_per_s = 1.0;
+    }
     rig r;
     start(&r, &config);
     go(&r, 0.3, 0.0);
@@ -105,8 +109,9 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
     for (int i = 1; i <= 3; i++) {
         memset(&r.out, 0xff, sizeof r.out);
         prepare(&r);
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             r.input.feedback[j].velocity_rad_s = 0.0, r.input.feedback[j].count = 0;
+        }
         step(&r);
         CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 && r.out.tick == (uint64_t)i);
         CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 && r.shown.tick == (uint64_t)i);
@@ -134,12 +139,16 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
 {
     core_config config = good_config();
     config.joint_count = JOINTS_MAX;
-    for (int j = 4; j < JOINTS_MAX; j++)
+    for (int j = 4; j < JOINTS_MAX; j++) {
         config.joint[j] = config.joint[j - 4];
+    }
     config.joint[JOINTS_MAX - 1].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
-    config.joint[JOINTS_MAX - 1].plausible =
-        (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .short_rad_s = 100.0, .beyond_rad_s = 100.0,
-                           .apart_rad_s = 100.0, .stall_s = 0.5};
+    config.joint[JOINTS_MAX - 1].plausible = (plausible_config){.slow_rad_s = 0.3,
+                                                                .setpoint_min_rad_s = 1.0,
+                                                                .short_rad_s = 100.0,
+                                                                .beyond_rad_s = 100.0,
+                                                                .apart_rad_s = 100.0,
+                                                                .stall_s = 0.5};
     rig r;
     start(&r, &config);
     go(&r, 0.4, 0.2);
@@ -161,8 +170,9 @@ static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 {
     for (int own = -1; own < 4; own++) {
         core_config config = good_config();
-        if (own >= 0)
+        if (own >= 0) {
             config.joint[own].speed_loop = (speed_loop_config){0.01, 0.04, 0.05};
+        }
         rig r;
         start(&r, &config);
         go(&r, 0.3, 0.0);
@@ -178,7 +188,7 @@ static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 
 static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
 {
-    for (int back = 0; back < 2; back++)
+    for (int back = 0; back < 2; back++) {
         for (int way = -1; way <= 1; way += 2) {
             core_config config = good_config();
             config.on_fault = STOP_HOLD;
@@ -198,6 +208,7 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
             r.input.feedback[3].velocity_rad_s = way * 12.01;
             CHECK(step(&r)->faults == FAULT_OVERSPEED);
         }
+    }
 }
 
 /* In a curve each side has its own speed, and the slowest joint sets the pace, whichever it is. */
@@ -206,8 +217,9 @@ static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit
     core_config config = good_config();
     double wheel_rad_s[JOINTS_MAX];
     kinematics_wheels(&config, 0.4, 0.2, wheel_rad_s);
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         CHECK(fabs(wheel_rad_s[j] - (j % 2 == 0 ? 3.5 : 4.5)) < 1e-12);
+    }
     for (int slow = 0; slow < 4; slow++) {
         config = good_config();
         config.joint[slow].velocity_max_rad_s = 0.5 * wheel_rad_s[slow];

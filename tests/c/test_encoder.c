@@ -21,8 +21,7 @@ static _Alignas(64) exchange mailboxes;
 
 static encoder_config edges_on(int fd)
 {
-    return (encoder_config){.kind = ENCODER_EDGES, .fd = fd, .a_offset = LINE_A, .b_offset = LINE_B,
-                            .rad_per_count = PER_COUNT};
+    return (encoder_config){.kind = ENCODER_EDGES, .fd = fd, .a_offset = LINE_A, .b_offset = LINE_B, .rad_per_count = PER_COUNT};
 }
 
 typedef struct {
@@ -68,14 +67,14 @@ static void events_of_the_kernel_are_counted(void)
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 80 * MS) - 1000.0 * PER_COUNT) < 1e-9);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 89 * MS) - 100.0 * PER_COUNT) < 1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 400 * MS) == 0.0);
-    turn(&w, BURST, MS);                             /* more than one look takes */
+    turn(&w, BURST, MS); /* more than one look takes */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + 1024);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + BURST);
-    w.sequence += 2;                                 /* two that the kernel dropped */
+    w.sequence += 2; /* two that the kernel dropped */
     turn(&w, 1, MS);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.lost == 2 && state.epoch == 1);
     CHECK(state.illegal == 0);
-    w.step = (w.step + 3) % 4;                       /* the level that is there already */
+    w.step = (w.step + 3) % 4; /* the level that is there already */
     turn(&w, 1, MS);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.illegal == 1);
     CHECK(close(w.out) == 0);
@@ -94,7 +93,7 @@ static void go_to(encoder_state *state, const encoder_config *config, uint32_t l
 
 static void backward_counts_down_from_wherever_it_turns_round(void)
 {
-    static const uint32_t FORWARD[4] = {0, 2, 3, 1};   /* 2 A + B, A before B */
+    static const uint32_t FORWARD[4] = {0, 2, 3, 1}; /* 2 A + B, A before B */
     encoder_config config = edges_on(-1);
     for (uint32_t first = 0; first < 4; first++) {
         config.levels = FORWARD[first];
@@ -115,14 +114,17 @@ static void backward_counts_down_from_wherever_it_turns_round(void)
 static void a_counter_goes_the_short_way_round(void)
 {
     const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 9, .rad_per_count = 1.0};
-    const struct { uint64_t raw; int64_t count; } steps[] = {{0, 0}, {4, 4}, {9, -1}, {0, 0}, {9, -1}, {3, 3}, {3, 3}};
+    const struct {
+        uint64_t raw;
+        int64_t count;
+    } steps[] = {{0, 0}, {4, 4}, {9, -1}, {0, 0}, {9, -1}, {3, 3}, {3, 3}};
     encoder_state state;
     encoder_init(&state, &config);
     for (size_t i = 0; i < sizeof steps / sizeof steps[0]; i++) {
         encoder_counter(&state, &config, steps[i].raw, START_NS + (int64_t)i * MS);
         CHECK(state.count == steps[i].count);
     }
-    CHECK(state.edge_ns == START_NS + 5 * MS);       /* the same again is no edge */
+    CHECK(state.edge_ns == START_NS + 5 * MS); /* the same again is no edge */
     encoder_counter(&state, &config, 10, START_NS);
     CHECK(state.illegal == 1 && state.count == 3);
 }
@@ -134,7 +136,7 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
     encoder_init(&state, &config);
     encoder_counter(&state, &config, 0, START_NS);
     encoder_counter(&state, &config, 10, START_NS);
-    CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0);   /* from when on? */
+    CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0); /* from when on? */
     encoder_counter(&state, &config, 0, START_NS + 10 * MS);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS) + 1000.0) < 1e-6);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS + MS / 2) + 1000.0) < 1e-6);
@@ -143,7 +145,7 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 261 * MS) == 0.0);
     encoder_counter(&state, &config, 1, START_NS + 300 * MS);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS) - 1000.0 / 290.0) < 1e-6);
-    encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999);    /* noise: so near that it is no speed */
+    encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999); /* noise: so near that it is no speed */
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS + 999) - 1000.0 / 290.0) < 1e-6);
 }
 
@@ -200,7 +202,7 @@ static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(vo
     say(config.fd, "1234567890123456789012345678901234567890");
     CHECK(encoder_read(&state, &config, START_NS) == -EIO);
     CHECK(ftruncate(config.fd, 0) == 0);
-    say(config.fd, "7");           /* without a line's end, and nothing of the one before */
+    say(config.fd, "7"); /* without a line's end, and nothing of the one before */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 7);
     CHECK(close(config.fd) == 0);
 }
@@ -240,7 +242,7 @@ static void silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it(void)
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS) - 4.0) < 1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS + 1) == 0.0);
     state = counting(&config);
-    encoder_counter(&state, &config, 10011, last_ns + 1000);   /* near, but far enough to measure */
+    encoder_counter(&state, &config, 10011, last_ns + 1000); /* near, but far enough to measure */
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1000) - 1e10) < 1.0);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1001) - 1e9) < 1.0);
 }
@@ -268,8 +270,9 @@ static bool comes_true(uint32_t joint, uint64_t count, joint_feedback *out)
     const struct timespec moment = {.tv_nsec = 5 * MS};
     for (int tries = 0; tries < 4000; tries++) {
         (void)exchange_take_feedback(&mailboxes, joint, out);
-        if (out->stamp_ns > 0 && out->count == count)
+        if (out->stamp_ns > 0 && out->count == count) {
             return true;
+        }
         (void)nanosleep(&moment, NULL);
     }
     return false;
@@ -280,10 +283,19 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     wheel w = new_wheel();
     int duty = file_that_says("0\n"), counter = file_that_says("100\n");
     bridge_config config = {
-        .exchange = &mailboxes, .outputs_fd = -1, .inputs_fd = -1, .event_fd = -1, .period_ns = 2 * MS,
-        .setpoint_timeout_ns = 100 * MS, .stopping_ns = 300 * MS, .epoch = 3, .joint_count = 3, .output_count = 1,
+        .exchange = &mailboxes,
+        .outputs_fd = -1,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = 2 * MS,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS,
+        .epoch = 3,
+        .joint_count = 3,
+        .output_count = 1,
         .joint = {{.index = 0, .sign = 1.0, .encoder = edges_on(w.in)},
-                  {.index = 1, .sign = 1.0,
+                  {.index = 1,
+                   .sign = 1.0,
                    .encoder = {.kind = ENCODER_COUNTER, .fd = counter, .ceiling = UINT64_MAX, .rad_per_count = -1.0}},
                   {.index = 2, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
@@ -304,7 +316,7 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     w.sequence += 4;
     turn(&w, 1, MS);
     CHECK(comes_true(0, 10, &said) && said.epoch == (3u << 16) + 1);
-    CHECK(close(w.out) == 0);                        /* the chip is gone: the motors rest */
+    CHECK(close(w.out) == 0); /* the chip is gone: the motors rest */
     const struct timespec moment = {.tv_nsec = 5 * MS};
     int tries = 0;
     do {
@@ -319,9 +331,18 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
 {
     int duty = file_that_says("0\n");
     bridge_config config = {
-        .exchange = &mailboxes, .outputs_fd = -1, .inputs_fd = -1, .event_fd = -1, .period_ns = 2 * MS,
-        .setpoint_timeout_ns = 100 * MS, .stopping_ns = 300 * MS, .epoch = 3, .joint_count = 2, .output_count = 1,
-        .joint = {{.index = 0, .sign = 1.0,
+        .exchange = &mailboxes,
+        .outputs_fd = -1,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = 2 * MS,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS,
+        .epoch = 3,
+        .joint_count = 2,
+        .output_count = 1,
+        .joint = {{.index = 0,
+                   .sign = 1.0,
                    .encoder = {.kind = ENCODER_TOLD, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5}},
                   {.index = 1, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
@@ -329,12 +350,12 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
     joint_feedback said, other;
     exchange_init(&mailboxes);
     encoder_sample sample = {.count = 70, .stamp_ns = START_NS, .origin = 1};
-    pwm_line_put_sample(0, 0, &sample);              /* nobody is there */
+    pwm_line_put_sample(0, 0, &sample); /* nobody is there */
     config.joint[0].encoder.ceiling = 0;
     CHECK(pwm_line_start(0, &config) == -EINVAL);
     config.joint[0].encoder.ceiling = UINT64_MAX;
     CHECK(pwm_line_start(0, &config) == 0);
-    CHECK(comes_true(1, 0, &other));                 /* it has fed back, of the other joint alone */
+    CHECK(comes_true(1, 0, &other)); /* it has fed back, of the other joint alone */
     CHECK(exchange_take_feedback(&mailboxes, 0, &said) == 0 || said.stamp_ns == 0);
     pwm_line_put_sample(0, 0, &sample);
     CHECK(comes_true(0, 0, &said) && said.stamp_ns == START_NS && said.epoch == 3u << 16);
@@ -346,14 +367,14 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
     CHECK(comes_true(0, (uint64_t)-20, &said));
     CHECK(fabs(said.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
     sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
-    pwm_line_put_sample(0, 0, &sample);              /* the board has begun anew: no way was made */
+    pwm_line_put_sample(0, 0, &sample); /* the board has begun anew: no way was made */
     for (int tries = 0; tries < 4000 && said.epoch == 3u << 16; tries++) {
         (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
         (void)exchange_take_feedback(&mailboxes, 0, &said);
     }
     CHECK(said.count == (uint64_t)-20);
     CHECK(said.epoch == (3u << 16) + 1 && said.stamp_ns == START_NS + 30 * MS);
-    pwm_line_put_sample(0, 1, &sample);              /* that joint is not told of */
+    pwm_line_put_sample(0, 1, &sample); /* that joint is not told of */
     CHECK(comes_true(1, 0, &other) && isnan(other.velocity_rad_s));
     CHECK(pwm_line_stop(0) == 0);
 }

@@ -47,7 +47,7 @@ static void an_input_that_was_lost_stays_lost(void)
     guard g;
     CHECK(pipe(ends) == 0);
     guard_config config = open_is_high();
-    config.estop_fd = ends[0];   /* readable, and no GPIO line */
+    config.estop_fd = ends[0]; /* readable, and no GPIO line */
     CHECK(write(ends[1], "x", 1) == 1);
     guard_init(&g, &config);
     CHECK(g.estop_input == ESTOP_CLEAR);
@@ -75,7 +75,7 @@ static void a_pin_that_cannot_be_written_is_told_with_its_reason(void)
     guard g;
     guard_init(&g, &(guard_config){.watchdog = 1, .watchdog_fd = -1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = MS});
     CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
-    const int reason = errno;   /* EBADF; an emulator that does not know the request has another one */
+    const int reason = errno; /* EBADF; an emulator that does not know the request has another one */
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
     CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);
     guard_rest(&g);
@@ -163,7 +163,7 @@ static void a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_
     (void)edges_in(&r, 52, true, false);
     r.input.enabled = false;
     CHECK(edges_in(&r, 1000, true, false) == 0);
-    r.input.enabled = true;   /* to enable again is no sign of life */
+    r.input.enabled = true; /* to enable again is no sign of life */
     CHECK(edges_in(&r, 100, true, false) == 0);
     r.input.enabled = false;
     CHECK(edges_in(&r, 100, true, true) == 100);
@@ -175,7 +175,7 @@ static void the_first_line_is_watched_as_the_others_are(void)
     rig r = living();
     r.config.line_timeout_ns[0] = 50 * MS;
     r.input.enabled = true;
-    CHECK(edges_in(&r, 51, true, true) == 51);   /* line 0 takes nothing */
+    CHECK(edges_in(&r, 51, true, true) == 51); /* line 0 takes nothing */
     (void)edges_in(&r, 1, true, true);
     CHECK(edges_in(&r, 100, true, true) == 0);
     r.config.line_timeout_ns[0] = -1;

@@ -66,8 +66,8 @@ static void an_acceleration_goes_on_along_its_way_and_counts_for_nothing_against
 {
     static const struct {
         double acceleration, goal, expected;
-    } CASES[] = {{0.5, 2.0, 1.0 + 0.0058}, {-0.5, 2.0, 1.0 + 0.0008}, {-0.5, 0.0, 1.0 - 0.0058}, {0.5, 0.0, 1.0 - 0.0008},
-                 {0.95, 2.0, 1.0 + 0.01}, {-1.45, 0.0, 1.0 - 0.015}};
+    } CASES[] = {{0.5, 2.0, 1.0 + 0.0058}, {-0.5, 2.0, 1.0 + 0.0008}, {-0.5, 0.0, 1.0 - 0.0058},
+                 {0.5, 0.0, 1.0 - 0.0008}, {0.95, 2.0, 1.0 + 0.01},   {-1.45, 0.0, 1.0 - 0.015}};
     for (int i = 0; i < 6; i++) {
         limit_state axis[AXES] = {{1.0, CASES[i].acceleration}};
         ramp_step(axis, &SOFT, NULL, (const double[AXES]){CASES[i].goal, 0.0}, DT_S, false);
@@ -78,8 +78,7 @@ static void an_acceleration_goes_on_along_its_way_and_counts_for_nothing_against
 /* The shortest time in which a speed can change by so much. */
 static double shortest_s(double change, double acceleration, double jerk)
 {
-    return change >= acceleration * acceleration / jerk ? change / acceleration + acceleration / jerk
-                                                        : 2.0 * sqrt(change / jerk);
+    return change >= acceleration * acceleration / jerk ? change / acceleration + acceleration / jerk : 2.0 * sqrt(change / jerk);
 }
 
 static uint64_t noise = 88172645463325252U;
@@ -102,7 +101,7 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
         goal[a] = falls ? 0.0 : sign * any(0.2, 3.0);
         limit_state axis[AXES] = {0};
         axis[a].velocity_u_s = sign * from;
-        double apart = round % 2 == 0 ? any(0.0, 0.5) : 0.0;   /* neither end at zero */
+        double apart = round % 2 == 0 ? any(0.0, 0.5) : 0.0; /* neither end at zero */
         goal[a] += sign * apart, axis[a].velocity_u_s += sign * apart;
         double bound = falls ? of->deceleration_u_s2 : of->acceleration_u_s2, last = 0.0, most = 0.0;
         int steps = 0;
@@ -145,8 +144,9 @@ static void a_change_of_sign_is_eased_and_loses_no_time(void)
             ramp_step(axis, &limits, NULL, goal, DT_S, false);
             double now = (before - axis[0].velocity_u_s) / DT_S;
             CHECK(now <= (before > 0.0 ? loses : gains) + 1e-9);
-            if (axis[0].velocity_u_s < -1e-9 && before > 0.0) /* a step through zero keeps both */
+            if (axis[0].velocity_u_s < -1e-9 && before > 0.0) { /* a step through zero keeps both */
                 CHECK(now <= gains + 1e-9);
+            }
             CHECK(fabs(now - last) <= jerk * DT_S + 1e-9);
             last = now;
         }
@@ -158,9 +158,9 @@ static void a_change_of_sign_is_eased_and_loses_no_time(void)
 static core_config with_slew(double slew_per_s)
 {
     core_config base = {.joint_count = 2, .track_m = 0.5};
-    for (int j = 0; j < 2; j++)
-        base.joint[j] = (joint_config){.side = 2.0 * j - 1.0, .wheel_radius_m = 0.1,
-                                       .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
+    for (int j = 0; j < 2; j++) {
+        base.joint[j] = (joint_config){.side = 2.0 * j - 1.0, .wheel_radius_m = 0.1, .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
+    }
     return base;
 }
 
@@ -208,7 +208,7 @@ static void what_is_within_a_step_is_reached_exactly(void)
 static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
 {
     static const double BAD[] = {NAN, INFINITY, -INFINITY};
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         for (int a = 0; a < AXES; a++) {
             limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
             double goal[AXES] = {1.0, 1.0};
@@ -228,6 +228,7 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
             CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0);
             CHECK(axis[0].velocity_u_s == 0.0 && axis[1].velocity_u_s == 0.0);
         }
+    }
     limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
     CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, false) == 0 && axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){1.0, 0.5};

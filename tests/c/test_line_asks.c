@@ -7,7 +7,11 @@ enum { READ_ID = 100, STOP_ID = 200 };
 static line_ask request_of(uint64_t id, uint32_t drive, bool urgent)
 {
     uint8_t unit = (uint8_t)(drive + 1);
-    return (line_ask){.id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .drive = drive, .urgent = urgent,
+    return (line_ask){.id = id,
+                      .expires_ns = w.now_ns + 1000 * MS,
+                      .turnaround_ns = 5 * MS,
+                      .drive = drive,
+                      .urgent = urgent,
                       .frame = urgent ? frame_of(unit, WRITE, CONTROL, DISABLE) : frame_of(unit, READ, STATUS, 1)};
 }
 
@@ -39,7 +43,7 @@ static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
     while (!is_sent(1, READ, STATUS)) {
         go_on();
     }
-    put(request_of(STOP_ID, 1, true));   /* the read is on the wire */
+    put(request_of(STOP_ID, 1, true)); /* the read is on the wire */
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(w.machine.answer.reply_bytes == 7 && w.machine.answer.reply[0] == 1);
@@ -60,7 +64,7 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
         go_on();
     }
     put(request_of(STOP_ID, 1, true));
-    line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out);   /* its reply is not here yet */
+    line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out); /* its reply is not here yet */
     CHECK(!w.machine.answered && w.machine.work == WORK_ASK);
     w.now_ns = read.expires_ns + MS;
     CHECK(step_until_answered());
@@ -129,7 +133,7 @@ static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(voi
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(step_until_answered());
-    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED);   /* the end has its own power-off */
+    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED); /* the end has its own power-off */
     while (w.machine.shut != 3) {
         go_on();
     }

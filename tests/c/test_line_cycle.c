@@ -48,7 +48,7 @@ static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(v
     CHECK(sends() == frame_to(SPEED, 100));
     answers_with(0);
     CHECK(sends() == frame_to(WAY, WAY_REVERSE));
-    want(0.0);   /* while it is on its way */
+    want(0.0); /* while it is on its way */
     answers_with(0);
     CHECK(drive->way_told[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
 }
@@ -78,14 +78,15 @@ static void each_of_several_ways_is_told(void)
     begin_ways(1.0);
     line_drive *table = &w.machine.table.drive[0];
     table->way_count = 2;
-    table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST), .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
+    table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST),
+                               .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
                                .reverse = frame_of(1, WRITE, WAY + 1, WAY_REVERSE)};
     drive->way_told[0] = WAY_FORWARD;
     uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
     GOES(frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY + 1, WAY_FORWARD), status);
     want(-1.0);
-    GOES(frame_to(WAY, WAY_REST), frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY, WAY_REVERSE),
-         frame_to(WAY + 1, WAY_REVERSE), status);
+    GOES(frame_to(WAY, WAY_REST), frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY, WAY_REVERSE), frame_to(WAY + 1, WAY_REVERSE),
+         status);
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
@@ -199,7 +200,7 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
-        drive->still_enabled = how == 6 ? 2 : 1;   /* of three tries */
+        drive->still_enabled = how == 6 ? 2 : 1; /* of three tries */
         drive->demoted = DEMOTED_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
@@ -221,7 +222,7 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
     begin_ways(0.0);
     drive->way_told[0] = WAY_REST;
     drive->cycle_count = 4;
-    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];   /* behind the last one */
+    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1]; /* behind the last one */
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
     CHECK(sends() == frame_to(SPEED, 0));
@@ -231,7 +232,7 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
     answers_with(150);
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
     CHECK(drive->answered_ns == w.machine.end_ns && drive->count.heard_ns == w.now_ns);
-    drive->stage = STAGE_IDLE;   /* it was stopped */
+    drive->stage = STAGE_IDLE; /* it was stopped */
     CHECK(sends() == NO_FRAME);
 }
 

@@ -5,8 +5,8 @@
 static line_drive_state *begin_drive(void)
 {
     begin_with(2, 0);
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2,
-                                   .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){
+        .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
     w.machine.news = false;
     return &w.machine.drive[0];
 }
@@ -108,7 +108,7 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     line_drive_state *drive = begin_armed();
     w.machine.newest.enabled = 0;
     drive->enabled_count = w.machine.enabled_count = 7;
-    guarded(drive, 0, STOP_NOTHING);   /* they were not enabled yet */
+    guarded(drive, 0, STOP_NOTHING); /* they were not enabled yet */
     w.machine.newest.enabled = 1;
     guarded(drive, 0, STOP_NOTHING);
     CHECK(drive->was_enabled);
@@ -116,7 +116,7 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
     drive = begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = 7, w.machine.enabled_count = 8;   /* they were, between two looks */
+    drive->enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
     guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
 }
 
@@ -154,13 +154,13 @@ static void obey(uint32_t mode, uint32_t unseen)
     line_obey_wish(&w.machine, 0, w.now_ns);
     CHECK(w.machine.news);
     w.machine.news = false;
-    line_obey_wish(&w.machine, 0, w.now_ns);   /* the same again is no wish */
+    line_obey_wish(&w.machine, 0, w.now_ns); /* the same again is no wish */
     CHECK(!w.machine.news);
 }
 
 static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
 {
-    for (uint32_t pending = 0; pending < 3; pending++)
+    for (uint32_t pending = 0; pending < 3; pending++) {
         for (uint32_t from = 0; from < 2; from++) {
             line_drive_state *drive = begin_drive();
             drive->mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
@@ -187,6 +187,7 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             }
             CHECK(w.machine.joint[0].feedback.velocity_rad_s != 5.0);
         }
+    }
 }
 
 static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(void)
@@ -203,7 +204,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        bool armed = against == 0 || against == 5;   /* what was not seen may have been a stop: there is nothing to stop */
+        bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
         CHECK((drive->mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
             CHECK(!drive->was_enabled && drive->enabled_count == 8 && drive->demoted == 0);
@@ -215,11 +216,12 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 /* Three ways to have power: armed, stopping, told a motion. Unseen wishes may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
-    for (uint32_t has = 0; has < 4; has++)
-        for (uint32_t unseen = 0; unseen < 2; unseen++)
+    for (uint32_t has = 0; has < 4; has++) {
+        for (uint32_t unseen = 0; unseen < 2; unseen++) {
             for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_STAND_DOWN; mode++) {
-                if (mode != DRIVE_OFF && mode != DRIVE_READY && mode != DRIVE_ARMED && mode != DRIVE_STAND_DOWN)
+                if (mode != DRIVE_OFF && mode != DRIVE_READY && mode != DRIVE_ARMED && mode != DRIVE_STAND_DOWN) {
                     continue;
+                }
                 line_drive_state *drive = begin_drive();
                 drive->mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
                 drive->stopping = has == 2;
@@ -233,16 +235,20 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
                 CHECK(drive->stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (has == 2 && !off));
                 uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
-                if (mode == DRIVE_ARMED && !off && has != 2)
+                if (mode == DRIVE_ARMED && !off && has != 2) {
                     expected = DRIVE_ARMED;
-                if (mode == DRIVE_READY && has == 1 && !off)
-                    expected = DRIVE_ARMED;   /* one that is armed is set up */
+                }
+                if (mode == DRIVE_READY && has == 1 && !off) {
+                    expected = DRIVE_ARMED; /* one that is armed is set up */
+                }
                 CHECK(drive->mode == expected);
                 CHECK(mode != DRIVE_OFF || (!drive->back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
                 bool stands_down = has == 1 && unseen == 0 && mode == DRIVE_STAND_DOWN;
                 CHECK(drive->due_ns == (stands_down ? w.now_ns : w.now_ns + 9 * MS));
                 CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->enabled == 2);
             }
+        }
+    }
     line_drive_state *drive = begin_drive();
     drive->mode = DRIVE_READY;
     w.machine.current = 1;

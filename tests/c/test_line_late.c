@@ -17,15 +17,15 @@ typedef struct {
 
 static queued queue[QUEUE_MAX];
 static uint32_t queue_count;
-static int64_t busy_until_ns[UNITS_MAX];    /* it answers one request after the other */
+static int64_t busy_until_ns[UNITS_MAX]; /* it answers one request after the other */
 static int64_t late_ns;
-static uint32_t late_every;                 /* 1: each reply; n: one of n on average; 0: none */
+static uint32_t late_every; /* 1: each reply; n: one of n on average; 0: none */
 static uint32_t lose_every;
-static bool samples_late;                   /* it is busy first, and takes the value then */
+static bool samples_late; /* it is busy first, and takes the value then */
 static bool turns_around_slowly;
-static bool first_only;                     /* its neighbours are good */
+static bool first_only; /* its neighbours are good */
 static uint32_t asked[UNITS_MAX];
-static uint32_t published;                  /* samples of the first drive */
+static uint32_t published; /* samples of the first drive */
 static int64_t last_sample_ns, last_stamp_ns, longest_pause_ns;
 
 static uint32_t random_state;
@@ -193,8 +193,8 @@ static void no_value_is_older_than_it_says(bool one_look)
                 run(2, 3000 * MS);
                 late_every = 0;
                 published = 0;
-                run(2, 4000 * MS);   /* a quiet one is asked every two seconds */
-                CHECK(published > 90);   /* and it is well again after that */
+                run(2, 4000 * MS);     /* a quiet one is asked every two seconds */
+                CHECK(published > 90); /* and it is well again after that */
             }
         }
     }
@@ -265,7 +265,7 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
         lose_every = 0;
         int64_t failed_ns = w.now_ns;
         uint32_t before = asked[0];
-        while (asked[0] < before + 2 || w.machine.work == WORK_NONE) {   /* the drain is over, and one is on the wire */
+        while (asked[0] < before + 2 || w.machine.work == WORK_NONE) { /* the drain is over, and one is on the wire */
             look();
         }
         CHECK(w.now_ns > failed_ns);
@@ -326,8 +326,8 @@ static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void
 
 static line_ask read_of(uint64_t id, uint8_t address)
 {
-    return (line_ask){.id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS,
-                      .frame = frame_of(1, READ, address, 1)};
+    return (line_ask){
+        .id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, address, 1)};
 }
 
 /* The replies of two registers look alike: the first one's, late, is not given to the second. */
@@ -358,8 +358,8 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);
-    line_ask off = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .urgent = 1,
-                    .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
+    line_ask off = {
+        .id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .urgent = 1, .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
     line_ask on = off;
     on.id = 2;
     on.frame = frame_of(1, WRITE, CONTROL, 8);
@@ -383,7 +383,7 @@ static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer
 static void a_value_that_was_never_read_has_no_stamp(void)
 {
     line_joint_state *joint = &w.machine.joint[0];
-    for (uint32_t reads = 0; reads < 3; reads++) {   /* a count, a velocity, neither */
+    for (uint32_t reads = 0; reads < 3; reads++) { /* a count, a velocity, neither */
         begin_late(1, false, 1);
         joint->counts = reads == 0;
         joint->measures = reads == 1;

@@ -34,14 +34,14 @@ static void a_power_off_goes_out(void)
     wish(0, DRIVE_OFF);
     babble_for(2 * FRAME_NS + 30 * MS);
     CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
-    CHECK(w.machine.drive[0].stop == STOP_NOTHING);   /* its answers are found among the noise */
+    CHECK(w.machine.drive[0].stop == STOP_NOTHING); /* its answers are found among the noise */
 }
 
 static void a_quick_stop_goes_out(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
-    w.machine.newest.stamp_ns = 0;   /* no set-points any more */
+    w.machine.newest.stamp_ns = 0; /* no set-points any more */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     babble_for(FRAME_NS + 10 * MS);
     CHECK(w.quick_stop_ns[0] > 0);

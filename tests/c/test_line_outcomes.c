@@ -11,7 +11,7 @@ static void a_reply_that_took_longer_than_usual_tells_no_value(void)
         CHECK(sends() == frame_to(SPEED, 0));
         answers_with(0);
         CHECK(sends() == frame_to(STATUS, 1));
-        drive->usual_ns = late == 2 ? 0 : DEVICE_NS - (int64_t)late;   /* 0: not known yet */
+        drive->usual_ns = late == 2 ? 0 : DEVICE_NS - (int64_t)late; /* 0: not known yet */
         w.machine.joint[0].feedback.velocity_rad_s = 7.0;
         uint64_t exchanges = drive->count.exchanges;
         answers_with(150);
@@ -36,7 +36,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         answers_with(0);
         bool alone = how == 0 || how == 4;
         CHECK(drive->demoted == (alone ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->stopping == alone);
-        CHECK(drive->failures == 0 && drive->place == !alone);   /* its cycle is over then */
+        CHECK(drive->failures == 0 && drive->place == !alone); /* its cycle is over then */
     }
 }
 
@@ -72,9 +72,9 @@ static void each_failure_is_counted_by_its_kind(void)
 {
     static const struct {
         uint32_t failure, no_reply, bad_reply, refused;
-    } KINDS[] = {{ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0},
-                 {ANSWER_REFUSED, 0, 0, 1}};
-    for (uint32_t i = 0; i < 4; i++)
+    } KINDS[] = {
+        {ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0}, {ANSWER_REFUSED, 0, 0, 1}};
+    for (uint32_t i = 0; i < 4; i++) {
         for (uint32_t current = 0; current < 2; current++) {
             begin_ways(0.0);
             line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -91,6 +91,7 @@ static void each_failure_is_counted_by_its_kind(void)
             CHECK(drive->quiet_until_ns == (refused ? 0 : late_ns));
             CHECK(drive->stage == STAGE_IDLE && w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         }
+    }
 }
 
 static void so_many_failures_as_it_has_tries_make_it_quiet(void)
@@ -124,7 +125,7 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
         line_frame frame;
         CHECK(line_next_stop(&w.machine, 0, &frame));
         w.machine.transaction.frame = frame;
-        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2);   /* of an older stop */
+        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* of an older stop */
         w.machine.work = WORK_STOP;
         w.machine.shut = how == 0 ? 0 : 2;
         w.machine.table.drive[0].tries = 100;
@@ -165,7 +166,7 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
             line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
         }
         CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) && drive->stop_failures == 0);
-        w.machine.transaction.frame.request[5] ^= 0x40;   /* what becomes of an older one changes nothing */
+        w.machine.transaction.frame.request[5] ^= 0x40; /* what becomes of an older one changes nothing */
         drive->failures = 0, drive->stop_failures = 2;
         line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
         CHECK(drive->stop_refused == (older == 0));

@@ -44,8 +44,11 @@ static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
         int64_t failed_ago_ns, least_ns, took_ns;
         bool doubtful;
     } CASES[] = {
-        {1000000000, 4000000, 1499999, true},  {1000000000, 4000000, 1500000, false}, {1999999999, 4000000, 1000000, true},
-        {2000000000, 4000000, 1000000, false}, {1000000000, 0, 0, false},
+        {1000000000, 4000000, 1499999, true},
+        {1000000000, 4000000, 1500000, false},
+        {1999999999, 4000000, 1000000, true},
+        {2000000000, 4000000, 1000000, false},
+        {1000000000, 0, 0, false},
     };
     for (uint32_t i = 0; i < 5; i++) {
         begin_asking();
@@ -63,8 +66,9 @@ static void a_turn_around_is_learned_with_its_spread(void)
     static const struct {
         int64_t smoothed_ns, variation_ns, expected_ns;
     } KNOWN[] = {
-        {20000000, 0, 20500000}, {20000000, 125000, 20500000}, {20000000, 1000000, 24000000}, {1000000, 0, 10000000},
-        {9500000, 0, 10000000}, {9500001, 0, 10000001}, {0, 0, 100000000}, {99900000, 0, 100000000},
+        {20000000, 0, 20500000}, {20000000, 125000, 20500000}, {20000000, 1000000, 24000000},
+        {1000000, 0, 10000000},  {9500000, 0, 10000000},       {9500001, 0, 10000001},
+        {0, 0, 100000000},       {99900000, 0, 100000000},
     };
     for (uint32_t i = 0; i < 8; i++) {
         begin_asking();
@@ -75,7 +79,7 @@ static void a_turn_around_is_learned_with_its_spread(void)
     begin_asking();
     w.machine.table.drive[0].reply_timeout_ns = 7 * MS;
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 7 * MS);
-    for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) {   /* on a pseudo-terminal bytes take no time at all */
+    for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) { /* on a pseudo-terminal bytes take no time at all */
         begin_asking();
         drive->smoothed_ns = 0;
         line_learn_turnaround(&w.machine, 0, reply_after(took_ns));
@@ -113,7 +117,7 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
         line_doubt(&w.machine, 0, w.now_ns + MS);
         CHECK(drive->count.exchanges == 1 && drive->count.heard_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
-        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);   /* two were, and one has come */
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were, and one has come */
         CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));
     }
 }
@@ -130,8 +134,8 @@ static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_tim
         CHECK(drive->owed_count == (i < OWED_MAX ? i + 1U : OWED_MAX));
     }
     CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns && drive->held_until_ns == reply_after(4 * 200 * MS));
-    CHECK(drive->owed[0].look.head[2] == 3 && drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX);   /* the oldest went */
-    w.machine.start_ns = drive->held_until_ns;   /* all of that is over */
+    CHECK(drive->owed[0].look.head[2] == 3 && drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX); /* the oldest went */
+    w.machine.start_ns = drive->held_until_ns;                                                         /* all of that is over */
     line_owe(&w.machine, 0);
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
@@ -151,7 +155,7 @@ static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
     line_owe(&w.machine, 0);
     int64_t until_ns = drive->owed[0].until_ns;
     w.machine.end_ns += 7 * MS;
-    line_settle(&w.machine, 0, reply_after(3 * MS));   /* perhaps the older one's: it is owed on */
+    line_settle(&w.machine, 0, reply_after(3 * MS)); /* perhaps the older one's: it is owed on */
     CHECK(drive->least_ns == 0 && drive->owed_count == 1 && drive->owed[0].until_ns == until_ns + 7 * MS);
     for (uint32_t how = 0; how < 2; how++) {
         begin_asking();

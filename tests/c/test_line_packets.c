@@ -10,8 +10,13 @@ static int64_t sent_ns;
 
 static line_frame told_by(uint8_t unit, uint8_t command)
 {
-    line_frame frame = {.request_bytes = 6, .reply_bytes = 1, .match_bytes = 1, .match = {0xFF}, .request_seal = SEAL_XMODEM,
-                        .exact = 1, .request = {unit, command}};
+    line_frame frame = {.request_bytes = 6,
+                        .reply_bytes = 1,
+                        .match_bytes = 1,
+                        .match = {0xFF},
+                        .request_seal = SEAL_XMODEM,
+                        .exact = 1,
+                        .request = {unit, command}};
     rtu_seal(frame.request, 6, SEAL_XMODEM);
     return frame;
 }
@@ -90,7 +95,7 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
     w.machine.control.shut_down = 1;
     look_until_told(SPEEDS);
     for (uint32_t i = 0; i < 10; i++) {
-        CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0));   /* it turns: held at zero */
+        CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0)); /* it turns: held at zero */
         look(true, 300);
     }
     look_until_told(DUTIES);
@@ -110,7 +115,7 @@ static void a_late_answer_is_nobody_s(void)
         asked = sent[0];
     }
     int64_t failed_ns = w.now_ns, bound_ns = w.machine.bound_ns;
-    w.bytes[0] = 0xFF;   /* when the time is over, and nobody else has been asked */
+    w.bytes[0] = 0xFF; /* when the time is over, and nobody else has been asked */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.out.send == NULL && w.machine.work == WORK_NONE);
     line_machine_step(&w.machine, failed_ns + bound_ns / 2, w.bytes, 1, &w.out);

@@ -70,7 +70,7 @@ static void the_first_quiet_drive_whose_time_has_come_is_asked(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
-    m->drive[3].mode = DRIVE_QUIET;   /* it is none of the line */
+    m->drive[3].mode = DRIVE_QUIET; /* it is none of the line */
     m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
@@ -97,7 +97,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
         m->ours_ns = w.now_ns + 3 * MS;
         m->broadcasts = what == 1;
-        m->drive[2].stop = STOP_QUICK;   /* it is none of the line */
+        m->drive[2].stop = STOP_QUICK; /* it is none of the line */
         m->drive[1].stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
         m->drive[1].mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
@@ -112,10 +112,10 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
     }
     begin_with(1, 0);
     w.machine.broadcasts = 1;
-    w.machine.ours_ns = w.now_ns;   /* then the gap comes first */
+    w.machine.ours_ns = w.now_ns; /* then the gap comes first */
     CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + GAP_NS + 20 * MS);
     w.machine.urgent_by_ns = 0;
-    w.machine.noisy = true;         /* it was in vain the last time */
+    w.machine.noisy = true; /* it was in vain the last time */
     w.machine.ours_ns = w.now_ns + 3 * MS;
     CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + 3 * MS);
     w.machine.broadcasts = 0;

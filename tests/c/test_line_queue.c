@@ -28,7 +28,7 @@ static void urgent_requests_stand_before_the_others_and_each_kind_in_its_order(v
     while (w.machine.ask_count > 0) {
         line_drop_ask(&w.machine, 0);
     }
-    put(12, 0, 1, INT64_MAX);      /* urgent ones that were there before count no more */
+    put(12, 0, 1, INT64_MAX); /* urgent ones that were there before count no more */
     put(13, 0, 1, INT64_MAX);
     holds((const uint64_t[]){12, 13}, 2);
 }
@@ -49,7 +49,7 @@ static void a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed(v
     wanted.ask_count = LINE_ASKS_MAX;
     CHECK(line_machine_ask(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
     CHECK(!line_machine_ask(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
-    wanted.ask_count--;            /* the last but one goes, the last one moves up */
+    wanted.ask_count--; /* the last but one goes, the last one moves up */
     wanted.ask[LINE_ASKS_MAX - 2] = wanted.ask[LINE_ASKS_MAX - 1];
     line_drop_ask(&w.machine, LINE_ASKS_MAX - 2);
     CHECK(memcmp(&w.machine, &wanted, sizeof wanted) == 0);
@@ -81,7 +81,7 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
     CHECK(line_pick_ask(&w.machine, w.now_ns + 1) == 0);
     w.machine.drive[1].quiet_until_ns = w.now_ns + 1;
     CHECK(line_pick_ask(&w.machine, w.now_ns) == LINE_ASKS_MAX);
-    put(3, 2, 0, INT64_MAX);       /* to no drive of the table: it does not wait for any */
+    put(3, 2, 0, INT64_MAX); /* to no drive of the table: it does not wait for any */
     CHECK(line_pick_ask(&w.machine, w.now_ns) == 2);
 }
 

@@ -39,7 +39,7 @@ static void become_quiet(void)
     w.dead = 1;
     while (w.machine.drive[0].mode != DRIVE_QUIET) {
         sent_count = 0;
-        look();                    /* the first one goes out in the look that finds it quiet */
+        look(); /* the first one goes out in the look that finds it quiet */
     }
 }
 
@@ -146,7 +146,7 @@ static void one_that_answers_is_told_off_and_is_back(void)
     for (uint64_t times = 1; times <= 2; times++) {
         w.dead = 0;
         become_quiet_while_it_may_turn();
-        look_for(450 * MS);        /* so that the round breaks off in its middle */
+        look_for(450 * MS); /* so that the round breaks off in its middle */
         CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) && w.machine.drive[0].count.quiet == times);
         CHECK(sent[1].at_ns - sent[0].at_ns < 90 * MS && sent[2].at_ns - sent[1].at_ns < 90 * MS);
         CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS && sent[3].at_ns - sent[2].at_ns < 101 * MS);
@@ -169,7 +169,7 @@ static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
         go_on();
     }
     w.machine.newest.stamp_ns = 0;
-    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);   /* old set-points: it comes to rest */
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* old set-points: it comes to rest */
     CHECK(w.machine.drive[0].stopping);
     become_quiet();
     CHECK(!w.machine.drive[0].stopping && w.machine.drive[0].stop == STOP_NOTHING);
@@ -203,7 +203,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        table->cyclic_count = writes == 2 ? 2 : 1;   /* what lies behind the last is none of its exchanges */
+        table->cyclic_count = writes == 2 ? 2 : 1; /* what lies behind the last is none of its exchanges */
         w.machine.drive[0].may_turn = true;
         line_go_quiet(&w.machine, 0, w.now_ns);
         CHECK(w.machine.drive[0].probes_at_once == 1 + writes + 1);

@@ -80,7 +80,7 @@ static void the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(
 
 int main(void)
 {
-    the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(1 * MS);     /* more than the wire carries */
+    the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(1 * MS); /* more than the wire carries */
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(50 * MS);
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(100 * MS);
     return checks_report("line rates");

@@ -139,10 +139,10 @@ static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
     }
     CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] == 0);
     wish(0, DRIVE_OFF);
-    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);   /* its answer comes later */
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* its answer comes later */
     CHECK(w.machine.drive[0].stop == STOP_POWER_OFF);
     (void)shut_down();
-    CHECK(w.power_offs[0] == 4 && w.released[0] == 2);   /* for the wish, and for the end */
+    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* for the wish, and for the end */
 }
 
 static void open_again(uint32_t may_turn)
@@ -164,7 +164,7 @@ static void one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again(voi
     CHECK(w.quick_stop_ns[0] > 0 && w.quick_stop_ns[0] < opened_ns + 50 * MS);
     CHECK(w.told_off[0] > 0);
     CHECK(w.quick_stop_ns[1] == 0 && w.told_off[1] == 0);
-    CHECK(w.machine.drive[0].mode == DRIVE_OFF);   /* its set-up is Python's */
+    CHECK(w.machine.drive[0].mode == DRIVE_OFF); /* its set-up is Python's */
 }
 
 static void one_that_does_not_answer_then_is_told_again_and_again(void)
@@ -278,7 +278,7 @@ static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
         begin_turning();
         wish(0, DRIVE_OFF);
         if (seen != 0) {
-            look_without_bytes();   /* else the line never sees it: READY has taken its place */
+            look_without_bytes(); /* else the line never sees it: READY has taken its place */
         }
         wish(0, DRIVE_READY);
         look_without_bytes();
@@ -295,7 +295,7 @@ static void one_that_waits_for_its_power_off_is_not_armed(void)
 {
     begin_turning();
     wish(0, DRIVE_STAND_DOWN);
-    wish(0, DRIVE_ARMED);   /* the stop was not seen by itself */
+    wish(0, DRIVE_ARMED); /* the stop was not seen by itself */
     look_without_bytes();
     CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].stop == STOP_POWER_OFF);
     for (uint32_t i = 0; i < 20; i++) {
@@ -310,7 +310,7 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
     arm(0);
     open_again(1);
     w.turning = 1;
-    wish(0, DRIVE_READY);   /* while the quick stop waits to be told */
+    wish(0, DRIVE_READY); /* while the quick stop waits to be told */
     int64_t opened_ns = w.now_ns;
     while (w.now_ns < opened_ns + 300 * MS) {
         go_on();

@@ -31,8 +31,8 @@ static void begin_with_extras(uint32_t says_enabled)
         drive->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
     }
     drive->extra[0].field_count = says_enabled;
-    drive->extra[0].field[0] = (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xFFFF,
-                                            .equals = 1, .si_per_raw = 1.0};
+    drive->extra[0].field[0] =
+        (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xFFFF, .equals = 1, .si_per_raw = 1.0};
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
@@ -49,7 +49,7 @@ static void what_may_wait_is_read_by_turns(void)
     wish(0, DRIVE_OFF);
     look(4);
     sent_count = 0;
-    wish(0, DRIVE_READY);          /* set up anew it begins anew */
+    wish(0, DRIVE_READY); /* set up anew it begins anew */
     while (sent_count < 2) {
         look(1);
     }
@@ -87,7 +87,7 @@ static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s
     for (uint32_t i = 0; i < 40; i++) {
         go_on();
     }
-    CHECK(w.machine.drive[0].deadline_ns == 10 * MS);    /* it answers within half a millisecond */
+    CHECK(w.machine.drive[0].deadline_ns == 10 * MS); /* it answers within half a millisecond */
     w.mute = 1;
     const int64_t bound_ns = w.machine.table.drive[0].turnaround_ns;
     const int64_t deadlines_ns[] = {20 * MS, 40 * MS, 80 * MS, bound_ns, bound_ns};
@@ -140,13 +140,13 @@ static void shut_down_until(uint32_t shut)
 static void a_frame_of_a_stop_that_is_refused_is_told_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
 {
     begin_with(1, 0);
-    w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0);   /* both to the register that it refuses */
+    w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0); /* both to the register that it refuses */
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
     w.refused = CONTROL;
     shut_down_until(3);
     CHECK(w.machine.drive[0].stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
-    w.refused = CONTROL;           /* the second one is heard: what follows is counted anew */
+    w.refused = CONTROL; /* the second one is heard: what follows is counted anew */
     shut_down_until(3);
     CHECK(w.machine.drive[0].stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
@@ -159,7 +159,7 @@ static void a_new_stop_has_all_of_its_tries(void)
         go_on();
     }
     w.dead = 1;
-    shut_down_until(2);            /* no quick stop was answered */
+    shut_down_until(2); /* no quick stop was answered */
     w.dead = 0;
     w.refused = CONTROL;
     w.refusals = 0;

@@ -32,16 +32,30 @@ static core_config base(void)
 {
     axis_limits axis = {.velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     core_config config = {
-        .joint_count = 2, .track_m = 0.4, .limits = {.linear = axis, .angular = axis}, .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05, .on_timeout = STOP_RAMP,
-        .on_fault = STOP_RAMP, .on_estop = STOP_BRAKE, .distance_variance_m2_per_m = 1e-3,
-        .turn_variance_rad2_per_rad = 1e-3, .pose_variance_floor_m2 = 1e-6, .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-6, .twist_variance_floor_rad2_s2 = 1e-6,
+        .joint_count = 2,
+        .track_m = 0.4,
+        .limits = {.linear = axis, .angular = axis},
+        .command_timeout_s = 0.3,
+        .feedback_timeout_s = 0.25,
+        .heartbeat_timeout_s = 0.5,
+        .rest_velocity_rad_s = 0.05,
+        .on_timeout = STOP_RAMP,
+        .on_fault = STOP_RAMP,
+        .on_estop = STOP_BRAKE,
+        .distance_variance_m2_per_m = 1e-3,
+        .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6,
+        .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-6,
+        .twist_variance_floor_rad2_s2 = 1e-6,
     };
     for (uint32_t joint = 0; joint < config.joint_count; joint++) {
-        config.joint[joint] = (joint_config){
-            .side = joint == 0 ? -1 : 1, .wheel_radius_m = 0.1, .velocity_min_rad_s = -20, .velocity_max_rad_s = 20,
-            .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
+        config.joint[joint] =
+            (joint_config){.side = joint == 0 ? -1 : 1,
+                           .wheel_radius_m = 0.1,
+                           .velocity_min_rad_s = -20,
+                           .velocity_max_rad_s = 20,
+                           .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
     }
     return config;
 }
@@ -63,8 +77,12 @@ static void beat(uint32_t armed)
 static int command(double linear_m_s)
 {
     static uint64_t sequence;
-    const command_datagram datagram = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
-                                       .sequence = ++sequence, .stamp_ns = now_ns, .linear_m_s = linear_m_s};
+    const command_datagram datagram = {.magic = COMMAND_MAGIC,
+                                       .version = COMMAND_VERSION,
+                                       .kind = COMMAND_TWIST,
+                                       .sequence = ++sequence,
+                                       .stamp_ns = now_ns,
+                                       .linear_m_s = linear_m_s};
     return arbiter_submit(&work.arbiter, &datagram, sizeof datagram, now_ns, true);
 }
 
@@ -142,7 +160,7 @@ static void a_clock_that_runs_backwards_stops_the_base_at_once(void)
 /* Time goes on by the real clock, which tells when the computer woke up. */
 static void wake_up(int64_t after_ns)
 {
-    while (clock_now_ns() <= now_ns) {   /* the ticks so far were of the test's own making */
+    while (clock_now_ns() <= now_ns) { /* the ticks so far were of the test's own making */
         (void)usleep(1000);
     }
     slept_ns += after_ns;
@@ -156,7 +174,7 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     loop_tick(&work, now_ns, now_ns);
     CHECK(work.core.snapshot.faults == FAULT_SUSPENDED && work.core.snapshot.armed == 0);
     CHECK(work.out.joint[0].velocity_rad_s == 0.0 && work.out.joint[1].velocity_rad_s == 0.0);
-    for (uint32_t i = 0; i < 100; i++) {   /* the drives answer again, and the source goes on */
+    for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source goes on */
         (void)command(0.5);
         tick(MS);
         CHECK(work.out.joint[0].velocity_rad_s == 0.0 && work.core.snapshot.faults == FAULT_SUSPENDED);
@@ -166,8 +184,12 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
 static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
 {
     drive();
-    const command_datagram on_its_way = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
-                                         .sequence = UINT64_MAX / 4, .stamp_ns = now_ns, .linear_m_s = 0.5};
+    const command_datagram on_its_way = {.magic = COMMAND_MAGIC,
+                                         .version = COMMAND_VERSION,
+                                         .kind = COMMAND_TWIST,
+                                         .sequence = UINT64_MAX / 4,
+                                         .stamp_ns = now_ns,
+                                         .linear_m_s = 0.5};
     wake_up(10 * MS);
     loop_tick(&work, now_ns, now_ns);
     CHECK((work.core.snapshot.reasons & REASON_COMMAND_STALE) != 0);

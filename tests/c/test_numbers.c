@@ -26,7 +26,7 @@ static void sine_and_cosine_are_right_to_the_last_bits_and_zero_is_exact(void)
         CHECK(fabsl((long double)found.sine - sinl((long double)angle_rad)) < 1.7e-16L);
         CHECK(fabsl((long double)found.cosine - cosl((long double)angle_rad)) < 1.7e-16L);
     }
-    found = angle_direction(PI);   /* the rest of pi that a double does not hold */
+    found = angle_direction(PI); /* the rest of pi that a double does not hold */
     CHECK(fabs(found.sine / 1.2246467991473532e-16 - 1.0) < 1e-9 && found.cosine == -1.0);
 }
 
@@ -46,8 +46,7 @@ static void sine_and_cosine_have_the_same_bits_everywhere(void)
 /* -------------------------------------------------------------------------------------------------------- PWM */
 static void no_speed_that_is_a_number_or_no_time_is_no_duty(void)
 {
-    const pwm_config config = {.dead_band = 0.1, .duty_min = -1.0, .duty_max = 1.0, .slew_per_s = 1.0,
-                               .full_duty_rad_s = 10.0};
+    const pwm_config config = {.dead_band = 0.1, .duty_min = -1.0, .duty_max = 1.0, .slew_per_s = 1.0, .full_duty_rad_s = 10.0};
     const double bad_dt_s[] = {0.0, -1.0, (double)NAN}, bad_rad_s[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
     for (int i = 0; i < 3; i++) {
         pwm_output no_time = pwm_step(&config, 0.0, 5.0, bad_dt_s[i]), no_speed = pwm_step(&config, 0.0, bad_rad_s[i], 0.05);
@@ -73,13 +72,13 @@ static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limi
     speed_loop_state state = {.integral_n_m = 1.0};
     CHECK(speed_loop_step(&state, &LOOP, 10.0, 0.0, 0.01) == 3.0 && state.integral_n_m == 1.0);
     CHECK(speed_loop_step(&state, &LOOP, -20.0, 0.0, 0.01) == -3.0 && state.integral_n_m == 1.0);
-    state.integral_n_m = 3.0;      /* back from the limit it comes at once: the error is against what was wanted */
+    state.integral_n_m = 3.0; /* back from the limit it comes at once: the error is against what was wanted */
     const speed_loop_config weak = {.gain_n_m_s_per_rad = 0.0, .integral_n_m_per_rad = 4.0, .torque_max_n_m = 2.0};
     CHECK(speed_loop_step(&state, &weak, -1.0, 0.0, 0.1) == 2.0 && state.integral_n_m == 2.0);
-    state.integral_n_m = -3.0;     /* so from the other side */
+    state.integral_n_m = -3.0; /* so from the other side */
     CHECK(speed_loop_step(&state, &weak, 1.0, 0.0, 0.1) == -2.0 && state.integral_n_m == -2.0);
     const speed_loop_config eager = {.gain_n_m_s_per_rad = 0.02, .integral_n_m_per_rad = 0.01, .torque_max_n_m = 0.001};
-    state.integral_n_m = 0.0005;   /* small products are products: away from rest it is held, too */
+    state.integral_n_m = 0.0005; /* small products are products: away from rest it is held, too */
     CHECK(speed_loop_step(&state, &eager, 0.1, 0.0, 0.01) == 0.001 && state.integral_n_m == 0.0005);
 }
 
@@ -97,10 +96,14 @@ static void what_cannot_be_reckoned_empties_the_integral(void)
 }
 
 /* ---------------------------------------------------------------------------------------------------- drift */
-static const core_config FOUR_WHEELS = {
-    .joint_count = 4, .track_m = 0.5, .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 2e-5,
-    .joint = {{.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.1},
-              {.side = -1.0, .wheel_radius_m = 0.1}, {.side = 1.0, .wheel_radius_m = 0.2}}};
+static const core_config FOUR_WHEELS = {.joint_count = 4,
+                                        .track_m = 0.5,
+                                        .twist_variance_floor_m2_s2 = 1e-5,
+                                        .twist_variance_floor_rad2_s2 = 2e-5,
+                                        .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
+                                                  {.side = 1.0, .wheel_radius_m = 0.1},
+                                                  {.side = -1.0, .wheel_radius_m = 0.1},
+                                                  {.side = 1.0, .wheel_radius_m = 0.2}}};
 
 /* Nobody knows where the wheels go meanwhile: as far as their set-points say, either way. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
@@ -115,12 +118,12 @@ static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(v
     state.twist_covariance[0] = state.twist_covariance[2] = 0.0;
     const joint_setpoint wheels[JOINTS_MAX] = {
         {.velocity_rad_s = 2.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = 2.0}};
-    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1);   /* left 0.02 m, right 0.04 m */
+    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1); /* left 0.02 m, right 0.04 m */
     CHECK(fabs(state.pose_covariance[0] - (0.01 + 0.03 * (0.2 + 0.03))) < 1e-15);
     CHECK(fabs(state.pose_covariance[3] - (0.04 + 0.03 * (0.4 + 0.03))) < 1e-15);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.12 * (0.6 + 0.12))) < 1e-15);
     CHECK(fabs(state.twist_covariance[0] - (1e-5 + 0.09)) < 1e-15 && fabs(state.twist_covariance[2] - (2e-5 + 0.25)) < 1e-15);
-    state.twist_covariance[0] = state.twist_covariance[2] = 7.0;   /* it was more uncertain before */
+    state.twist_covariance[0] = state.twist_covariance[2] = 7.0; /* it was more uncertain before */
     odometry_drift(&state, &FOUR_WHEELS, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.1);
     CHECK(state.twist_covariance[0] == 7.0 && state.twist_covariance[2] == 7.0);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.12 * (0.6 + 0.12))) < 1e-15);
@@ -134,14 +137,27 @@ static void reset_config(void)
 {
     axis_limits limits = {1.0, 1.0, 1.0, 8.0};
     config = (core_config){
-        .joint_count = 2, .track_m = 0.5, .limits = {limits, limits}, .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
-        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3, .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6, .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+        .joint_count = 2,
+        .track_m = 0.5,
+        .limits = {limits, limits},
+        .command_timeout_s = 0.3,
+        .feedback_timeout_s = 0.25,
+        .heartbeat_timeout_s = 0.5,
+        .rest_velocity_rad_s = 0.05,
+        .distance_variance_m2_per_m = 1e-4,
+        .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6,
+        .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5,
+        .twist_variance_floor_rad2_s2 = 1e-5,
     };
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        config.joint[j] = (joint_config){.side = j % 2 == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1, .velocity_min_rad_s = -9.0,
-                                         .velocity_max_rad_s = 9.0, .rad_per_count = 1e-3, .counter_bits = 16,
+        config.joint[j] = (joint_config){.side = j % 2 == 0 ? -1.0 : 1.0,
+                                         .wheel_radius_m = 0.1,
+                                         .velocity_min_rad_s = -9.0,
+                                         .velocity_max_rad_s = 9.0,
+                                         .rad_per_count = 1e-3,
+                                         .counter_bits = 16,
                                          .pwm = {0.05, -1.0, 1.0, 100.0, 12.5}};
     }
 }
@@ -207,7 +223,7 @@ static void counters_are_as_wide_as_drives_have_them(void)
         CHECK(good ? is_good() : refused("joint[0].counter_bits"));
     }
     config.joint[0].counter_bits = 0;
-    config.joint[0].rad_per_count = 0.0;   /* nothing is counted */
+    config.joint[0].rad_per_count = 0.0; /* nothing is counted */
     CHECK(is_good());
 }
 
@@ -224,7 +240,7 @@ static void a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side(void
         CHECK(refused("joint[0].side"));
     }
     reset_config();
-    config.joint_count = 4;        /* three on one side, one on the other */
+    config.joint_count = 4; /* three on one side, one on the other */
     config.joint[0].side = config.joint[1].side = config.joint[2].side = 1.0;
     config.joint[3].side = -1.0;
     CHECK(is_good());

@@ -17,11 +17,19 @@ typedef struct {
 
 static base begun(uint32_t bits)
 {
-    base b = {.config = {.joint_count = 2, .track_m = 0.5, .feedback_timeout_s = 0.25, .distance_variance_m2_per_m = 1e-4,
+    base b = {.config = {.joint_count = 2,
+                         .track_m = 0.5,
+                         .feedback_timeout_s = 0.25,
+                         .distance_variance_m2_per_m = 1e-4,
                          .turn_variance_rad2_per_rad = 1e-3}};
-    for (int j = 0; j < 2; j++)
-        b.config.joint[j] = (joint_config){.side = 2.0 * j - 1.0, .wheel_radius_m = 0.1, .velocity_min_rad_s = -35.0,
-                                           .velocity_max_rad_s = 35.0, .rad_per_count = COUNT_RAD, .counter_bits = bits};
+    for (int j = 0; j < 2; j++) {
+        b.config.joint[j] = (joint_config){.side = 2.0 * j - 1.0,
+                                           .wheel_radius_m = 0.1,
+                                           .velocity_min_rad_s = -35.0,
+                                           .velocity_max_rad_s = 35.0,
+                                           .rad_per_count = COUNT_RAD,
+                                           .counter_bits = bits};
+    }
     odometry_init(&b.state, &b.config);
     return b;
 }
@@ -78,8 +86,9 @@ static void a_counter_that_comes_late_catches_up(void)
 {
     base b = begun(32);
     heard(&b, STEP_NS, 0, NAN);
-    for (int i = 0; i < 9; i++)
+    for (int i = 0; i < 9; i++) {
         heard(&b, STEP_NS, 0, NAN);
+    }
     CHECK(near(heard(&b, STEP_NS, 18000, NAN)->position_rad, 18000 * COUNT_RAD) && b.state.joint[0].jumps == 0);
     CHECK(b.state.joint[0].velocity_rad_s <= 1.5 * 35.0);
     CHECK(heard(&b, STEP_NS, 18000, NAN)->jumps == 1);
@@ -114,14 +123,18 @@ static void expect_arc(expected_pose *e, const core_config *config, double left_
                            {-1 / b, 1 / b}};
     double of_side[2] = {config->distance_variance_m2_per_m * fabs(left_m), config->distance_variance_m2_per_m * fabs(right_m)};
     double next[3][3] = {0};
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) {
-            for (int k = 0; k < 3; k++)
-                for (int l = 0; l < 3; l++)
+            for (int k = 0; k < 3; k++) {
+                for (int l = 0; l < 3; l++) {
                     next[i][j] += pose[i][k] * e->p[k][l] * pose[j][l];
-            for (int side = 0; side < 2; side++)
+                }
+            }
+            for (int side = 0; side < 2; side++) {
                 next[i][j] += wheels[i][side] * of_side[side] * wheels[j][side];
+            }
         }
+    }
     next[2][2] += config->turn_variance_rad2_per_rad * fabs(turn_rad);
     memcpy(e->p, next, sizeof next);
     e->heading_rad = remainder(e->heading_rad + turn_rad, 2.0 * 3.14159265358979323846);
@@ -177,11 +190,15 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
         int kind = step % 5; /* a curve, straight on, on the spot, small, at rest */
         int64_t common = any(-most, most);
         for (int j = 0; j < 4; j++) {
-            int64_t count = kind == 0 ? any(-most, most) : kind == 1 ? common : kind == 2 ? (j % 2 ? common : -common)
-                : kind == 3 ? any(-3, 3) : 0;
+            int64_t count = kind == 0   ? any(-most, most)
+                            : kind == 1 ? common
+                            : kind == 2 ? (j % 2 ? common : -common)
+                            : kind == 3 ? any(-3, 3)
+                                        : 0;
             double per_count = j == 3 ? -COUNT_RAD : COUNT_RAD;
-            if (kind == 1 || kind == 2)
+            if (kind == 1 || kind == 2) {
                 count = j == 3 ? -count : count;
+            }
             feedback[j].count += step == 0 ? 0 : (uint64_t)count;
             feedback[j].stamp_ns += after_ns;
             feedback[j].velocity_rad_s = NAN;
@@ -189,8 +206,9 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
             position_rad[j] += step == 0 ? 0.0 : (double)count * per_count;
         }
         odometry_step(&state, &config, feedback, stale, wheels);
-        if (step == 0)
+        if (step == 0) {
             continue;
+        }
         expect_arc(&e, &config, side_m[0], side_m[1]);
         check_pose(&state, &e);
         double elapsed_s = (double)after_ns * 1e-9, way_m = 0.5 * (side_m[0] + side_m[1]);
@@ -200,12 +218,12 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
         CHECK(close_to(state.twist_covariance[1], (r2 - l2) / elapsed_s / elapsed_s));
         CHECK(close_to(state.twist_covariance[2], 2e-3 + (4.0 * (l2 + r2) + 1e-3 * fabs(turn_rad)) / elapsed_s / elapsed_s));
         CHECK(state.degraded == 0 && state.blind == 0 && state.stamp_ns == feedback[0].stamp_ns);
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             CHECK(near(state.joint[j].position_rad, position_rad[j]) && state.joint[j].jumps == 0);
+        }
     }
     odometry_reset(&state, &config);
-    e = (expected_pose){.distance_m = e.distance_m, .turned_rad = e.turned_rad,
-                        .p = {{1e-4, 0, 0}, {0, 1e-4, 0}, {0, 0, 1e-4}}};
+    e = (expected_pose){.distance_m = e.distance_m, .turned_rad = e.turned_rad, .p = {{1e-4, 0, 0}, {0, 1e-4, 0}, {0, 0, 1e-4}}};
     check_pose(&state, &e);
     CHECK(state.epoch == 1 && near(state.joint[2].position_rad, position_rad[2]));
 }
@@ -234,9 +252,11 @@ static void without_a_side_the_deviations_grow_by_the_way(void)
     b.state.pose_covariance[0] = 0.04, b.state.pose_covariance[3] = 0.09, b.state.pose_covariance[5] = 0.01;
     b.state.linear_m_s = -0.6, b.state.angular_rad_s = 0.4;
     b.config.twist_variance_floor_m2_s2 = 1e-3, b.config.twist_variance_floor_rad2_s2 = 2e-3;
-    const joint_setpoint wheels[JOINTS_MAX] = {
-        {.velocity_rad_s = -2.0}, {.velocity_rad_s = 3.0}, {.velocity_rad_s = 1.0}, {.velocity_rad_s = 4.0},
-        {.velocity_rad_s = 9.0}};
+    const joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = -2.0},
+                                               {.velocity_rad_s = 3.0},
+                                               {.velocity_rad_s = 1.0},
+                                               {.velocity_rad_s = 4.0},
+                                               {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
     double way_m = 0.5 * (0.1 + 0.2), turn_rad = (0.1 + 0.2) / 0.5; /* 2 and 4 rad/s, 0.1 m, half a second */
     CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + way_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + way_m));
@@ -252,10 +272,27 @@ static void every_number_of_it_is_looked_at(void)
 {
     odometry_state s = begun(32).state;
     double *const NUMBERS[] = {
-        &s.x_m, &s.y_m, &s.heading_rad, &s.distance_m, &s.turned_rad, &s.linear_m_s, &s.angular_rad_s,
-        &s.pose_covariance[0], &s.pose_covariance[1], &s.pose_covariance[2], &s.pose_covariance[3], &s.pose_covariance[4],
-        &s.pose_covariance[5], &s.twist_covariance[0], &s.twist_covariance[1], &s.twist_covariance[2], &s.gyro.yaw_rad,
-        &s.gyro.bias_rad_s, &s.gyro.bias_variance_rad2_s2, &s.joint[0].position_rad, &s.joint[1].position_rad,
+        &s.x_m,
+        &s.y_m,
+        &s.heading_rad,
+        &s.distance_m,
+        &s.turned_rad,
+        &s.linear_m_s,
+        &s.angular_rad_s,
+        &s.pose_covariance[0],
+        &s.pose_covariance[1],
+        &s.pose_covariance[2],
+        &s.pose_covariance[3],
+        &s.pose_covariance[4],
+        &s.pose_covariance[5],
+        &s.twist_covariance[0],
+        &s.twist_covariance[1],
+        &s.twist_covariance[2],
+        &s.gyro.yaw_rad,
+        &s.gyro.bias_rad_s,
+        &s.gyro.bias_variance_rad2_s2,
+        &s.joint[0].position_rad,
+        &s.joint[1].position_rad,
     };
     CHECK(odometry_finite(&s, 2));
     for (size_t i = 0; i < sizeof NUMBERS / sizeof NUMBERS[0]; i++) {
@@ -276,23 +313,23 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
 {
     static const struct {
         uint32_t bits;
-        int64_t steps, counts;  /* hundredths of a second, and counts in them */
+        int64_t steps, counts; /* hundredths of a second, and counts in them */
         double before_rad_s, velocity_rad_s, travel_rad;
         uint32_t jumps, degraded;
     } CASES[] = {
-        {32, 1, 2741, NAN, NAN, 2741 * COUNT_RAD, 0, 0},       /* 0.525 rad are 2737.9 counts, and 4 */
+        {32, 1, 2741, NAN, NAN, 2741 * COUNT_RAD, 0, 0}, /* 0.525 rad are 2737.9 counts, and 4 */
         {32, 1, 2742, NAN, NAN, 0.0, 1, 1},
         {32, 1, -2741, NAN, NAN, -2741 * COUNT_RAD, 0, 0},
         {32, 1, -2742, NAN, NAN, 0.0, 1, 1},
-        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1},                 /* the mean of both ends stands in */
+        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends stands in */
         {32, 1, 9000, NAN, 30.0, 0.30, 1, 1},
         {32, 1, 9000, 20.0, NAN, 0.0, 1, 1},
-        {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1},                  /* 52.55 rad/s: no wheel is so fast */
+        {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
         {32, 1, 9000, 20.0, 84.9, 0.5245, 1, 1},
-        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1},       /* as long as feedback counts, no longer */
-        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1},  /* too long ago to tell its turns by the velocity */
+        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1},      /* as long as feedback counts, no longer */
+        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1}, /* too long ago to tell its turns by the velocity */
         {15, 11, 19792, 34.0, 34.0, 19792 * COUNT_RAD, 0, 0},
-        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1},        /* it has changed too much */
+        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1}, /* it has changed too much */
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         base b = begun(CASES[i].bits);
@@ -329,16 +366,17 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
         double velocity_rad_s, setpoint_rad_s, travel_rad;
         uint32_t jumps;
     } CASES[] = {
-        {1, 5.0, 9.0, 0.05, 0}, {1, NAN, 9.0, 0.09, 0},  {40, 5.0, 9.0, 1.25, 0},
+        {1, 5.0, 9.0, 0.05, 0},     {1, NAN, 9.0, 0.09, 0}, {40, 5.0, 9.0, 1.25, 0},
         {1, -52.4, 0.0, -0.524, 0}, {1, 52.6, 0.0, 0.0, 1}, {1, NAN, NAN, 0.0, 1},
     };
     for (int i = 0; i < 6; i++) {
         double before_rad = b.state.joint[1].position_rad;
         uint32_t jumps = b.state.joint[1].jumps;
-        joint_setpoint wheels[JOINTS_MAX] = {
-            {.velocity_rad_s = CASES[i].setpoint_rad_s}, {.velocity_rad_s = CASES[i].setpoint_rad_s}};
-        for (int j = 0; j < 2; j++)
+        joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = CASES[i].setpoint_rad_s},
+                                             {.velocity_rad_s = CASES[i].setpoint_rad_s}};
+        for (int j = 0; j < 2; j++) {
             b.feedback[j].stamp_ns += CASES[i].steps * STEP_NS, b.feedback[j].velocity_rad_s = CASES[i].velocity_rad_s;
+        }
         odometry_step(&b.state, &b.config, b.feedback, stale, wheels);
         CHECK(near(b.state.joint[1].position_rad - before_rad, CASES[i].travel_rad));
         CHECK(b.state.joint[1].jumps == jumps + CASES[i].jumps && b.state.degraded == 1);
@@ -363,8 +401,9 @@ static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
         for (int j = 0; j < 4; j++) {
             feedback[j].velocity_rad_s = NAN;
             feedback[j].count += 1000;
-            if (!stale[j])
+            if (!stale[j]) {
                 feedback[j].stamp_ns = step * STEP_NS;
+            }
         }
         odometry_step(&state, &config, feedback, stale, wheels);
         CHECK(state.degraded == stale[2] && state.blind == 0 && state.stamp_ns == step * STEP_NS);

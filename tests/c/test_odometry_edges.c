@@ -19,11 +19,19 @@ typedef struct {
 
 static base begun(uint32_t bits)
 {
-    base b = {.config = {.joint_count = 2, .track_m = 0.5, .feedback_timeout_s = 0.25, .distance_variance_m2_per_m = 1e-4,
+    base b = {.config = {.joint_count = 2,
+                         .track_m = 0.5,
+                         .feedback_timeout_s = 0.25,
+                         .distance_variance_m2_per_m = 1e-4,
                          .turn_variance_rad2_per_rad = 1e-3}};
-    for (int j = 0; j < 2; j++)
-        b.config.joint[j] = (joint_config){.side = 2.0 * j - 1.0, .wheel_radius_m = 0.1, .velocity_min_rad_s = -35.0,
-                                           .velocity_max_rad_s = 35.0, .rad_per_count = COUNT_RAD, .counter_bits = bits};
+    for (int j = 0; j < 2; j++) {
+        b.config.joint[j] = (joint_config){.side = 2.0 * j - 1.0,
+                                           .wheel_radius_m = 0.1,
+                                           .velocity_min_rad_s = -35.0,
+                                           .velocity_max_rad_s = 35.0,
+                                           .rad_per_count = COUNT_RAD,
+                                           .counter_bits = bits};
+    }
     odometry_init(&b.state, &b.config);
     return b;
 }
@@ -37,8 +45,9 @@ static void comes(base *b, int j, int64_t after_ns, int64_t counts, double veloc
 
 static const joint_odometry *heard(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
 {
-    for (int j = 0; j < 2; j++)
+    for (int j = 0; j < 2; j++) {
         comes(b, j, after_ns, counts, velocity_rad_s);
+    }
     odometry_step(&b->state, &b->config, b->feedback, HEARD, b->setpoint);
     return &b->state.joint[0];
 }
@@ -51,14 +60,17 @@ static bool near(double value, double expected)
 static void a_narrow_counter_goes_on_beyond_its_end(void)
 {
     base b = begun(16);
-    for (int j = 0; j < 2; j++)
+    for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 65530;
+    }
     heard(&b, STEP_NS, 0, NAN);
-    for (int j = 0; j < 2; j++)
+    for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 4;
+    }
     CHECK(near(heard(&b, STEP_NS, 0, NAN)->position_rad, 10 * COUNT_RAD) && b.state.joint[0].jumps == 0);
-    for (int j = 0; j < 2; j++)
+    for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 65500;
+    }
     CHECK(near(heard(&b, STEP_NS, 0, NAN)->position_rad, -30 * COUNT_RAD) && b.state.joint[0].jumps == 0);
 }
 
@@ -74,8 +86,9 @@ static void what_a_joint_can_reach_is_worked_out_at_the_beginning(void)
     odometry_init(&b.state, &b.config);
     CHECK(c->reach_rad_s == 60.0 && c->counter_unused_max_rad == 15.0);
     CHECK(b.state.joint[1].constant.reach_rad_s == 52.5);
-    for (int j = 0; j < JOINTS_MAX; j++)
+    for (int j = 0; j < JOINTS_MAX; j++) {
         CHECK(isnan(b.state.joint[j].velocity_rad_s) && b.state.joint[j].position_rad == 0.0);
+    }
 }
 
 /* What came before the reset counts for no arc after it, whichever side brought it. */
@@ -107,13 +120,13 @@ static void whole_turns_are_told_by_velocities_that_are_sure_enough(void)
         double before_rad_s, after_rad_s;
         bool believed;
     } CASES[] = {
-        {11, 19505, 34.0 - 10.85, 34.0 + 10.85, true},      /* 1.19 of change and 0.37 of error: a quarter turn is 1.57 */
+        {11, 19505, 34.0 - 10.85, 34.0 + 10.85, true}, /* 1.19 of change and 0.37 of error: a quarter turn is 1.57 */
         {11, 19505, 34.0 - 10.90, 34.0 + 10.90, false},
-        {11, 27640, 34.0, 34.0, true},                      /* 1.56 rad beside what was measured */
+        {11, 27640, 34.0, 34.0, true}, /* 1.56 rad beside what was measured */
         {11, 27744, 34.0, 34.0, false},
         {11, 11369, 34.0, 34.0, true},
         {11, 11265, 34.0, 34.0, false},
-        {25, 44329, 34.0, 34.0, true},                      /* as long as feedback counts */
+        {25, 44329, 34.0, 34.0, true}, /* as long as feedback counts */
         {26, 46102, 34.0, 34.0, false},
         {11, -27640, -34.0, -34.0, true},
         {11, -27744, -34.0, -34.0, false},
@@ -152,8 +165,9 @@ static void an_estimate_is_taken_back_by_the_counts_that_follow(void)
 static void a_new_origin_has_nothing_left_from_before_it(void)
 {
     base b = begun(32);
-    for (int i = 0; i < 10; i++)
+    for (int i = 0; i < 10; i++) {
         heard(&b, STEP_NS, 0, NAN);
+    }
     b.feedback[0].epoch++, b.feedback[1].epoch++;
     heard(&b, STEP_NS, 5000, NAN);
     CHECK(heard(&b, STEP_NS, 10430, NAN)->jumps == 1);
@@ -182,12 +196,14 @@ static void a_speed_is_that_of_the_time_in_which_the_way_was_gone(void)
     heard(&b, STEP_NS, 0, NAN);
     CHECK(near(heard(&b, STEP_NS, 1000, NAN)->velocity_rad_s, 1000 * COUNT_RAD / 0.01));
     b = begun(32);
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         heard(&b, STEP_NS, 0, NAN);
+    }
     CHECK(near(heard(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01)); /* within the slack */
     b = begun(32);
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         heard(&b, STEP_NS, 0, NAN);
+    }
     CHECK(near(heard(&b, STEP_NS, 2742, NAN)->velocity_rad_s, 2742 * COUNT_RAD / 0.03));
 }
 
@@ -211,8 +227,9 @@ static void after_one_that_was_refused_all_the_time_since_the_last_good_one_coun
         CHECK(far || near(b.state.joint[0].velocity_rad_s, 5479 * COUNT_RAD / 0.02));
     }
     base b = begun(32);
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < 4; i++) {
         heard(&b, STEP_NS, 0, NAN);
+    }
     heard(&b, STEP_NS, 90000, NAN);
     CHECK(heard(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1); /* the steps before the jump were not used */
 }
@@ -231,8 +248,9 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
 {
     for (int seed = 0; seed < 2; seed++) {
         base b = begun(32);
-        if (!seed)
+        if (!seed) {
             heard(&b, STEP_NS, 0, 20.0);
+        }
         comes(&b, 0, STEP_NS, seed ? 0 : 90000, 20.0);
         odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
         comes(&b, 0, STEP_NS, seed ? 1000 : -89000, 20.0);
@@ -252,8 +270,9 @@ static void a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring(void)
     odometry_init(&b.state, &b.config);
     uint32_t stale[JOINTS_MAX] = {1, 0, 0, 1};
     for (int step = 0; step < 3; step++) {
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             comes(&b, j, STEP_NS, 100, NAN);
+        }
         stale[3] = step < 2;
         odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
         CHECK(b.state.degraded == 1 && b.state.blind == 0);
@@ -266,8 +285,9 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
     static const double HALF_RAD[] = {1e-4, 0.05, 0.0999, 0.1001, 0.14, 0.3, 0.9};
     for (size_t i = 0; i < sizeof HALF_RAD / sizeof HALF_RAD[0]; i++) {
         base b = begun(32);
-        for (int j = 0; j < 2; j++)
+        for (int j = 0; j < 2; j++) {
             b.config.joint[j].velocity_max_rad_s = 1e4;
+        }
         odometry_init(&b.state, &b.config);
         heard(&b, STEP_NS, 0, NAN);
         int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), way = 40000;
@@ -284,8 +304,8 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
 static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
 {
     base b = begun(32);
-    b.config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .heading_variance_rad2_per_s = 1e-5,
-                                  .turn_variance_rad2_per_rad = 1e-3};
+    b.config.gyro =
+        (gyro_config){.used = 1, .timeout_s = 0.05, .heading_variance_rad2_per_s = 1e-5, .turn_variance_rad2_per_rad = 1e-3};
     heard(&b, STEP_NS, 0, NAN);
     gyro_state *gyro = &b.state.gyro;
     gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns;
@@ -344,8 +364,9 @@ static void a_side_that_only_begins_makes_no_turn(void)
             uint32_t stale[JOINTS_MAX] = {0};
             stale[side] = step == 2;
             stale[side + 2] = step == 3;
-            for (int j = 0; j < 4; j++)
+            for (int j = 0; j < 4; j++) {
                 comes(&b, j, STEP_NS, 1000, NAN);
+            }
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
             int arcs = step < 3 ? step : step - 1;
             CHECK(near(b.state.distance_m, arcs * 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
@@ -382,8 +403,9 @@ static void samples_that_are_no_newer_than_the_last_arc_tell_no_speed(void)
         uint32_t stale[JOINTS_MAX] = {0};
         for (int step = 0; step < 3; step++) {
             stale[2] = step == 2;
-            for (int j = 0; j < 4; j++)
+            for (int j = 0; j < 4; j++) {
                 comes(&b, j, step == 0 ? STEP_NS + (j == 2 ? STEP_NS + short_ns : 0) : STEP_NS, 100, NAN);
+            }
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
         }
         CHECK(near(b.state.distance_m, 200 * COUNT_RAD * 0.1) && near(b.state.linear_m_s, 100 * COUNT_RAD * 0.1 / 0.01));

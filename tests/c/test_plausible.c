@@ -9,8 +9,17 @@ static const int64_t STEP_NS = 10000000;
 static const double STEP_S = 0.01;
 
 static const plausible_config CHECKS = {
-    .setpoint_min_rad_s = 1.5, .slow_rad_s = 0.3, .short_rad_s = 6.0, .beyond_rad_s = 6.0, .apart_rad_s = 1.5,
-    .progress_rad_s = 0.15, .direction_s = 0.5, .stall_s = 1.0, .following_s = 1.0, .runaway_s = 0.5, .apart_s = 1.0,
+    .setpoint_min_rad_s = 1.5,
+    .slow_rad_s = 0.3,
+    .short_rad_s = 6.0,
+    .beyond_rad_s = 6.0,
+    .apart_rad_s = 1.5,
+    .progress_rad_s = 0.15,
+    .direction_s = 0.5,
+    .stall_s = 1.0,
+    .following_s = 1.0,
+    .runaway_s = 0.5,
+    .apart_s = 1.0,
     .jumps_max = 3,
 };
 
@@ -24,8 +33,8 @@ typedef struct {
 /* As the core does. */
 static bool taken(wheel *w, double reported_rad_s, double setpoint_rad_s)
 {
-    return !plausible_due(&w->state, &w->joint)
-        || plausible(&w->state, &w->config, &w->joint, reported_rad_s, setpoint_rad_s, &w->why);
+    return !plausible_due(&w->state, &w->joint) ||
+           plausible(&w->state, &w->config, &w->joint, reported_rad_s, setpoint_rad_s, &w->why);
 }
 
 static wheel begun(double speed_rad_s)
@@ -42,8 +51,9 @@ static double until_fault(wheel *w, double seconds, double turns_rad_s, double r
         w->joint.stamp_ns += STEP_NS;
         w->joint.position_rad += turns_rad_s * STEP_S;
         w->joint.velocity_rad_s = turns_rad_s;
-        if (!taken(w, reported_rad_s, setpoint_rad_s))
+        if (!taken(w, reported_rad_s, setpoint_rad_s)) {
             return step * STEP_S;
+        }
     }
     return INFINITY;
 }
@@ -129,16 +139,19 @@ static void a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_
 {
     wheel w = begun(0.0);
     double speed_rad_s = 0.0;
-    for (; speed_rad_s < 8.0; speed_rad_s += 0.01)
+    for (; speed_rad_s < 8.0; speed_rad_s += 0.01) {
         CHECK(isinf(until_fault(&w, STEP_S, speed_rad_s, speed_rad_s, 15.0)));
+    }
     double found_s = until_fault(&w, 3.0, speed_rad_s, speed_rad_s, 15.0);
     CHECK(found_s > 1.0 && found_s < 2.0 && w.why.fault == FAULT_FOLLOWING_ERROR);
     w = begun(15.0);
-    for (speed_rad_s = 15.0; speed_rad_s > 0.0; speed_rad_s -= 0.01)
+    for (speed_rad_s = 15.0; speed_rad_s > 0.0; speed_rad_s -= 0.01) {
         CHECK(isinf(until_fault(&w, STEP_S, speed_rad_s, speed_rad_s, 0.0)));
+    }
     /* what was reached the last time is no mark for this time */
-    for (; speed_rad_s < 5.0; speed_rad_s += 0.01)
+    for (; speed_rad_s < 5.0; speed_rad_s += 0.01) {
         CHECK(isinf(until_fault(&w, STEP_S, speed_rad_s, speed_rad_s, 15.0)));
+    }
 }
 
 static void a_check_that_holds_again_begins_anew(void)
@@ -168,9 +181,11 @@ static void a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean(vo
 {
     wheel w = begun(5.0);
     double found_s = INFINITY;
-    for (int step = 0; step < 300 && isinf(found_s); step++)
-        if (!isinf(until_fault(&w, STEP_S, 5.0, step % 2 == 0 ? 343.0 : -343.0, 5.0)))
+    for (int step = 0; step < 300 && isinf(found_s); step++) {
+        if (!isinf(until_fault(&w, STEP_S, 5.0, step % 2 == 0 ? 343.0 : -343.0, 5.0))) {
             found_s = step * STEP_S;
+        }
+    }
     CHECK(found_s < 1.5 && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK && fabs(w.why.reported_rad_s) == 343.0);
 }
 
@@ -205,17 +220,34 @@ static void each_tolerance_ends_where_it_says(void)
         double measured_rad_s, reported_rad_s, rough_rad_s, setpoint_rad_s;
         uint32_t suspicious;
     } CASES[] = {
-        {-0.25, -0.25, 0, 1.5, DIRECTION}, {-0.2499, -0.2499, 0, 1.5, STALL}, {0.25, 0.25, 0, 1.5, 0},
-        {0.2499, 0.2499, 0, 1.5, STALL}, {-0.25, -0.25, 0, 1.4999, 0}, {0.0, 0.0, 0, 1.4999, 0},
-        {0.25, 0.25, 0, -1.5, DIRECTION}, {-0.2499, -0.2499, 0, -1.5, STALL},
-        {6.0, 6.0, 0, 12.0, 0}, {6.0, 6.0, 0, 12.001, FOLLOWING}, {-6.0, -6.0, 0, -12.001, FOLLOWING},
-        {12.0, 12.0, 0, 6.0, 0}, {12.001, 12.001, 0, 6.0, RUNAWAY}, {-12.001, -12.001, 0, -6.0, RUNAWAY},
+        {-0.25, -0.25, 0, 1.5, DIRECTION},
+        {-0.2499, -0.2499, 0, 1.5, STALL},
+        {0.25, 0.25, 0, 1.5, 0},
+        {0.2499, 0.2499, 0, 1.5, STALL},
+        {-0.25, -0.25, 0, 1.4999, 0},
+        {0.0, 0.0, 0, 1.4999, 0},
+        {0.25, 0.25, 0, -1.5, DIRECTION},
+        {-0.2499, -0.2499, 0, -1.5, STALL},
+        {6.0, 6.0, 0, 12.0, 0},
+        {6.0, 6.0, 0, 12.001, FOLLOWING},
+        {-6.0, -6.0, 0, -12.001, FOLLOWING},
+        {12.0, 12.0, 0, 6.0, 0},
+        {12.001, 12.001, 0, 6.0, RUNAWAY},
+        {-12.001, -12.001, 0, -6.0, RUNAWAY},
         {12.001, 12.001, 0, -6.0, DIRECTION | FOLLOWING | RUNAWAY},
-        {4.0, 0.5, 0, 4.0, 0}, {4.0, 0.49, 0, 4.0, IMPLAUSIBLE}, {1.0, 5.0, 0, 1.0, 0}, {1.0, 5.01, 0, 1.0, IMPLAUSIBLE},
-        {-4.0, -0.49, 0, -4.0, IMPLAUSIBLE}, {2.0, -0.51, 0, 2.0, IMPLAUSIBLE}, {2.0, -0.49, 0, 2.0, 0},
-        {-7.0, -7.0, 0, 0.05, FOLLOWING | RUNAWAY}, {7.0, 7.0, 0, -0.05, FOLLOWING | RUNAWAY},
-        {0.0, 0.0, 6.29, 0.0, 0}, {0.0, 0.0, 6.31, 0.0, IMPLAUSIBLE},   /* less a twenty-first by the next sample */
-        {4.0, 4.0, 8.39, 4.0, 0}, {4.0, 4.0, 8.41, 4.0, IMPLAUSIBLE},
+        {4.0, 0.5, 0, 4.0, 0},
+        {4.0, 0.49, 0, 4.0, IMPLAUSIBLE},
+        {1.0, 5.0, 0, 1.0, 0},
+        {1.0, 5.01, 0, 1.0, IMPLAUSIBLE},
+        {-4.0, -0.49, 0, -4.0, IMPLAUSIBLE},
+        {2.0, -0.51, 0, 2.0, IMPLAUSIBLE},
+        {2.0, -0.49, 0, 2.0, 0},
+        {-7.0, -7.0, 0, 0.05, FOLLOWING | RUNAWAY},
+        {7.0, 7.0, 0, -0.05, FOLLOWING | RUNAWAY},
+        {0.0, 0.0, 6.29, 0.0, 0},
+        {0.0, 0.0, 6.31, 0.0, IMPLAUSIBLE}, /* less a twenty-first by the next sample */
+        {4.0, 4.0, 8.39, 4.0, 0},
+        {4.0, 4.0, 8.41, 4.0, IMPLAUSIBLE},
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         wheel w = steady(CASES[i].measured_rad_s, CASES[i].reported_rad_s);
@@ -226,7 +258,7 @@ static void each_tolerance_ends_where_it_says(void)
     wheel first = steady(0.0, 0.0), second = first;
     first.state.rough_rad_s = second.state.rough_rad_s = 6.3;
     CHECK(plausible(&first.state, &first.config, &first.joint, 0.0, 0.0, &first.why));
-    second.config.beyond_rad_s = first.state.rough_rad_s;   /* exactly as much as there may be */
+    second.config.beyond_rad_s = first.state.rough_rad_s; /* exactly as much as there may be */
     CHECK(plausible(&second.state, &second.config, &second.joint, 0.0, 0.0, &second.why) && second.state.suspicious == 0);
 }
 
@@ -236,10 +268,10 @@ static void what_comes_nearer_begins_its_time_anew(void)
         double measured_rad_s, nearest_rad_s, setpoint_rad_s;
         uint32_t faster, suspicious, anew;
     } CASES[] = {
-        {-1.0, -2.0, 2.0, 1, DIRECTION, 1},    {-2.0, -2.0, 2.0, 1, DIRECTION, 0},   {0.125, -0.125, 2.0, 1, STALL, 1},
-        {4.125, 4.0, 12.0, 1, FOLLOWING, 0},   {4.126, 4.0, 12.0, 1, FOLLOWING, 1},  {3.0, 4.0, 12.0, 1, FOLLOWING, 0},
-        {4.0, 4.0, 12.0, 0, FOLLOWING, 1},     {4.0, 4.0, 12.0, 1, IMPLAUSIBLE, 1},  {4.0, 4.0, 12.0, 1, STALL, 0},
-        {12.875, 13.0, 6.0, 0, RUNAWAY, 0},    {12.874, 13.0, 6.0, 0, RUNAWAY, 1},   {14.0, 13.0, 6.0, 0, RUNAWAY, 0},
+        {-1.0, -2.0, 2.0, 1, DIRECTION, 1},    {-2.0, -2.0, 2.0, 1, DIRECTION, 0},     {0.125, -0.125, 2.0, 1, STALL, 1},
+        {4.125, 4.0, 12.0, 1, FOLLOWING, 0},   {4.126, 4.0, 12.0, 1, FOLLOWING, 1},    {3.0, 4.0, 12.0, 1, FOLLOWING, 0},
+        {4.0, 4.0, 12.0, 0, FOLLOWING, 1},     {4.0, 4.0, 12.0, 1, IMPLAUSIBLE, 1},    {4.0, 4.0, 12.0, 1, STALL, 0},
+        {12.875, 13.0, 6.0, 0, RUNAWAY, 0},    {12.874, 13.0, 6.0, 0, RUNAWAY, 1},     {14.0, 13.0, 6.0, 0, RUNAWAY, 0},
         {-12.874, -13.0, -6.0, 1, RUNAWAY, 1}, {-4.126, -4.0, -12.0, 0, FOLLOWING, 1},
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
@@ -247,12 +279,14 @@ static void what_comes_nearer_begins_its_time_anew(void)
         w.state.nearest_rad_s = CASES[i].nearest_rad_s;
         w.state.faster = CASES[i].faster;
         w.state.suspicious = CASES[i].suspicious;
-        for (int check = 0; check < 5; check++)
+        for (int check = 0; check < 5; check++) {
             w.state.since_ns[check] = 1;
+        }
         CHECK(plausible(&w.state, &w.config, &w.joint, NAN, CASES[i].setpoint_rad_s, &w.why));
-        int check = CASES[i].suspicious == DIRECTION ? 0 : fabs(CASES[i].measured_rad_s) < 0.25 ? 1
-            : fabs(CASES[i].setpoint_rad_s) > 10.0   ? 2
-                                                     : 3;
+        int check = CASES[i].suspicious == DIRECTION       ? 0
+                    : fabs(CASES[i].measured_rad_s) < 0.25 ? 1
+                    : fabs(CASES[i].setpoint_rad_s) > 10.0 ? 2
+                                                           : 3;
         bool was = (CASES[i].suspicious >> check & 1) != 0;
         CHECK(w.state.since_ns[check] == (CASES[i].anew || !was ? w.joint.stamp_ns : 1));
         CHECK(w.state.nearest_rad_s == (CASES[i].anew ? CASES[i].measured_rad_s : CASES[i].nearest_rad_s));

@@ -35,7 +35,7 @@ static bool slots_are_apart(const mailbox *box)
 /* Also in the moments between: what the reader holds is not written to, and what the writer fills is not read. */
 static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 {
-    mailbox box = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX};   /* whatever was there before */
+    mailbox box = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX}; /* whatever was there before */
     uint32_t slot[MAILBOX_SLOTS] = {0}, value = 0;
     mailbox_init(&box);
     CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0);
@@ -51,7 +51,7 @@ static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 
 static void a_ring_gives_all_in_order_and_takes_no_more_than_it_holds(void)
 {
-    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1};   /* its positions wrap */
+    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1}; /* its positions wrap */
     uint64_t places[4], out = 0;
     CHECK(!ring_take(&r, places, 4, &out, sizeof out));
     for (uint64_t round = 0; round < 3; round++) {
@@ -211,7 +211,7 @@ static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
     for (uint32_t slot = 0; slot < 4; slot++) {
         all_zero(page + SLOTS_AT + slot * stride, 8 + sizeof(robot_state));
     }
-    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA);   /* and nothing behind the last */
+    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing behind the last */
 }
 
 static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
@@ -232,15 +232,23 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
     CHECK(page_read(page, &read) == -EAGAIN);
     set_word(page, SLOTS_AT, 2 * 9);
     CHECK(page_read(page, &read) == 0);
-    set_word(page, PUBLISHED_AT, 10);   /* the slot of the tenth still holds the sixth */
+    set_word(page, PUBLISHED_AT, 10); /* the slot of the tenth still holds the sixth */
     CHECK(page_read(page, &read) == -EAGAIN);
     CHECK(stride == 8 + sizeof read + (64 - (8 + sizeof read) % 64) % 64);
 }
 
 /* Offsets as docs/replay.md gives them. */
 enum {
-    RECORD_COUNT_AT = 12, RECORD_STRIDE_AT = 16, RECORDS_AT = 20, RECORD_BYTES_AT = 24, CHECKPOINT_COUNT_AT = 28,
-    CHECKPOINT_STRIDE_AT = 32, CHECKPOINTS_AT = 36, CHECKPOINT_BYTES_AT = 40, JOURNAL_WRITER_PID_AT = 44, WRITTEN_AT = 48
+    RECORD_COUNT_AT = 12,
+    RECORD_STRIDE_AT = 16,
+    RECORDS_AT = 20,
+    RECORD_BYTES_AT = 24,
+    CHECKPOINT_COUNT_AT = 28,
+    CHECKPOINT_STRIDE_AT = 32,
+    CHECKPOINTS_AT = 36,
+    CHECKPOINT_BYTES_AT = 40,
+    JOURNAL_WRITER_PID_AT = 44,
+    WRITTEN_AT = 48
 };
 
 /* The slot's whole content, when it holds `number`. */
@@ -276,7 +284,7 @@ static void a_journal_holds_what_went_in_and_what_came_out(void)
     memcpy(written, journal + WRITTEN_AT, sizeof written);
     CHECK(written[0] == JOURNAL_RECORDS + 1 && written[1] == 1 + JOURNAL_RECORDS / JOURNAL_CHECKPOINT_EVERY);
     const uint8_t *records = journal + place(journal, RECORDS_AT);
-    CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record));   /* the first slot, for the second time */
+    CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record)); /* the first slot, for the second time */
     CHECK(record.tick == JOURNAL_RECORDS + 1 && record.dt_s == 0.001 && record.digest == journal_digest(&snapshot));
     CHECK(memcmp(&record.input, &input, sizeof input) == 0 && memcmp(&record.out, &out, sizeof out) == 0);
     CHECK(holds(records + place(journal, RECORD_STRIDE_AT), 2, &record, sizeof record) && record.tick == 2);
@@ -396,9 +404,9 @@ static void a_late_tick_skips_and_never_bursts(void)
     for (int64_t late_ns = 0; late_ns <= 500; late_ns++) {
         int64_t deadline_ns = 1000;
         uint64_t skipped = schedule_next(&deadline_ns, 100, 1000 + late_ns);
-        CHECK(deadline_ns % 100 == 0);                       /* on the grid */
-        CHECK(deadline_ns >= 1000 + late_ns);                /* not past */
-        CHECK(deadline_ns - 100 < 1000 + late_ns || skipped == 0);   /* the first such */
+        CHECK(deadline_ns % 100 == 0);                             /* on the grid */
+        CHECK(deadline_ns >= 1000 + late_ns);                      /* not past */
+        CHECK(deadline_ns - 100 < 1000 + late_ns || skipped == 0); /* the first such */
         CHECK((int64_t)skipped == (deadline_ns - 1100) / 100);
     }
 }

@@ -85,8 +85,13 @@ static void a_mask_takes_its_bits_with_their_sign(void)
 /* FC03 of two registers from unit 1, and its reply. */
 static line_frame reading(void)
 {
-    line_frame frame = {.request_bytes = 8, .reply_bytes = 9, .match_bytes = 3, .request_seal = SEAL_CRC16,
-                        .reply_seal = SEAL_CRC16, .has_exceptions = 1, .match = {1, 3, 4},
+    line_frame frame = {.request_bytes = 8,
+                        .reply_bytes = 9,
+                        .match_bytes = 3,
+                        .request_seal = SEAL_CRC16,
+                        .reply_seal = SEAL_CRC16,
+                        .has_exceptions = 1,
+                        .match = {1, 3, 4},
                         .request = {1, 3, 0, 16, 0, 2}};
     rtu_seal(frame.request, 8, SEAL_CRC16);
     return frame;
@@ -95,8 +100,13 @@ static line_frame reading(void)
 /* FC06: the reply is the request. */
 static line_frame writing(void)
 {
-    line_frame frame = {.request_bytes = 8, .reply_bytes = 8, .echo_bytes = 6, .request_seal = SEAL_CRC16,
-                        .reply_seal = SEAL_CRC16, .has_exceptions = 1, .request = {1, 6, 0, 16, 0, 2}};
+    line_frame frame = {.request_bytes = 8,
+                        .reply_bytes = 8,
+                        .echo_bytes = 6,
+                        .request_seal = SEAL_CRC16,
+                        .reply_seal = SEAL_CRC16,
+                        .has_exceptions = 1,
+                        .request = {1, 6, 0, 16, 0, 2}};
     rtu_seal(frame.request, 8, SEAL_CRC16);
     return frame;
 }
@@ -151,13 +161,13 @@ static void what_is_not_the_answer_is_none(void)
 {
     line_frame frame = reading();
     uint8_t reply[9];
-    for (uint32_t bit = 0; bit < 72; bit++) {   /* one wrong bit anywhere */
+    for (uint32_t bit = 0; bit < 72; bit++) { /* one wrong bit anywhere */
         memcpy(reply, good_reply(), 9);
         reply[bit / 8] ^= (uint8_t)(1 << bit % 8);
         CHECK(is(find(&frame, 0, reply, 9), HEARD_MORE, 0, 0));
     }
     static const uint8_t others[][3] = {{2, 3, 4}, {1, 4, 4}, {1, 3, 2}, {0, 3, 4}};
-    for (uint32_t n = 0; n < 4; n++) {          /* well sealed, and another unit's, function's, length's */
+    for (uint32_t n = 0; n < 4; n++) { /* well sealed, and another unit's, function's, length's */
         memcpy(reply, good_reply(), 9);
         memcpy(reply, others[n], 3);
         rtu_seal(reply, 9, SEAL_CRC16);
@@ -177,7 +187,7 @@ static void a_write_is_answered_by_its_own_first_bytes(void)
         rtu_seal(other, 8, SEAL_CRC16);
         CHECK(is(find(&frame, 0, other, 8), HEARD_MORE, 0, 0));
     }
-    line_frame many = writing();   /* FC16: the reply is shorter than the request */
+    line_frame many = writing(); /* FC16: the reply is shorter than the request */
     many.request[1] = 16;
     many.request_bytes = 13;
     rtu_seal(many.request, 13, SEAL_CRC16);
@@ -201,7 +211,7 @@ static void a_refusal_is_told_with_its_code(void)
     frame.has_exceptions = 0;
     CHECK(is(find(&frame, 0, refusal, 6), HEARD_MORE, 0, 0));
     frame.has_exceptions = 1;
-    for (uint32_t at = 1; at < 6; at++) {       /* another unit, function, code without its seal */
+    for (uint32_t at = 1; at < 6; at++) { /* another unit, function, code without its seal */
         uint8_t wrong[8];
         memcpy(wrong, refusal, 8);
         wrong[at] ^= 0x01;
@@ -211,7 +221,7 @@ static void a_refusal_is_told_with_its_code(void)
             CHECK(is(find(&frame, 0, wrong, 6), HEARD_MORE, 0, 0));
         }
     }
-    uint8_t plain[5] = {1, 3, 2};   /* the function without its top bit is none */
+    uint8_t plain[5] = {1, 3, 2}; /* the function without its top bit is none */
     rtu_seal(plain, 5, SEAL_CRC16);
     CHECK(is(find(&frame, 0, plain, 5), HEARD_MORE, 0, 0));
 }
@@ -229,7 +239,7 @@ static void an_adapter_that_hears_itself_brings_the_request_first(void)
     CHECK(is(find(&frame, 1, bytes, count), HEARD_ANSWER, 8, 1));
     CHECK(is(find(&frame, 0, bytes, count), HEARD_ANSWER, 8, 1));
     CHECK(is(find(&frame, 2, bytes, count), HEARD_ANSWER, 8, 1));
-    for (uint32_t at = 0; at < 8; at++) {       /* two have talked at once */
+    for (uint32_t at = 0; at < 8; at++) { /* two have talked at once */
         uint8_t collided[ROOM];
         memcpy(collided, bytes, count);
         collided[at] ^= 0x80;
@@ -281,7 +291,7 @@ static void no_answer_begins_within_the_echo(void)
     line_frame frame = reading();
     uint8_t bytes[9];
     for (uint32_t value = 0; value < 0x10000; value++) {
-        frame.request[2] = 4;   /* as the byte count of the reply would be */
+        frame.request[2] = 4; /* as the byte count of the reply would be */
         frame.request[4] = (uint8_t)(value >> 8);
         frame.request[5] = (uint8_t)value;
         rtu_seal(frame.request, 8, SEAL_CRC16);
@@ -308,8 +318,13 @@ static void nothing_heard_is_nothing_said(void)
 
 static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
 {
-    line_frame frame = {.request_bytes = 10, .reply_bytes = 10, .match_bytes = 1, .request_seal = SEAL_CRC8,
-                        .reply_seal = SEAL_CRC8, .match = {1}, .request = {1, 0x64, 0, 50}};
+    line_frame frame = {.request_bytes = 10,
+                        .reply_bytes = 10,
+                        .match_bytes = 1,
+                        .request_seal = SEAL_CRC8,
+                        .reply_seal = SEAL_CRC8,
+                        .match = {1},
+                        .request = {1, 0x64, 0, 50}};
     rtu_seal(frame.request, 10, SEAL_CRC8);
     uint8_t reply[10] = {1, 2, 0, 3, 0, 49, 0x12, 0x34, 0};
     rtu_seal(reply, 10, SEAL_CRC8);
@@ -328,10 +343,15 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
     CHECK(is(find(&asked, 0, reply, 3), HEARD_MORE, 0, 0));
     CHECK(is(find(&asked, 0, reply, 4), HEARD_ANSWER, 0, 0));
     CHECK(find(&asked, 2, reply, 5).kind == HEARD_BAD);
-    asked.request[0] = 0x81;   /* another's */
+    asked.request[0] = 0x81; /* another's */
     CHECK(find(&asked, 0, reply, 4).kind == HEARD_BAD);
-    line_frame told = {.request_bytes = 8, .reply_bytes = 1, .match_bytes = 1, .match = {0xFF}, .request_seal = SEAL_XMODEM,
-                       .exact = 1, .request = {0x80, 34}};
+    line_frame told = {.request_bytes = 8,
+                       .reply_bytes = 1,
+                       .match_bytes = 1,
+                       .match = {0xFF},
+                       .request_seal = SEAL_XMODEM,
+                       .exact = 1,
+                       .request = {0x80, 34}};
     rtu_seal(told.request, 8, SEAL_XMODEM);
     CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(told.request + 6, FORM_U16) == rtu_xmodem(0, told.request, 6));
     CHECK(is(find(&told, 0, reply + 4, 1), HEARD_ANSWER, 0, 0));

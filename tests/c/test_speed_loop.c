@@ -24,15 +24,28 @@ static core_config two_wheels(void)
 {
     axis_limits limits = {2.0, 2.0, 2.0, INFINITY};
     core_config config = {
-        .joint_count = WHEELS, .track_m = 0.5, .limits = {limits, limits}, .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25, .heartbeat_timeout_s = 0.5, .rest_velocity_rad_s = 0.05,
-        .distance_variance_m2_per_m = 1e-4, .turn_variance_rad2_per_rad = 1e-3, .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6, .twist_variance_floor_m2_s2 = 1e-5, .twist_variance_floor_rad2_s2 = 1e-5,
+        .joint_count = WHEELS,
+        .track_m = 0.5,
+        .limits = {limits, limits},
+        .command_timeout_s = 0.3,
+        .feedback_timeout_s = 0.25,
+        .heartbeat_timeout_s = 0.5,
+        .rest_velocity_rad_s = 0.05,
+        .distance_variance_m2_per_m = 1e-4,
+        .turn_variance_rad2_per_rad = 1e-3,
+        .pose_variance_floor_m2 = 1e-6,
+        .heading_variance_floor_rad2 = 1e-6,
+        .twist_variance_floor_m2_s2 = 1e-5,
+        .twist_variance_floor_rad2_s2 = 1e-5,
     };
-    for (uint32_t j = 0; j < WHEELS; j++)
-        config.joint[j] = (joint_config){.side = j == 0 ? -1.0 : 1.0, .wheel_radius_m = 0.1, .velocity_min_rad_s = -9.0,
-                                         .velocity_max_rad_s = 9.0, .pwm = {0.0, -1.0, 1.0, INFINITY, 9.0},
+    for (uint32_t j = 0; j < WHEELS; j++) {
+        config.joint[j] = (joint_config){.side = j == 0 ? -1.0 : 1.0,
+                                         .wheel_radius_m = 0.1,
+                                         .velocity_min_rad_s = -9.0,
+                                         .velocity_max_rad_s = 9.0,
+                                         .pwm = {0.0, -1.0, 1.0, INFINITY, 9.0},
                                          .speed_loop = GAINS};
+    }
     return config;
 }
 
@@ -41,8 +54,9 @@ static const robot_state *tick(base *b, double velocity_rad_s)
     b->input.now_ns += TICK_NS;
     b->input.control.heartbeat_ns = b->input.command.stamp_ns = b->input.now_ns;
     b->input.command.expires_ns = b->input.now_ns + 1000000000;
-    for (uint32_t j = 0; j < WHEELS; j++)
+    for (uint32_t j = 0; j < WHEELS; j++) {
         b->input.feedback[j] = (joint_feedback){.stamp_ns = b->input.now_ns, .velocity_rad_s = velocity_rad_s, .enabled = 1};
+    }
     core_step(&b->state, &b->input, 1e-3, &b->out, &b->shown);
     return &b->shown;
 }
@@ -74,8 +88,9 @@ static void a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed(void)
     base b;
     core_config config = two_wheels();
     armed(&b, &config);
-    for (int i = 0; i < 500; i++)
+    for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
+    }
     CHECK(b.out.joint[0].torque_n_m > 1.0 && b.out.joint[1].torque_n_m == b.out.joint[0].torque_n_m);
     b.input.control.armed = 0;
     tick(&b, 1.0);
@@ -91,8 +106,9 @@ static void a_wheel_beyond_all_speed_is_let_go(void)
     CHECK(b.shown.faults == 0);
     tick(&b, -14.0);
     CHECK(b.state.faults == FAULT_OVERSPEED && b.out.joint[0].torque_n_m == 0.0 && b.out.joint[1].torque_n_m == 0.0);
-    for (int i = 0; i < 100; i++)
+    for (int i = 0; i < 100; i++) {
         tick(&b, 0.0);
+    }
     CHECK(b.out.joint[0].torque_n_m == 0.0);
 }
 
@@ -103,14 +119,15 @@ static void a_wheel_that_is_not_heard_any_more_loses_its_integral_while_it_is_he
     core_config config = two_wheels();
     config.on_fault = STOP_RAMP;
     armed(&b, &config);
-    for (int i = 0; i < 500; i++)
+    for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
+    }
     CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
     while (b.state.stale[0] == 0) {
         b.input.now_ns += TICK_NS;
         b.input.control.heartbeat_ns = b.input.command.stamp_ns = b.input.now_ns;
         b.input.command.expires_ns = b.input.now_ns + 1000000000;
-        b.input.feedback[1].stamp_ns = b.input.now_ns;   /* the other one is heard */
+        b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other one is heard */
         CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
         core_step(&b.state, &b.input, 1e-3, &b.out, &b.shown);
     }
@@ -124,13 +141,15 @@ static void a_wheel_that_ran_away_loses_its_integral_at_once(void)
     base b;
     core_config config = two_wheels();
     armed(&b, &config);
-    for (int i = 0; i < 500; i++)
+    for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
+    }
     CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
     tick(&b, -14.0);
     CHECK(b.out.enabled == 1);
-    for (uint32_t j = 0; j < WHEELS; j++)
+    for (uint32_t j = 0; j < WHEELS; j++) {
         CHECK(b.state.speed_loop[j].integral_n_m == 0.0 && b.out.joint[j].torque_n_m == 0.0);
+    }
 }
 
 static void a_speed_that_is_no_number_is_no_torque(void)

@@ -84,8 +84,7 @@ static void *reads_the_page(void *unused)
         int code = page_read(page, &state);
         CHECK(code == 0 || code == -EAGAIN || (code == -ENODATA && last == 0));
         if (code == 0) {
-            CHECK(state.tick >= last && state.x_m == (double)state.tick &&
-                  state.joint[JOINTS_MAX - 1].jumps == state.tick);
+            CHECK(state.tick >= last && state.x_m == (double)state.tick && state.joint[JOINTS_MAX - 1].jumps == state.tick);
             last = state.tick;
         }
         (void)sched_yield();
@@ -135,10 +134,14 @@ static core_config base(void)
     config.pose_variance_floor_m2 = config.heading_variance_floor_rad2 = 1e-6;
     config.twist_variance_floor_m2_s2 = config.twist_variance_floor_rad2_s2 = 1e-6;
     for (uint32_t joint = 0; joint < 2; joint++) {
-        config.joint[joint] = (joint_config){
-            .side = joint == 0 ? -1 : 1, .wheel_radius_m = 0.1, .velocity_min_rad_s = -20, .velocity_max_rad_s = 20,
-            .rad_per_count = 0.001, .counter_bits = 32,
-            .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
+        config.joint[joint] =
+            (joint_config){.side = joint == 0 ? -1 : 1,
+                           .wheel_radius_m = 0.1,
+                           .velocity_min_rad_s = -20,
+                           .velocity_max_rad_s = 20,
+                           .rad_per_count = 0.001,
+                           .counter_bits = 32,
+                           .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
     }
     return config;
 }
@@ -154,9 +157,11 @@ static void *is_the_line(void *unused)
         CHECK(exchange_take_setpoints(x, 0, &wanted) >= 0);
         for (uint32_t joint = 0; joint < 2; joint++) {
             double velocity_rad_s = wanted.joint[joint].velocity_rad_s;
-            count[joint] += velocity_rad_s;   /* a millisecond of it at 0.001 rad a count */
-            joint_feedback feedback = {.stamp_ns = clock_now_ns(), .count = (uint64_t)(int64_t)count[joint],
-                                       .velocity_rad_s = velocity_rad_s, .enabled = 2};
+            count[joint] += velocity_rad_s; /* a millisecond of it at 0.001 rad a count */
+            joint_feedback feedback = {.stamp_ns = clock_now_ns(),
+                                       .count = (uint64_t)(int64_t)count[joint],
+                                       .velocity_rad_s = velocity_rad_s,
+                                       .enabled = 2};
             CHECK(exchange_put_feedback(x, joint, &feedback) == 0);
         }
         usleep(1000);
@@ -181,8 +186,12 @@ static void *is_asyncio(void *config)
         core_control control = {.heartbeat_ns = now_ns, .armed = n % 100 > 20, .limits = ((core_config *)config)->limits};
         double linear_m_s = n % 100 > 40 ? 0.3 : 0;
         exchange_put_control(x, &control);
-        command_datagram command = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST,
-                                    .sequence = n, .stamp_ns = now_ns, .linear_m_s = linear_m_s};
+        command_datagram command = {.magic = COMMAND_MAGIC,
+                                    .version = COMMAND_VERSION,
+                                    .kind = COMMAND_TWIST,
+                                    .sequence = n,
+                                    .stamp_ns = now_ns,
+                                    .linear_m_s = linear_m_s};
         CHECK(send(door[0], &command, sizeof command, 0) == (ssize_t)sizeof command);
         CHECK(exchange_take_commands(x, &commands) >= 0);
         loop_status_read(&status);
@@ -218,9 +227,13 @@ static void the_loop_runs_between_asyncio_and_a_line(void)
 {
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM | SOCK_NONBLOCK, 0, door) == 0);
     core_config core = base();
-    loop_config loop = {.rate_hz = 1000, .notify_every_ticks = 10, .page_fd = memfd_create("page", 0),
-                        .journal_fd = memfd_create("journal", 0), .event_fd = eventfd(0, EFD_NONBLOCK),
-                        .command_fd = epoll_create1(0), .stop_fd = -1};
+    loop_config loop = {.rate_hz = 1000,
+                        .notify_every_ticks = 10,
+                        .page_fd = memfd_create("page", 0),
+                        .journal_fd = memfd_create("journal", 0),
+                        .event_fd = eventfd(0, EFD_NONBLOCK),
+                        .command_fd = epoll_create1(0),
+                        .stop_fd = -1};
     struct epoll_event listened = {.events = EPOLLIN, .data.fd = door[1]};
     CHECK(epoll_ctl(loop.command_fd, EPOLL_CTL_ADD, door[1], &listened) == 0);
     void *shared_page;

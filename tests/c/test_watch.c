@@ -41,13 +41,15 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
         step_with(&r, &ARMING[i]);
         CHECK(r.shown.armed == ARMING[i].expected && r.shown.enabled == r.shown.armed && r.out.enabled == r.shown.armed);
         CHECK(((r.shown.reasons & REASON_NOT_ARMED) != 0) == !r.shown.armed && zero(&r));
-        if (r.shown.armed || !r.input.control.armed)
+        if (r.shown.armed || !r.input.control.armed) {
             continue;
+        }
         /* no later, when all is well again: it takes another edge */
         r.input.control.stop = r.input.control.estop = r.input.control.fault = r.input.suspended = 0;
         r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             r.input.feedback[j].drive_faults = 0;
+        }
         r.input.control.reset_count++;
         prepare(&r);
         CHECK(step(&r)->armed == 0 && r.shown.faults == 0);
@@ -64,9 +66,8 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
 static void a_stale_command_arms_and_moves_nothing(void)
 {
     static const change STALE[] = {
-        AGE_OF(command.stamp_ns, 300000000, 0), AGE_OF(command.stamp_ns, 300000001, 1),
-        AGE_OF(command.stamp_ns, -10000001, 1), AGE_OF(command.stamp_ns, NEVER, 1),
-        AGE_OF(command.expires_ns, 0, 0),       AGE_OF(command.expires_ns, 1, 1),
+        AGE_OF(command.stamp_ns, 300000000, 0), AGE_OF(command.stamp_ns, 300000001, 1), AGE_OF(command.stamp_ns, -10000001, 1),
+        AGE_OF(command.stamp_ns, NEVER, 1),     AGE_OF(command.expires_ns, 0, 0),       AGE_OF(command.expires_ns, 1, 1),
     };
     core_config config = good_config();
     for (int i = 0; i < COUNT_OF(STALE); i++) {
@@ -78,8 +79,9 @@ static void a_stale_command_arms_and_moves_nothing(void)
         CHECK(r.shown.armed == STALE[i].expected);
         CHECK(((r.shown.reasons & REASON_COMMAND_STALE) != 0) == STALE[i].expected);
         CHECK(r.shown.wanted_linear_m_s == (STALE[i].expected ? 0.0 : 0.5));
-        for (int times = 0; times < 50; times++)
+        for (int times = 0; times < 50; times++) {
             CHECK(step_with(&r, &STALE[i])->setpoint_linear_m_s == 0.0 && zero(&r));
+        }
     }
 }
 
@@ -104,8 +106,8 @@ static const change FAULTS_WHILE_ARMED[] = {
 
 static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
 {
-    for (int action = STOP_RAMP; action <= STOP_COAST; action++)
-        for (int stopped = 0; stopped < 2; stopped++)
+    for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
+        for (int stopped = 0; stopped < 2; stopped++) {
             for (int i = 0; i < COUNT_OF(FAULTS_WHILE_ARMED); i++) {
                 rig r;
                 core_config config = good_config();
@@ -120,16 +122,20 @@ static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
                 CHECK(((r.shown.reasons & REASON_FAULT) != 0) == (expected != 0));
                 CHECK(((r.shown.reasons & REASON_STOP_REQUESTED) != 0) == stopped);
                 CHECK(r.out.enabled == (expected == 0 || action != STOP_COAST) && r.out.enabled == r.shown.enabled);
-                if (expected == 0)
+                if (expected == 0) {
                     continue;
+                }
                 bool at_once = action >= STOP_COAST || action == STOP_BRAKE || expected == FAULT_SUSPENDED;
                 CHECK(zero(&r) == at_once);
-                for (int j = 0; j < 4; j++)
-                    CHECK(r.shown.joint[j].setpoint_rad_s == r.out.joint[j].velocity_rad_s
-                          && r.shown.joint[j].duty == r.out.joint[j].duty);
+                for (int j = 0; j < 4; j++) {
+                    CHECK(r.shown.joint[j].setpoint_rad_s == r.out.joint[j].velocity_rad_s &&
+                          r.shown.joint[j].duty == r.out.joint[j].duty);
+                }
                 /* no jerk limit: the deceleration is there in the first tick */
                 CHECK(at_once || fabs(before_m_s - r.shown.setpoint_linear_m_s - 1.5e-3) < 1e-9);
             }
+        }
+    }
 }
 
 static void suspension_and_a_bad_time_step_are_told_of_without_their_consequences(void)
@@ -204,8 +210,9 @@ static void who_is_heard_and_since_when(void)
     CHECK(r.shown.joint[1].voltage_v == 0.0 && r.shown.odometry_degraded == 1);
     prepare(&r);
     step(&r);
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         CHECK(r.shown.joint[j].stale == 0 && r.shown.joint[j].feedback_age_s == 0.0);
+    }
     prepare(&r);
     r.input.command.stamp_ns = r.input.now_ns - 40 * MS_NS;
     CHECK(fabs(step(&r)->command_age_s - 0.04) < 1e-12);
@@ -255,9 +262,9 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     r.input.control.fault = 0;
     r.input.command.linear_m_s = 0.0;
     r.input.control.reset_count++;
-    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3);   /* it is still on its ramp */
+    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3); /* it is still on its ramp */
     ticks(&r, 1000);
-    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1);   /* one count asks once */
+    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* one count asks once */
     r.input.control.reset_count++;
     CHECK(tick(&r)->faults == 0);
 }

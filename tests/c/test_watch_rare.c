@@ -15,8 +15,8 @@ static void all_causes_of_one_tick_are_told(void)
     r.input.feedback[1].drive_faults = 8;
     r.input.feedback[2].enabled = 0;
     core_step(&r.state, &r.input, 0.0, &r.out, &r.shown);
-    CHECK(r.shown.faults == (FAULT_ESTOP | FAULT_EXTERNAL | FAULT_HEARTBEAT_LOST | FAULT_FEEDBACK_STALE | FAULT_DRIVE
-                             | FAULT_DRIVE_DISABLED | FAULT_TIME_STEP));
+    CHECK(r.shown.faults == (FAULT_ESTOP | FAULT_EXTERNAL | FAULT_HEARTBEAT_LOST | FAULT_FEEDBACK_STALE | FAULT_DRIVE |
+                             FAULT_DRIVE_DISABLED | FAULT_TIME_STEP));
     CHECK(zero(&r) && r.shown.armed == 0);
 }
 
@@ -48,8 +48,9 @@ static void each_brake_holds_its_power_for_two_seconds(void)
 {
     core_config config = good_config();
     config.on_fault = STOP_BRAKE;
-    for (int j = 0; j < 4; j++)
+    for (int j = 0; j < 4; j++) {
         config.joint[j].counter_bits = 0;
+    }
     rig r;
     start(&r, &config);
     for (int fault = 0; fault < 2; fault++) {
@@ -57,13 +58,15 @@ static void each_brake_holds_its_power_for_two_seconds(void)
         r.input.control.fault = 1;
         prepare(&r);
         int64_t zero_ns = r.input.now_ns;
-        for (int j = 0; j < 4; j++)
+        for (int j = 0; j < 4; j++) {
             r.input.feedback[j].velocity_rad_s = 3.0;
+        }
         CHECK(step(&r)->faults == FAULT_EXTERNAL && zero(&r) && r.out.enabled == 1);
         for (int64_t after_ns = 200 * MS_NS; after_ns <= 2000 * MS_NS; after_ns += 200 * MS_NS) {
             r.input.now_ns = zero_ns + after_ns;
-            for (int j = 0; j < 4; j++)
+            for (int j = 0; j < 4; j++) {
                 r.input.feedback[j].stamp_ns = r.input.now_ns;
+            }
             CHECK(step(&r)->at_rest == 0 && r.out.enabled == 1);
         }
         r.input.now_ns += 1;

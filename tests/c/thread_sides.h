@@ -15,7 +15,7 @@
 
 static exchange shared;
 static _Atomic bool over;
-static int ends[2];             /* the thread's and the peer's */
+static int ends[2]; /* the thread's and the peer's */
 
 /* Set-points that want motion, always fresh. */
 static inline void *core(void *arg)

@@ -30,8 +30,7 @@ static uint32_t now_us(void)
 
 static double toward(double value, double target, double step)
 {
-    return value < target ? (value + step < target ? value + step : target)
-                          : (value - step > target ? value - step : target);
+    return value < target ? (value + step < target ? value + step : target) : (value - step > target ? value - step : target);
 }
 
 static void turn(motor *motors, const motord_board *board, double dt_s, int by_hand, motord_measured *measured)
@@ -53,10 +52,12 @@ static void tell(const motord_board *board)
     static int last[4] = {-1, 0, 0, 0};
     const int now[4] = {board->enabled + 2 * board->braking, (int)board->setpoint[0].velocity_mrad_s,
                         (int)board->setpoint[1].velocity_mrad_s, board->setpoint[0].duty};
-    if (now[0] == last[0] && now[1] == last[1] && now[2] == last[2] && now[3] == last[3])
+    if (now[0] == last[0] && now[1] == last[1] && now[2] == last[2] && now[3] == last[3]) {
         return;
-    for (int i = 0; i < 4; i++)
+    }
+    for (int i = 0; i < 4; i++) {
         last[i] = now[i];
+    }
     printf("%d %d %d %d %d\n", board->enabled, board->braking, now[1], now[2], now[3]);
     fflush(stdout);
 }
@@ -77,31 +78,35 @@ int main(int argc, char **argv)
         poll(ready, 2, 1);
         uint8_t data[512], sent[MOTORD_SENT_BYTES_MAX];
         if (ready[1].revents) {
-            if (read(0, data, 1) <= 0)
+            if (read(0, data, 1) <= 0) {
                 return 0;
+            }
             health.faults = data[0] == 'f' ? 1 : data[0] == 'g' ? 0 : health.faults;
             mute = data[0] == 'm' ? 1 : data[0] == 'w' ? 0 : mute;
             deaf = data[0] == 'd' ? 1 : data[0] == 'w' ? 0 : deaf;
             senses |= data[0] == 'i';
             by_hand = data[0] == 't' ? 1 : data[0] == 's' ? 0 : by_hand;
-            if (data[0] == 'r')
+            if (data[0] == 'r') {
                 motord_board_init(&board, MOTORS, now_us());
+            }
         }
         const ssize_t size = read(fd, data, sizeof data);
-        for (ssize_t i = 0; i < size && !deaf; i++)
+        for (ssize_t i = 0; i < size && !deaf; i++) {
             motord_board_byte(&board, data[i], now_us());
+        }
         const uint32_t at_us = now_us();
         motord_board_watch(&board, at_us);
         turn(motors, &board, (at_us - before_us) * 1e-6, by_hand, measured);
         before_us = at_us;
         if (senses) {
-            const motord_imu imu = {{(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE},
-                                    {9807, 0, MOTORD_NO_ACCELERATION}, 0};
+            const motord_imu imu = {
+                {(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE}, {9807, 0, MOTORD_NO_ACCELERATION}, 0};
             motord_board_imu(&board, &imu);
         }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);
-        if (length > 0 && !mute && write(fd, sent, length) < 0)
+        if (length > 0 && !mute && write(fd, sent, length) < 0) {
             usleep(1000); /* nobody has the other side open */
+        }
         tell(&board);
     }
 }

@@ -56,7 +56,7 @@ static void go_quiet(board_machine *m, int64_t now_ns)
 {
     m->quiet++;
     demote(m, DEMOTED_QUIET, DRIVE_QUIET);
-    board_quick_stop(m, now_ns);   /* it may hear us all the same: in every cycle from now on */
+    board_quick_stop(m, now_ns); /* it may hear us all the same: in every cycle from now on */
     m->stopping = m->back = false;
     m->said_bytes = 0;
 }
@@ -75,7 +75,7 @@ void board_told(board_machine *m, int64_t now_ns)
         m->mode = DRIVE_BACK;
         m->news = true;
     }
-    if (m->table.answers == 0) {   /* the port has taken its bytes: that is all there is to know */
+    if (m->table.answers == 0) { /* the port has taken its bytes: that is all there is to know */
         m->stamp_ns = m->knows_ns = now_ns;
         board_heard(m, now_ns);
     }
@@ -153,7 +153,7 @@ static void set_up(board_machine *m, int64_t now_ns)
     m->epoch++;
     m->demoted = m->still_enabled = 0;
     m->back = false;
-    m->heard_ns = now_ns;   /* who was set up has just spoken, or cannot */
+    m->heard_ns = now_ns; /* who was set up has just spoken, or cannot */
     board_forget(m);
 }
 
@@ -186,7 +186,7 @@ void board_obey_wish(board_machine *m, int64_t now_ns)
     if (wish->count == m->wish_seen) {
         return;
     }
-    bool overtaken = wish->count - m->wish_seen > 1;   /* one that was never seen may have been a stop */
+    bool overtaken = wish->count - m->wish_seen > 1; /* one that was never seen may have been a stop */
     m->wish_seen = wish->count;
     m->news = true;
     if (overtaken && is_cyclic(m)) {

@@ -72,7 +72,7 @@ uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us, c
     memcpy(raw + BOARD_HEAD_BYTES, payload, payload_bytes);
     uint32_t count = BOARD_HEAD_BYTES + payload_bytes;
     board_put(raw, &(board_place){.byte = count, .bytes = CRC_BYTES}, crc16(raw, count));
-    out[0] = 0;   /* ends whatever noise came before */
+    out[0] = 0; /* ends whatever noise came before */
     uint32_t stuffed = stuff(raw, count + CRC_BYTES, out + 1);
     out[1 + stuffed] = 0;
     return stuffed + 2;

@@ -50,8 +50,8 @@ static void read_frame(board_machine *m)
     double rate[3], acceleration[3];
     for (uint32_t axis = 0; axis < 3; axis++) {
         rate[axis] = si_at(m->said, begin + RATE_BYTES * axis, RATE_BYTES, RATE_UNIT_RAD_S);
-        acceleration[axis] = si_at(m->said, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis, ACCELERATION_BYTES,
-                                   ACCELERATION_UNIT_M_S2);
+        acceleration[axis] =
+            si_at(m->said, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis, ACCELERATION_BYTES, ACCELERATION_UNIT_M_S2);
     }
     note(m, rate, acceleration, (m->said[begin + FLAGS_AT] & SATURATED) != 0);
 }

@@ -162,7 +162,7 @@ static void tell(board_machine *m, int64_t now_ns)
         return;
     }
     if (sequence != (uint16_t)(m->sequence + 1)) {
-        memset(m->sent_ns, 0, sizeof m->sent_ns);   /* a new row */
+        memset(m->sent_ns, 0, sizeof m->sent_ns); /* a new row */
     }
     m->sequence = sequence;
     m->next = (uint16_t)(sequence + 1);
@@ -246,7 +246,7 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
     if (m->shut < 3 && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
     } else if (m->shut < 3 && has_to_stop(m)) {
-        tell(m, now_ns);   /* a stop does not wait for its cycle */
+        tell(m, now_ns); /* a stop does not wait for its cycle */
     }
     return next_look_ns(m, now_ns);
 }

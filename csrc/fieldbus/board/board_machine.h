@@ -33,55 +33,55 @@ typedef struct {
 typedef struct {
     uint32_t count;
     bool too_long;
-    bool whole;                 /* text: its beginning was heard */
+    bool whole; /* text: its beginning was heard */
     uint8_t bytes[BOARD_WIRE_MAX];
 } board_tail;
 
 typedef struct {
     board_table table;
     board_control control;
-    setpoints newest;           /* the core's */
-    uint64_t enabled_count;     /* how often they have become enabled */
+    setpoints newest;       /* the core's */
+    uint64_t enabled_count; /* how often they have become enabled */
     board_joint joint[JOINTS_MAX];
     board_tail tail;
     board_clock clock;
     board_order order;
     bool has_order;
-    bool order_written;         /* it is in the payload, and has not gone out */
-    uint32_t mode;              /* drive_mode */
+    bool order_written; /* it is in the payload, and has not gone out */
+    uint32_t mode;      /* drive_mode */
     uint32_t demoted;
     uint32_t wish_seen;
-    uint32_t enabled;           /* 1, 0, 2 */
+    uint32_t enabled; /* 1, 0, 2 */
     uint32_t epoch;
-    uint32_t joints;            /* bit n: joint n of the core */
+    uint32_t joints; /* bit n: joint n of the core */
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
-    uint32_t still_enabled;     /* words in a row that said so without its being armed */
-    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
-    uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
-    imu_sample imu;             /* the newest */
-    bool imu_is_new;            /* since it was taken */
-    bool was_enabled;           /* set-points were enabled since it was armed */
-    uint64_t enabled_count_armed;   /* enabled_count when it was armed */
-    uint8_t told[BOARD_PAYLOAD_MAX];    /* the newest payload that went out */
+    uint32_t still_enabled;          /* words in a row that said so without its being armed */
+    uint32_t shut;                   /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    uint32_t feedback_mask;          /* joints whose feedback is new since it was taken */
+    imu_sample imu;                  /* the newest */
+    bool imu_is_new;                 /* since it was taken */
+    bool was_enabled;                /* set-points were enabled since it was armed */
+    uint64_t enabled_count_armed;    /* enabled_count when it was armed */
+    uint8_t told[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
     bool told_motion;
     bool stopping;
-    bool back;                  /* a quiet board spoke: BACK when it has been told to disarm */
-    bool stop_waits;            /* a stop is in the payload, and has not gone out */
-    bool news;                  /* something that Python wants to hear */
+    bool back;       /* a quiet board spoke: BACK when it has been told to disarm */
+    bool stop_waits; /* a stop is in the payload, and has not gone out */
+    bool news;       /* something that Python wants to hear */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;
     uint16_t sequence;
-    uint16_t next;              /* sequence: newer than what the board has heard, of us or of an earlier program */
+    uint16_t next; /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
-    int64_t told_ns;            /* a frame went out last */
-    int64_t heard_ns;           /* 0: never */
+    int64_t told_ns;  /* a frame went out last */
+    int64_t heard_ns; /* 0: never */
     int64_t knows_ns;
-    int64_t stamp_ns;           /* of the newest word */
-    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
+    int64_t stamp_ns;  /* of the newest word */
+    int64_t off_by_ns; /* stopping: power off then, at rest or not */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
     cycle_clock cycle;
@@ -93,7 +93,7 @@ typedef struct {
     uint64_t quiet;
     board_sender send;
     void *sink;
-    histogram *round_trips;     /* NULL: not kept */
+    histogram *round_trips; /* NULL: not kept */
 } board_machine;
 
 /* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */

@@ -6,7 +6,7 @@
 #include "finding.h"
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
-static const double NUMBER_MAX = 1e15;      /* every integer up to there is a double */
+static const double NUMBER_MAX = 1e15; /* every integer up to there is a double */
 static const uint32_t WIDTH_MAX = 99;
 
 static void check_place(finding *f, const board_place *place, uint32_t bytes)
@@ -154,7 +154,7 @@ const char *board_table_check(const board_table *table, char *name)
         (void)snprintf(f.path, sizeof f.path, "read.");
         check_text(&f, table, &table->read);
     } else if (!f.bad) {
-        need(&f, table->answers == 1 && table->said_bytes >= 10, "said_bytes");   /* which set-points were heard, and when */
+        need(&f, table->answers == 1 && table->said_bytes >= 10, "said_bytes"); /* which set-points were heard, and when */
     }
     return f.bad ? name : NULL;
 }

@@ -7,7 +7,7 @@
 
 #include "board_machine.h"
 
-static const int32_t EXPONENT_MAX = 400;   /* more is no number that a double holds */
+static const int32_t EXPONENT_MAX = 400; /* more is no number that a double holds */
 
 /* ----------------------------------------------------------------------------------------------------- writing */
 /* printf's words for a part: a sign, zeros, and the form; width and precision are given beside them. */
@@ -30,7 +30,7 @@ static double number_of(const board_table *table, const board_part *part, const 
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
         number += (double)board_get(payload, &table->setpoint[i].place) * part->number_per_raw[i];
     }
-    return (part->form == NUMBER_INTEGER ? nearbyint(number) : number) + 0.0;   /* -0 + 0 is +0 */
+    return (part->form == NUMBER_INTEGER ? nearbyint(number) : number) + 0.0; /* -0 + 0 is +0 */
 }
 
 static int write_number(const board_table *table, const board_part *part, const uint8_t *payload, char *out, size_t room)

@@ -19,10 +19,10 @@ typedef struct {
     ring orders;
     board_order order_place[BOARD_ORDERS_MAX];
     board_report out;
-    uint32_t payload_bytes;             /* for who puts orders */
+    uint32_t payload_bytes; /* for who puts orders */
     uint32_t rest_bytes;
     bool woken;
-    uint8_t rest[BOARD_WIRE_MAX];       /* of a frame that the port has taken the beginning of */
+    uint8_t rest[BOARD_WIRE_MAX]; /* of a frame that the port has taken the beginning of */
     int send_error;
     uint64_t received_reported;
 } board_thread;
@@ -140,11 +140,11 @@ static int go_round(board_thread *t, const uint8_t *bytes, uint32_t count, int64
 static void *run(void *arg)
 {
     board_thread *t = arg;
-    uint8_t bytes[READ_BYTES];
+    uint8_t bytes[READ_BYTES] = {0};
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-board");
-    (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0));   /* text has a point, whatever the process has set */
+    (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0)); /* text has a point, whatever the process has set */
     while (!t->life.stop_asked && error == 0) {
         error = go_round(t, bytes, (uint32_t)count, &wake_ns);
         count = error == 0 ? wait_for_news(t, wake_ns, bytes, sizeof bytes) : 0;

@@ -7,7 +7,7 @@
 
 static const int64_t STOPPING_NS = 1000 * CAN_MS;
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
-static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS;   /* until it is set up */
+static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* until it is set up */
 
 static bool fresh(const can_machine *m, int64_t now_ns)
 {
@@ -99,7 +99,7 @@ bool can_differs(const can_machine *m, uint32_t number)
 void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool moves = drive->told_motion && drive->stop == CAN_STOP_NOTHING;   /* it has power: zero does not switch it on */
+    bool moves = drive->told_motion && drive->stop == CAN_STOP_NOTHING; /* it has power: zero does not switch it on */
     if (drive->mode == DRIVE_ARMED || drive->stopping || moves || m->table.drive[number].idle_setpoints != 0) {
         send_setpoints(m, number, now_ns);
     }
@@ -147,11 +147,11 @@ void can_send_stop(can_machine *m, uint32_t number)
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
         if (!can_write_out(m, number, &write[drive->stop_place])) {
-            return;   /* told again with the next look */
+            return; /* told again with the next look */
         }
     }
     if (!quick && m->table.drive[number].idle_setpoints == 0) {
-        drive->told_motion = false;   /* set-points would switch it on again */
+        drive->told_motion = false; /* set-points would switch it on again */
     }
     drive->stop = CAN_STOP_NOTHING;
     drive->enabled = 2;
@@ -207,7 +207,7 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
     demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
     can_hold_nothing(m, number);
     if (m->shut == 0) {
-        drive->stop = CAN_STOP_NOTHING;   /* its probes stop it */
+        drive->stop = CAN_STOP_NOTHING; /* its probes stop it */
     }
     drive->stops++;
     drive->stopping = drive->back = drive->off_next_cycle = false;
@@ -235,7 +235,7 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         told = told && !drive->told_motion;
     }
     ask_all(m, table->probe, table->probe_count);
-    if (told) {   /* else again in the next cycle */
+    if (told) { /* else again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
         drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
     }
@@ -291,7 +291,7 @@ static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
     drive->told_ns = now_ns;
     can_forget(m, number);
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-        drive->heard_ns[i] = now_ns;   /* what comes only from now on has its time, too */
+        drive->heard_ns[i] = now_ns; /* what comes only from now on has its time, too */
     }
 }
 
@@ -318,7 +318,7 @@ void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
     if (wish->count == drive->wish_seen) {
         return;
     }
-    bool overtaken = wish->count - drive->wish_seen > 1;   /* one that was never seen may have been a stop */
+    bool overtaken = wish->count - drive->wish_seen > 1; /* one that was never seen may have been a stop */
     bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_next_cycle;
     drive->wish_seen = wish->count;
     m->news = true;
@@ -368,7 +368,7 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool unheard = drive->mode == DRIVE_OFF && drive->may_turn && drive->missing != 0;   /* Python waits for it */
+    bool unheard = drive->mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
     if (drive->mode == DRIVE_QUIET || unheard) {
         probe(m, number, now_ns);
         return;

@@ -124,8 +124,8 @@ static uint32_t first_route(const can_machine *m, uint32_t id)
     return low;
 }
 
-static uint32_t take_match(can_machine *m, uint32_t number, const can_match *match, const can_packet *packet,
-                           int64_t stamp_ns, int64_t now_ns)
+static uint32_t take_match(can_machine *m, uint32_t number, const can_match *match, const can_packet *packet, int64_t stamp_ns,
+                           int64_t now_ns)
 {
     m->received++;
     m->drive[number].received++;
@@ -145,7 +145,7 @@ uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t s
         return CAN_DRIVES_MAX;
     }
     bool known = false;
-    uint32_t i = first_route(m, packet->id);   /* a remote frame's differs, too */
+    uint32_t i = first_route(m, packet->id); /* a remote frame's differs, too */
     for (; i < m->route_count && m->route[i].id == packet->id; i++) {
         uint32_t drive = m->route[i].drive;
         const can_match *match = &m->table.drive[drive].match[m->route[i].match];
@@ -249,7 +249,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
         }
         bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
         if (cyclic && drive->told_motion && !can_wants_motion(m, i)) {
-            can_tell(m, i, now_ns);   /* a stop does not wait for its cycle */
+            can_tell(m, i, now_ns); /* a stop does not wait for its cycle */
         }
     }
 }
@@ -266,7 +266,7 @@ static void look_at_queue(can_machine *m, int64_t now_ns)
 static void sync_all(can_machine *m)
 {
     for (uint32_t i = 0; i < m->table.sync_count; i++) {
-        (void)can_send(m, &m->table.sync[i]);   /* the drives do now, all at once, what they were told */
+        (void)can_send(m, &m->table.sync[i]); /* the drives do now, all at once, what they were told */
     }
 }
 
@@ -317,7 +317,7 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].mode == DRIVE_ARMED && can_differs(m, i);
     }
-    bool queued = m->hears_own && m->motion_since_ns != 0;   /* a pulled cable would keep more motion for later */
+    bool queued = m->hears_own && m->motion_since_ns != 0; /* a pulled cable would keep more motion for later */
     m->early = differs && !queued && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
 }
 
@@ -339,7 +339,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
         tell_early(m, now_ns);
     }
     m->early = false;
-    shut_down(m, now_ns);   /* all are told: that was it */
+    shut_down(m, now_ns); /* all are told: that was it */
     return next_look_ns(m, now_ns);
 }
 
@@ -359,13 +359,26 @@ void can_machine_report(const can_machine *m, can_report *report)
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         const can_drive_state *drive = &m->drive[i];
         report->drive[i] = (can_drive_report){
-            .mode = drive->mode, .demoted = drive->demoted, .wish_seen = drive->wish_seen, .enabled = drive->enabled,
-            .stopping = drive->stopping, .told_motion = drive->told_motion, .missing = drive->missing,
-            .stops = drive->stops, .cycles = drive->cycles, .received = drive->received, .quiet = drive->quiet,
-            .heard_ns = drive->newest_ns, .epoch = drive->epoch, .may_turn = drive->may_turn,
+            .mode = drive->mode,
+            .demoted = drive->demoted,
+            .wish_seen = drive->wish_seen,
+            .enabled = drive->enabled,
+            .stopping = drive->stopping,
+            .told_motion = drive->told_motion,
+            .missing = drive->missing,
+            .stops = drive->stops,
+            .cycles = drive->cycles,
+            .received = drive->received,
+            .quiet = drive->quiet,
+            .heard_ns = drive->newest_ns,
+            .epoch = drive->epoch,
+            .may_turn = drive->may_turn,
             .stop_waits = drive->stop != CAN_STOP_NOTHING,
-            .orders_sent = drive->orders_sent, .orders_dropped = drive->orders_dropped,
-            .faults = drive->faults, .last_fault = drive->last_fault, .last_fault_joint = drive->last_fault_joint,
+            .orders_sent = drive->orders_sent,
+            .orders_dropped = drive->orders_dropped,
+            .faults = drive->faults,
+            .last_fault = drive->last_fault,
+            .last_fault_joint = drive->last_fault_joint,
         };
     }
 }

@@ -25,55 +25,55 @@ typedef bool (*can_sender)(void *sink, const can_packet *packet);
 typedef enum { CAN_STOP_NOTHING = 0, CAN_STOP_QUICK = 1, CAN_STOP_POWER_OFF = 2 } can_stop_kind;
 
 typedef struct {
-    uint32_t mode;              /* drive_mode */
+    uint32_t mode; /* drive_mode */
     uint32_t demoted;
     uint32_t wish_seen;
-    uint32_t enabled;           /* 1, 0, 2 */
+    uint32_t enabled; /* 1, 0, 2 */
     uint32_t epoch;
-    uint32_t joints;            /* bit n: joint n of the core */
+    uint32_t joints; /* bit n: joint n of the core */
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
-    uint32_t faults;            /* as in can_drive_report, the two after it, too */
+    uint32_t faults; /* as in can_drive_report, the two after it, too */
     uint32_t last_fault;
     uint32_t last_fault_joint;
-    uint32_t still_enabled;     /* frames in a row in which it said so without being armed */
+    uint32_t still_enabled; /* frames in a row in which it said so without being armed */
     uint32_t missing;
-    uint32_t stop;              /* can_stop_kind */
+    uint32_t stop; /* can_stop_kind */
     uint32_t stop_place;
-    bool was_enabled;           /* set-points were enabled since it was armed */
-    uint64_t enabled_count;     /* of the machine, when it was armed */
-    bool may_turn;              /* armed since it was last set up, before the bus was opened or after */
+    bool was_enabled;       /* set-points were enabled since it was armed */
+    uint64_t enabled_count; /* of the machine, when it was armed */
+    bool may_turn;          /* armed since it was last set up, before the bus was opened or after */
     bool told_motion;
     bool stopping;
-    bool back;                  /* a quiet drive is there: BACK when it has been told to disarm */
-    bool off_next_cycle;        /* what it said calls for a power-off: the cycle sends it, however often it says so */
-    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
-    int64_t told_ns;            /* set-points went out last */
+    bool back;           /* a quiet drive is there: BACK when it has been told to disarm */
+    bool off_next_cycle; /* what it said calls for a power-off: the cycle sends it, however often it says so */
+    int64_t off_by_ns;   /* stopping: power off then, at rest or not */
+    int64_t told_ns;     /* set-points went out last */
     int64_t quiet_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
-    uint32_t fast;              /* bit n: input n of the table is fast, ... */
-    uint32_t powers;            /* ... says whether it has power, */
-    uint32_t known;             /* ... has come since it was set up */
-    int64_t silence_ns[CAN_INPUTS_MAX];     /* the table's, in one place: looked at in each round */
-    int64_t heard_ns[CAN_INPUTS_MAX];       /* 0: never */
-    int64_t sample_ns[CAN_INPUTS_MAX];      /* of the values in use; 0: none since it was set up */
+    uint32_t fast;                      /* bit n: input n of the table is fast, ... */
+    uint32_t powers;                    /* ... says whether it has power, */
+    uint32_t known;                     /* ... has come since it was set up */
+    int64_t silence_ns[CAN_INPUTS_MAX]; /* the table's, in one place: looked at in each round */
+    int64_t heard_ns[CAN_INPUTS_MAX];   /* 0: never */
+    int64_t sample_ns[CAN_INPUTS_MAX];  /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
-    uint8_t told[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];   /* what each set-point frame said last */
+    uint8_t told[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* what each set-point frame said last */
     uint64_t cycles;
-    uint64_t slow_cycles;       /* since it was set up */
+    uint64_t slow_cycles; /* since it was set up */
     uint64_t received;
     uint64_t quiet;
-    int64_t newest_ns;          /* any frame */
+    int64_t newest_ns; /* any frame */
 } can_drive_state;
 
 typedef struct {
     joint_feedback feedback;
-    int64_t count_ns;           /* stamps of the newest of each kind; 0: none */
+    int64_t count_ns; /* stamps of the newest of each kind; 0: none */
     int64_t velocity_ns;
     int64_t newest_ns;
-    bool no_number;             /* its position is not finite: no feedback */
+    bool no_number; /* its position is not finite: no feedback */
     uint32_t fault_word;
 } can_joint_state;
 
@@ -86,26 +86,26 @@ typedef struct {
 
 typedef struct {
     can_table table;
-    can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX];   /* by identifier; those of one, in the table's order */
+    can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX]; /* by identifier; those of one, in the table's order */
     uint32_t route_count;
     can_drive_state drive[CAN_DRIVES_MAX];
     can_joint_state joint[JOINTS_MAX];
-    setpoints newest;           /* the core's */
-    uint64_t enabled_count;     /* how often they have become enabled */
+    setpoints newest;       /* the core's */
+    uint64_t enabled_count; /* how often they have become enabled */
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
-    uint32_t feedback_mask;     /* joints whose feedback is new since it was taken */
-    bool hears_own;             /* the bus says when a set-point frame of ours has left */
-    bool clogged;               /* it has taken nothing in a whole cycle, nor since */
-    bool motion_stays;          /* in this step: set-points are zero, for motion would wait for a bus that is dead */
-    int64_t motion_since_ns;    /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
-    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
-    bool news;                  /* something that Python wants to hear */
+    uint32_t feedback_mask;  /* joints whose feedback is new since it was taken */
+    bool hears_own;          /* the bus says when a set-point frame of ours has left */
+    bool clogged;            /* it has taken nothing in a whole cycle, nor since */
+    bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
+    int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
+    uint32_t shut;           /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    bool news;               /* something that Python wants to hear */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
     cycle_clock cycle;
-    bool early;                 /* the set-points do not wait for the cycle */
+    bool early; /* the set-points do not wait for the cycle */
     uint64_t received;
     uint64_t sent;
     uint64_t tx_full;

@@ -36,8 +36,7 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
         double least = place->form == CAN_SIGNED ? -span / 2.0 : 0.0;
         double most = place->form == CAN_SIGNED ? span / 2.0 - 1.0 : span - 1.0;
         bool is_float = place->form == CAN_FLOAT;
-        check_scale(f, &setpoint->scale, SETPOINT_TORQUE, is_float ? -(double)FLT_MAX : least,
-                    is_float ? (double)FLT_MAX : most);
+        check_scale(f, &setpoint->scale, SETPOINT_TORQUE, is_float ? -(double)FLT_MAX : least, is_float ? (double)FLT_MAX : most);
     }
 }
 

@@ -6,7 +6,7 @@
 #include "can_machine.h"
 #include "joint_values.h"
 
-static const double COUNT_MAX = 4611686018427387904.0;   /* 2^62: any counter's position is nearer */
+static const double COUNT_MAX = 4611686018427387904.0; /* 2^62: any counter's position is nearer */
 
 /* ------------------------------------------------------------------------------------------------------ bits */
 static uint32_t bit_shift(const can_place *place, uint32_t bit)
@@ -60,7 +60,7 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
     }
-    float number = (float)raw + 0.0F;   /* -0 + 0 is +0: rest is all zeros */
+    float number = (float)raw + 0.0F; /* -0 + 0 is +0: rest is all zeros */
     uint32_t pattern;
     memcpy(&pattern, &number, sizeof pattern);
     return pattern;
@@ -159,7 +159,7 @@ void can_publish(can_machine *m, uint32_t drive)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         can_joint_state *joint = &m->joint[j];
         if (!has_joint(m, drive, j) || joint->no_number) {
-            continue;   /* the sample grows old, and the core sees it */
+            continue; /* the sample grows old, and the core sees it */
         }
         joint->feedback.stamp_ns = joint->count_ns > 0      ? joint->count_ns
                                    : joint->velocity_ns > 0 ? joint->velocity_ns

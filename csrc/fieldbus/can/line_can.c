@@ -40,9 +40,9 @@ typedef struct {
     can_order order_place[CAN_ORDERS_MAX];
     can_received heard_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
-    int64_t emptied_ns;   /* before the newest look that left nothing in the socket: what is read now has come since */
+    int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now has come since */
     can_report out;
-    uint32_t outputs[CAN_DRIVES_MAX];   /* of each drive, for who puts orders; 0: no such drive */
+    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for who puts orders; 0: no such drive */
     int send_error;
     bool woken;
 } can_thread;
@@ -81,8 +81,8 @@ static void prepare_inbox(can_inbox *inbox)
     for (uint32_t i = 0; i < BATCH; i++) {
         can_letter *letter = &inbox->letter[i];
         letter->iov = (struct iovec){.iov_base = &letter->frame, .iov_len = sizeof letter->frame};
-        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &letter->iov, .msg_iovlen = 1,
-                                                    .msg_control = letter->control, .msg_controllen = CONTROL_BYTES};
+        inbox->message[i].msg_hdr = (struct msghdr){
+            .msg_iov = &letter->iov, .msg_iovlen = 1, .msg_control = letter->control, .msg_controllen = CONTROL_BYTES};
     }
 }
 
@@ -132,12 +132,12 @@ static int receive_batch(can_thread *t)
     int64_t now_ns = clock_now_ns(), wall_ns = wall.tv_sec * NS_PER_S + wall.tv_nsec;
     for (int i = 0; i < count; i++) {
         if (inbox->message[i].msg_len == 0) {
-            return -ENODEV;   /* a socket pair's other end has gone */
+            return -ENODEV; /* a socket pair's other end has gone */
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, t->emptied_ns, now_ns, wall_ns);
-        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;   /* the kernel has written how much it used */
+        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES; /* the kernel has written how much it used */
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
-            can_machine_left(&t->machine);   /* linux Documentation/networking/can.rst: sent by this socket */
+            can_machine_left(&t->machine); /* linux Documentation/networking/can.rst: sent by this socket */
             continue;
         }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
@@ -304,8 +304,7 @@ int can_put_order(uint32_t line, const can_order *order)
 
 int can_take_received(uint32_t line, can_received *out)
 {
-    return line < LINES_MAX &&
-           ring_take(&threads[line].heard, threads[line].heard_place, CAN_RECEIVED_MAX, out, sizeof *out);
+    return line < LINES_MAX && ring_take(&threads[line].heard, threads[line].heard_place, CAN_RECEIVED_MAX, out, sizeof *out);
 }
 
 int can_read_report(uint32_t line, can_report *out)

@@ -89,7 +89,7 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
         guard_armed(m, number, now_ns);
     }
     if (drive->told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
-        drive->due_ns = now_ns;   /* a stop does not wait for its turn */
+        drive->due_ns = now_ns; /* a stop does not wait for its turn */
     }
     if (drive->stopping && drive->stop == STOP_NOTHING && now_ns >= drive->off_by_ns) {
         power_off(m, number);
@@ -141,7 +141,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
     if (wish->count == drive->wish_seen) {
         return;
     }
-    bool overtaken = wish->count - drive->wish_seen > 1;   /* one that was never seen may have been a stop */
+    bool overtaken = wish->count - drive->wish_seen > 1; /* one that was never seen may have been a stop */
     drive->wish_seen = wish->count;
     m->news = true;
     if ((overtaken || wish->mode == DRIVE_OFF) && (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion)) {
@@ -211,7 +211,7 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (drive->stopping) {
-        return false;   /* rest would take its brake off: it comes with the power-off */
+        return false; /* rest would take its brake off: it comes with the power-off */
     }
     for (; drive->place < table->way_count; drive->place++) {
         uint32_t wanted = line_way_wanted(m, number, drive->place);
@@ -221,7 +221,7 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
             continue;
         }
         wanted = resting ? WAY_REST : wanted;
-        drive->way_told[drive->place] = WAY_UNKNOWN;   /* until it is acknowledged */
+        drive->way_told[drive->place] = WAY_UNKNOWN; /* until it is acknowledged */
         *out = *way_frame(m, number, drive->place, wanted);
         return true;
     }
@@ -242,7 +242,7 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
         }
     }
     if (writing) {
-        drive->told_motion = drive->cycle_motion;   /* all acknowledged */
+        drive->told_motion = drive->cycle_motion; /* all acknowledged */
     }
     return false;
 }
@@ -269,7 +269,7 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->frozen = m->newest;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
     if (drive->enabled == 2 && table->extra_count > 0) {
-        drive->extra_due = true;   /* whether it is enabled comes first of all: it is in the first range */
+        drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first range */
         drive->extra_next = 0;
     }
     int64_t period_ns = table->period_ns;
@@ -299,8 +299,8 @@ static void end_cycle(line_machine *m, uint32_t number)
     } else if (drive->stopping && line_at_rest(m, number)) {
         power_off(m, number);
     }
-    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && !drive->stopping &&
-                           drive->stop == STOP_NOTHING && drive->cycle_start_ns >= drive->arming_until_ns;
+    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && !drive->stopping && drive->stop == STOP_NOTHING &&
+                           drive->cycle_start_ns >= drive->arming_until_ns;
     drive->still_enabled = armed_by_nobody ? drive->still_enabled + 1 : drive->enabled == 0 ? 0 : drive->still_enabled;
     if (armed_by_nobody) {
         if (drive->still_enabled == table->tries) {
@@ -317,8 +317,8 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
     (void)now_ns;
     while (drive->stage != STAGE_IDLE) {
         bool found = drive->stage == STAGE_REST || drive->stage == STAGE_WAYS ? next_way(m, number, out)
-                     : drive->stage == STAGE_EXTRA                           ? next_extra(m, number, out)
-                                                                             : next_exchange(m, number, out);
+                     : drive->stage == STAGE_EXTRA                            ? next_extra(m, number, out)
+                                                                              : next_exchange(m, number, out);
         if (found) {
             return true;
         }
@@ -338,7 +338,7 @@ static void way_acknowledged(line_drive_state *drive, const line_machine *m, uin
     uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)WAY_REST : line_way_wanted(m, number, drive->place);
     const line_frame *sent = way_frame(m, number, drive->place, wanted);
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
-        wanted = WAY_UNKNOWN;   /* the wish has changed while it was on its way */
+        wanted = WAY_UNKNOWN; /* the wish has changed while it was on its way */
     }
     drive->way_told[drive->place] = wanted;
     if (wanted == WAY_FORWARD || wanted == WAY_REVERSE) {
@@ -370,7 +370,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (m->current != number) {
-        return;   /* it was stopped while this was on its way */
+        return; /* it was stopped while this was on its way */
     }
     if (drive->stage == STAGE_REST || drive->stage == STAGE_WAYS) {
         way_acknowledged(drive, m, number);
@@ -382,7 +382,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
         read_reply(m, number, &table->cyclic[drive->place], reply, stamp_ns);
         drive->place++;
         if (!reads_on(table, drive->place)) {
-            line_publish(m, number);   /* the core need not wait until the line is free again */
+            line_publish(m, number); /* the core need not wait until the line is free again */
         }
     }
 }
@@ -414,7 +414,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
     drive->stop_failures++;
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
         drive->stop_refused |= is_of_newest_stop(m, number);
-        stop_frame_done(m, number);   /* it is there and will not: the next frame may do */
+        stop_frame_done(m, number); /* it is there and will not: the next frame may do */
     } else if (m->shut != 0 && is_of_newest_stop(m, number)) {
         drive->stop_told |= 1U << drive->stop_place++;
     }
@@ -430,7 +430,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     if (drive->mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
         quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
     }
-    if (drive->owed_count == 0) {   /* else it may be the answer to one that counted as failed: it is late, not well */
+    if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
         drive->failures = 0;
     }
     drive->answered_ns = m->end_ns;

@@ -6,9 +6,9 @@
 
 #include "line_machine.h"
 
-static const int64_t LATE_NS = 120 * LINE_MS;           /* after the request, whatever the profile's bound says */
-static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS;    /* after a failure */
-static const int64_t TOO_SOON_NS = LINE_MS / 2;         /* closer than that, scheduling hides the difference */
+static const int64_t LATE_NS = 120 * LINE_MS;        /* after the request, whatever the profile's bound says */
+static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS; /* after a failure */
+static const int64_t TOO_SOON_NS = LINE_MS / 2;      /* closer than that, scheduling hides the difference */
 
 /* RFC 6298 with a host's scheduling in place of the clock's granularity */
 static const int64_t DEADLINE_LEAST_NS = 10 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
@@ -92,7 +92,7 @@ void line_owe(line_machine *m, uint32_t number)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->exact != 0 || frame->reply_bytes == 0) {
-        return;   /* nobody at all is asked until its late reply has passed */
+        return; /* nobody at all is asked until its late reply has passed */
     }
     forget_old(drive, m->start_ns);
     line_owed owed = {.look = look_of(frame), .count = 1};
@@ -107,7 +107,7 @@ void line_owe(line_machine *m, uint32_t number)
     }
     drive->owed[drive->owed_count++] = owed;
     drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
-    if (full) {   /* more than can be told apart: a silence sorts them out */
+    if (full) { /* more than can be told apart: a silence sorts them out */
         drive->held_until_ns = drive->owed[drive->owed_count - 1].until_ns;
     }
     drive->failed_ns = m->end_ns;
@@ -145,10 +145,10 @@ bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->reply_bytes == 0 || frame->exact != 0 || m->work == WORK_PROBE) {
-        return false;   /* that it is there is all that a probe asks */
+        return false; /* that it is there is all that a probe asks */
     }
     if (too_soon(m, number, turnaround_of(m, now_ns))) {
-        drive->least_ns = 0;   /* once: it may have become quicker */
+        drive->least_ns = 0; /* once: it may have become quicker */
         return true;
     }
     return line_may_be_late(m, number, frame, m->start_ns);
@@ -164,13 +164,13 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
     line_look look = look_of(frame);
     forget_old(drive, m->start_ns);
     drop_before(drive, place_of(drive, &look));
-    if (drive->owed_count > 0) {   /* of two that are alike, this was perhaps the older one's */
+    if (drive->owed_count > 0) { /* of two that are alike, this was perhaps the older one's */
         line_owed still = drive->owed[0];
         drop_at(drive, 0);
         drive->owed[drive->owed_count++] = still;
         drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
     } else {
-        int64_t sample_ns = turnaround_of(m, now_ns) + 1;   /* 0 is: not known */
+        int64_t sample_ns = turnaround_of(m, now_ns) + 1; /* 0 is: not known */
         drive->least_ns = drive->least_ns == 0 || sample_ns < drive->least_ns ? sample_ns : drive->least_ns;
     }
 }
@@ -187,7 +187,7 @@ void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
     }
     line_owe(m, number);
     line_owed *newest = &drive->owed[drive->owed_count - 1];
-    newest->count -= newest->count > 1;   /* one has come */
+    newest->count -= newest->count > 1; /* one has come */
     drive->held_until_ns = newest->until_ns;
 }
 
@@ -238,8 +238,8 @@ void line_sort_heard(line_machine *m, const heard *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
     uint32_t request_bytes = t->frame.request_bytes;
-    bool copied = m->echo != ECHO_NONE && t->heard_bytes >= request_bytes &&
-                  memcmp(t->heard, t->frame.request, request_bytes) == 0;
+    bool copied =
+        m->echo != ECHO_NONE && t->heard_bytes >= request_bytes && memcmp(t->heard, t->frame.request, request_bytes) == 0;
     uint32_t from = verdict->echoed || (verdict->bytes == 0 && copied) ? request_bytes : 0;
     uint32_t end = verdict->bytes > 0 ? verdict->offset : t->heard_bytes;
     if (end > from) {

@@ -119,7 +119,7 @@ static void drive_ended(line_machine *m, uint32_t kind, const heard *verdict, in
         m->ours_ns = later(m->ours_ns, now_ns + m->bound_ns);
         m->free_ns = later(m->free_ns, m->ours_ns);
     }
-    m->slot_due_ns = later(m->slot_due_ns, now_ns);   /* who had to wait goes before a probe, which may take as long */
+    m->slot_due_ns = later(m->slot_due_ns, now_ns); /* who had to wait goes before a probe, which may take as long */
     doubt_echo(m);
 }
 
@@ -181,8 +181,7 @@ static heard listen(line_machine *m, const uint8_t *bytes, uint32_t count)
     memcpy(t->heard + t->heard_bytes, bytes, full ? room : count);
     t->heard_bytes += full ? room : count;
     bool alike = m->echo == ECHO_UNKNOWN && !will_read(m) && rtu_answer_is_request(&t->frame, t->frame.request);
-    heard found = rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->heard,
-                                  t->heard_bytes);
+    heard found = rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->heard, t->heard_bytes);
     if (found.kind == HEARD_MORE && full) {
         found.kind = HEARD_BAD;
     }
@@ -338,7 +337,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
                 begin(m, WORK_CYCLE, number, &frame, out);
                 return true;
             }
-            if (take_stop(m, out)) {   /* its end may have told to stop */
+            if (take_stop(m, out)) { /* its end may have told to stop */
                 return true;
             }
         }
@@ -403,7 +402,7 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     } else if (m->shut < 2) {
         (void)take_cycle(m, now_ns, out);
     } else {
-        line_shut_down(m, now_ns);   /* all are told: that was it */
+        line_shut_down(m, now_ns); /* all are told: that was it */
     }
 }
 
@@ -426,7 +425,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }
         if (drive->stop != STOP_NOTHING) {
-            wake_ns = m->free_ns;   /* stops wait for the gap alone, whatever the mode */
+            wake_ns = m->free_ns; /* stops wait for the gap alone, whatever the mode */
         }
         wake_ns = earlier(wake_ns, due_of(m, i));
     }

@@ -29,7 +29,7 @@ typedef struct {
     uint32_t reply_bytes;
     uint32_t reply_seal;
     uint32_t head_bytes;
-    bool repeats;               /* it says nothing but its request again */
+    bool repeats; /* it says nothing but its request again */
     uint8_t head[FRAME_MATCH_MAX];
 } line_look;
 
@@ -44,8 +44,8 @@ typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
 /* One request under way, and all that was heard since it was sent. */
 typedef struct {
-    line_frame frame;           /* request as it goes out */
-    uint64_t ask_id;            /* WORK_ASK: whose it is, and how long its drive may take */
+    line_frame frame; /* request as it goes out */
+    uint64_t ask_id;  /* WORK_ASK: whose it is, and how long its drive may take */
     int64_t ask_turnaround_ns;
     uint32_t heard_bytes;
     uint8_t heard[HEARD_BYTES_MAX];
@@ -62,69 +62,69 @@ typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } line_stop_
 typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_WAYS, STAGE_READ, STAGE_EXTRA } line_stage;
 
 typedef struct {
-    uint32_t mode;              /* drive_mode */
+    uint32_t mode; /* drive_mode */
     uint32_t demoted;
     uint32_t wish_seen;
-    uint32_t enabled;           /* 1, 0, 2 */
-    uint32_t failures;          /* in a row */
+    uint32_t enabled;  /* 1, 0, 2 */
+    uint32_t failures; /* in a row */
     uint32_t last_failure;
     uint32_t last_exception;
     uint32_t epoch;
-    uint32_t joints;            /* bit n: joint n of the core */
-    uint32_t stage;             /* line_stage */
-    uint32_t place;             /* within the stage */
+    uint32_t joints; /* bit n: joint n of the core */
+    uint32_t stage;  /* line_stage */
+    uint32_t place;  /* within the stage */
     uint32_t extra_next;
-    uint32_t still_enabled;     /* cycles in a row in which it said so without being armed */
-    uint32_t stop;              /* line_stop_kind: frames that go before all else */
-    uint32_t stop_place;        /* the frame that is told next, or has been told */
-    uint32_t stop_done;         /* bit n: frame n was acknowledged, or is refused for good */
-    uint32_t stop_told;         /* bit n: frame n was sent at the end, and not answered */
+    uint32_t still_enabled; /* cycles in a row in which it said so without being armed */
+    uint32_t stop;          /* line_stop_kind: frames that go before all else */
+    uint32_t stop_place;    /* the frame that is told next, or has been told */
+    uint32_t stop_done;     /* bit n: frame n was acknowledged, or is refused for good */
+    uint32_t stop_told;     /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
-    bool stop_refused;          /* frames of the newest stop count as done though the drive will not do them */
+    bool stop_refused; /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
     uint32_t probes_at_once;
     uint32_t way_told[DRIVE_WAYS_MAX];
-    uint32_t way_last[DRIVE_WAYS_MAX];      /* FORWARD or REVERSE, the newest of the two; 0: none yet */
+    uint32_t way_last[DRIVE_WAYS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
-    bool was_enabled;           /* set-points were enabled since it was armed */
-    uint64_t enabled_count;     /* of the machine, when it was armed */
-    bool may_turn;              /* armed since it was last set up, before the port was opened or after */
+    bool was_enabled;       /* set-points were enabled since it was armed */
+    uint64_t enabled_count; /* of the machine, when it was armed */
+    bool may_turn;          /* armed since it was last set up, before the port was opened or after */
     bool told_motion;
     bool cycle_motion;
     bool stopping;
-    bool back;                  /* a quiet drive answered: BACK when it has been told to disarm */
+    bool back; /* a quiet drive answered: BACK when it has been told to disarm */
     bool extra_due;
     int64_t arming_until_ns;
-    int64_t off_by_ns;          /* stopping: power off then, at rest or not */
+    int64_t off_by_ns; /* stopping: power off then, at rest or not */
     int64_t due_ns;
-    int64_t quiet_until_ns;     /* a late answer may come till then: it is not asked again before */
-    int64_t held_until_ns;      /* a reply was doubtful: silence but for stops and urgent requests */
-    int64_t failed_ns;          /* the newest request that it did not answer in time; 0: none */
-    int64_t least_ns;           /* turn-around: the shortest that is certain; 0: not known */
+    int64_t quiet_until_ns; /* a late answer may come till then: it is not asked again before */
+    int64_t held_until_ns;  /* a reply was doubtful: silence but for stops and urgent requests */
+    int64_t failed_ns;      /* the newest request that it did not answer in time; 0: none */
+    int64_t least_ns;       /* turn-around: the shortest that is certain; 0: not known */
     uint32_t owed_count;
-    line_owed owed[OWED_MAX];   /* in the order of their newest requests */
+    line_owed owed[OWED_MAX]; /* in the order of their newest requests */
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
-    int64_t answered_ns;        /* when the newest request that it answered had been sent */
-    int64_t smoothed_ns;        /* RFC 6298: SRTT, RTTVAR, RTO of the turn-around */
+    int64_t answered_ns; /* when the newest request that it answered had been sent */
+    int64_t smoothed_ns; /* RFC 6298: SRTT, RTTVAR, RTO of the turn-around */
     int64_t variation_ns;
-    int64_t usual_ns;           /* the longest turn-around that is usual; 0: not known */
-    int64_t deadline_ns;        /* the same, and longer after failures */
+    int64_t usual_ns;    /* the longest turn-around that is usual; 0: not known */
+    int64_t deadline_ns; /* the same, and longer after failures */
     int64_t cycle_start_ns;
     int64_t cycle_ns;
-    uint64_t cycle_count;       /* since it was set up */
-    setpoints frozen;           /* of this cycle, where ways are told one by one */
+    uint64_t cycle_count; /* since it was set up */
+    setpoints frozen;     /* of this cycle, where ways are told one by one */
     int64_t told[DRIVE_CYCLIC_MAX][EXCHANGE_SETPOINTS_MAX];
-    drive_report count;         /* the counters of it */
+    drive_report count; /* the counters of it */
 } line_drive_state;
 
 typedef struct {
     joint_feedback feedback;
-    int64_t count_ns;           /* stamps of the newest of each kind */
+    int64_t count_ns; /* stamps of the newest of each kind */
     int64_t velocity_ns;
     int64_t newest_ns;
-    uint32_t counts;            /* 1: a COUNT field is there */
-    uint32_t measures;          /* 1: a VELOCITY field is there */
+    uint32_t counts;   /* 1: a COUNT field is there */
+    uint32_t measures; /* 1: a VELOCITY field is there */
     uint32_t fault_word;
 } line_joint_state;
 
@@ -132,41 +132,41 @@ typedef struct line_machine {
     line_table table;
     line_drive_state drive[LINE_DRIVES_MAX];
     line_joint_state joint[JOINTS_MAX];
-    setpoints newest;           /* the core's */
-    uint64_t enabled_count;     /* how often they have become enabled */
+    setpoints newest;       /* the core's */
+    uint64_t enabled_count; /* how often they have become enabled */
     line_control control;
-    line_ask ask[LINE_ASKS_MAX];    /* those that wait; the urgent ones first */
+    line_ask ask[LINE_ASKS_MAX]; /* those that wait; the urgent ones first */
     uint32_t ask_count;
-    uint32_t echo;              /* line_echo */
-    uint32_t work;              /* line_work under way; NONE: the line is ours */
-    uint32_t worker;            /* its drive; LINE_DRIVES_MAX: none */
-    bool sent;                  /* its request has left */
-    bool news;                  /* something that Python wants to hear */
+    uint32_t echo;   /* line_echo */
+    uint32_t work;   /* line_work under way; NONE: the line is ours */
+    uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
+    bool sent;       /* its request has left */
+    bool news;       /* something that Python wants to hear */
     bool notified_shut;
-    uint32_t broadcasts;        /* frames of broadcast_stop still to be sent */
-    uint32_t current;           /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
-    uint32_t shut;              /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    uint32_t broadcasts; /* frames of broadcast_stop still to be sent */
+    uint32_t current;    /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
+    uint32_t shut;       /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
-    int64_t ours_ns;            /* earliest time of the next request on a line where nobody else sends */
-    int64_t free_ns;            /* the same, after the newest byte that was heard */
-    int64_t silent_ns;          /* when the line was seen silent last */
-    bool noisy;                 /* what was urgent has gone out since then all the same */
-    int64_t urgent_by_ns;       /* an urgent request goes out then, silence or not; 0: none waits */
-    int64_t start_ns;           /* of the request under way */
-    int64_t end_ns;             /* its last byte */
-    int64_t until_ns;           /* its deadline */
-    int64_t bound_ns;           /* turn-around that is waited for */
-    int64_t slot_due_ns;        /* the acyclic slot's turn */
+    int64_t ours_ns;      /* earliest time of the next request on a line where nobody else sends */
+    int64_t free_ns;      /* the same, after the newest byte that was heard */
+    int64_t silent_ns;    /* when the line was seen silent last */
+    bool noisy;           /* what was urgent has gone out since then all the same */
+    int64_t urgent_by_ns; /* an urgent request goes out then, silence or not; 0: none waits */
+    int64_t start_ns;     /* of the request under way */
+    int64_t end_ns;       /* its last byte */
+    int64_t until_ns;     /* its deadline */
+    int64_t bound_ns;     /* turn-around that is waited for */
+    int64_t slot_due_ns;  /* the acyclic slot's turn */
     int64_t slot_period_ns;
     uint32_t slot_turn;
     uint32_t feedback_mask;
     uint64_t exchanges;
-    uint64_t answers;           /* good replies and refusals */
+    uint64_t answers; /* good replies and refusals */
     uint64_t noise_bytes;
     uint32_t stray_bytes;
-    uint8_t stray[FRAME_BYTES_MAX];     /* the newest bytes that belong to no answer */
-    int64_t round_trip_ns;      /* of the exchange that ended in this step; 0: none did */
+    uint8_t stray[FRAME_BYTES_MAX]; /* the newest bytes that belong to no answer */
+    int64_t round_trip_ns;          /* of the exchange that ended in this step; 0: none did */
     line_transaction transaction;
     line_answer answer;
     bool answered;
@@ -174,12 +174,12 @@ typedef struct line_machine {
 
 /* What the thread has to do after a step. */
 typedef struct {
-    const uint8_t *send;        /* write these now, then call line_machine_sent; NULL: nothing */
+    const uint8_t *send; /* write these now, then call line_machine_sent; NULL: nothing */
     uint32_t send_bytes;
-    uint32_t feedback_mask;     /* joints whose machine->joint[].feedback is new */
-    bool answered;              /* machine->answer is new */
+    uint32_t feedback_mask; /* joints whose machine->joint[].feedback is new */
+    bool answered;          /* machine->answer is new */
     bool news;
-    int64_t wake_ns;            /* step again then, or when bytes, asks or a wake come */
+    int64_t wake_ns; /* step again then, or when bytes, asks or a wake come */
 } line_output;
 
 /* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */

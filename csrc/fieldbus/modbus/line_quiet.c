@@ -33,7 +33,7 @@ void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
     }
     line_demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
     if (m->shut < 2) {
-        drive->stop = STOP_NOTHING;   /* its probes stop it; later there are none: it is told until the end */
+        drive->stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
     }
     drive->stopping = drive->back = false;
     drive->stage = STAGE_IDLE;
@@ -55,7 +55,7 @@ static void read_probe(line_machine *m, uint32_t number, line_frame *out)
     } else if (table->extra_count > 0) {
         *out = table->extra[0].frame;
     } else {
-        (void)line_build(m, number, 0, out);   /* with zeros: it is not armed */
+        (void)line_build(m, number, 0, out); /* with zeros: it is not armed */
     }
 }
 
@@ -110,7 +110,7 @@ bool line_ends_patience(line_machine *m, int64_t now_ns)
     if (!is_urgent(m, now_ns)) {
         m->urgent_by_ns = 0;
     } else if (m->urgent_by_ns == 0) {
-        int64_t silent_ns = now_ns + m->table.gap_ns;   /* at the earliest */
+        int64_t silent_ns = now_ns + m->table.gap_ns; /* at the earliest */
         int64_t patience_ns = (m->ours_ns > silent_ns ? m->ours_ns : silent_ns) + URGENT_NOISE_NS;
         m->urgent_by_ns = m->noisy ? m->ours_ns : patience_ns;
     }

@@ -12,7 +12,7 @@
 #include "line_thread.h"
 
 #ifndef TIOCSER_TEMT
-#define TIOCSER_TEMT 0x01   /* linux/serial.h: the transmitter is empty */
+#define TIOCSER_TEMT 0x01 /* linux/serial.h: the transmitter is empty */
 #endif
 
 static const int64_t NS_PER_S = 1000000000;
@@ -43,7 +43,7 @@ static line_thread *life_of(uint32_t line)
 static void sleep_until(int64_t until_ns)
 {
     if (until_ns <= clock_now_ns()) {
-        return;   /* the kernel would set a timer all the same, and be back late */
+        return; /* the kernel would set a timer all the same, and be back late */
     }
     struct timespec until = {.tv_sec = until_ns / NS_PER_S, .tv_nsec = until_ns % NS_PER_S};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR) {
@@ -71,7 +71,7 @@ static int write_all(const rtu_thread *t, const uint8_t *bytes, uint32_t count)
             struct pollfd port = {.fd = t->life.at.fd, .events = POLLOUT};
             int ready = poll(&port, 1, 100);
             if (ready == 0 || (port.revents & (POLLERR | POLLNVAL)) != 0) {
-                return -EIO;   /* an output buffer that does not empty is no line */
+                return -EIO; /* an output buffer that does not empty is no line */
             }
         }
     }
@@ -84,8 +84,7 @@ static void wait_until_sent(const rtu_thread *t)
     sleep_until(t->machine.end_ns);
     int64_t limit_ns = t->machine.end_ns + DRAIN_LIMIT_NS;
     int status = TIOCSER_TEMT;
-    while (ioctl(t->life.at.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 &&
-           clock_now_ns() < limit_ns) {
+    while (ioctl(t->life.at.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 && clock_now_ns() < limit_ns) {
         sleep_until(clock_now_ns() + (int64_t)t->machine.table.character_ns);
     }
 }
@@ -180,7 +179,7 @@ static int round_trip(rtu_thread *t, const uint8_t *bytes, uint32_t count, int64
 static void *run(void *arg)
 {
     rtu_thread *t = arg;
-    uint8_t bytes[FRAME_BYTES_MAX];
+    uint8_t bytes[FRAME_BYTES_MAX] = {0};
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-line");

@@ -66,8 +66,7 @@ static void check_field(finding *f, const line_field *field, const line_frame *f
     need(f, field->joint < JOINTS_MAX, "field.joint");
     need(f, field->kind <= FIELD_KEPT, "field.kind");
     need(f, field->form <= FORM_I32_LOW_FIRST, "field.form");
-    need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes,
-         "field.byte");
+    need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes, "field.byte");
     need(f, field->way <= DRIVE_WAYS_MAX, "field.way");
     need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
     need(f, isfinite(field->si_per_raw), "field.si_per_raw");

@@ -129,22 +129,14 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
         joint->feedback.count = (uint64_t)raw;
         joint->count_ns = stamp_ns;
         break;
-    case FIELD_FAULT:
-        read_fault(m, field, (uint32_t)raw);
-        break;
-    case FIELD_ENABLED:
-        drive->enabled = equal ? 1 : 0;
-        break;
-    case FIELD_KEPT:
-        drive->lost_setup |= !equal;
-        break;
+    case FIELD_FAULT: read_fault(m, field, (uint32_t)raw); break;
+    case FIELD_ENABLED: drive->enabled = equal ? 1 : 0; break;
+    case FIELD_KEPT: drive->lost_setup |= !equal; break;
     case FIELD_VELOCITY:
         joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);
         joint->velocity_ns = stamp_ns;
         break;
-    default:
-        (void)feedback_measured(&joint->feedback, field->kind, si);
-        break;
+    default: (void)feedback_measured(&joint->feedback, field->kind, si); break;
     }
 }
 
@@ -181,11 +173,9 @@ void line_publish(line_machine *m, uint32_t drive)
             continue;
         }
         line_joint_state *joint = &m->joint[j];
-        joint->feedback.stamp_ns = joint->counts     ? joint->count_ns
-                                   : joint->measures ? joint->velocity_ns
-                                                     : joint->newest_ns;
+        joint->feedback.stamp_ns = joint->counts ? joint->count_ns : joint->measures ? joint->velocity_ns : joint->newest_ns;
         bool only_acknowledges = !joint->counts && !joint->measures && joint->newest_ns == 0;
-        if (only_acknowledges) {   /* a value that was never read has no stamp, whatever else was answered */
+        if (only_acknowledges) { /* a value that was never read has no stamp, whatever else was answered */
             joint->feedback.stamp_ns = m->drive[drive].answered_ns;
         }
         joint->feedback.epoch = m->drive[drive].epoch;

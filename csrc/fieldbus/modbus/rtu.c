@@ -175,8 +175,7 @@ static heard whole(const line_frame *frame, const uint8_t *request, const uint8_
     return (heard){.kind = good ? HEARD_ANSWER : HEARD_BAD, .bytes = good ? count : 0};
 }
 
-heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes,
-                      uint32_t count)
+heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count)
 {
     if (frame->exact != 0) {
         return whole(frame, request, bytes, count);
