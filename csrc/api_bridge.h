@@ -9,9 +9,6 @@ enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
 /* What the line is told: OFF no power, at once; STOP brakes for stopping_ns, then no power; ARMED follow the set-points. */
 enum { PWM_OFF, PWM_STOP, PWM_ARMED };
 
-/* Why it is not armed any more though it was told to be. */
-enum { PWM_DEMOTED_OLD = 1 << 0, PWM_DEMOTED_NOT_ENABLED = 1 << 1, PWM_DEMOTED_LEFT_ALONE = 1 << 2 };
-
 /* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
 typedef struct {
     uint32_t joint;    /* place in bridge_config.joint */

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "drive_state.h"
 #include "fresh.h"
 #include "rt.h"
 
@@ -32,7 +33,7 @@ static void obey_wish(bridge_state *state, const bridge_config *config, const br
         state->enabled_count_armed = state->enabled_count;
         state->stop_until_ns = 0;
     } else if (control->wish == PWM_ARMED) {
-        demote(state, PWM_DEMOTED_OLD, 0);
+        demote(state, DEMOTED_SETPOINTS_OLD, 0);
     } else {
         bool braking = control->wish == PWM_STOP && state->armed != 0;
         state->armed = 0;
@@ -45,15 +46,16 @@ static void look_at_setpoints(bridge_state *state, const bridge_config *config, 
                               int64_t now_ns)
 {
     bool left_alone = state->last_ns != 0 && now_ns - state->last_ns > config->setpoint_timeout_ns;
+    bool enabled = newest->enabled != 0;
     if (state->armed == 0) {
         return;
     }
-    if (!fresh || left_alone) {
-        demote(state, fresh ? PWM_DEMOTED_LEFT_ALONE : PWM_DEMOTED_OLD, now_ns + config->stopping_ns);
-    } else if (newest->enabled != 0) {
+    bool was_enabled = state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count;
+    uint32_t why = drive_lost(fresh, left_alone, enabled, was_enabled);
+    if (why != 0) {
+        demote(state, why, why == DEMOTED_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
+    } else if (enabled) {
         state->was_enabled = 1;
-    } else if (state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count) {
-        demote(state, PWM_DEMOTED_NOT_ENABLED, 0);
     }
 }
 

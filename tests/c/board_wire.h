@@ -113,7 +113,7 @@ static inline board_table frames_table(void)
 
 static inline void restart(void)
 {
-    CHECK(board_machine_init(&w.machine, &w.table, w.machine.epoch, w.machine.sequence, w.now_ns) == 0);
+    CHECK(board_machine_init(&w.machine, &w.table, w.machine.state.epoch, w.machine.sequence, w.now_ns) == 0);
     w.machine.send = take_bytes;
     w.wake_ns = w.now_ns;
 }
@@ -198,7 +198,7 @@ static inline void set_up(void)
     order(CONTROL, 1, CONTROL_RESTART_NOTED, 0);
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     wish(DRIVE_READY);
-    CHECK(w.machine.mode == DRIVE_READY && w.machine.demoted == 0 && w.machine.enabled == 2);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.demoted == 0 && w.machine.state.enabled == 2);
     CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was heard before was another life */
 }
 
@@ -207,9 +207,9 @@ static inline void arm(void)
     set_up();
     w.machine.control.wish.arming_until_ns = w.now_ns + 1000 * MS;
     order(CONTROL, 1, CONTROL_ENABLE, 1);
-    CHECK(w.peer.enabled == 1 && w.machine.enabled == 1);
+    CHECK(w.peer.enabled == 1 && w.machine.state.enabled == 1);
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_ARMED && w.machine.enabled == 2);
+    CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.enabled == 2);
 }
 
 /* What Python would hear of by now; it has heard it then. */

@@ -84,7 +84,7 @@ static inline can_drive can_drive_of(uint32_t n)
 
 static inline void restart(void)
 {
-    can_before before = {.epoch = w.machine.drive[0].epoch};
+    can_before before = {.epoch = w.machine.drive[0].state.epoch};
     for (uint32_t i = 0; i < w.table.drive_count; i++) {
         before.may_turn |= (uint32_t)w.machine.drive[i].may_turn << i;
     }
@@ -164,7 +164,7 @@ static inline void arm(uint32_t drive)
     go_on(20 * MS);
     w.powered = true;
     wish(drive, DRIVE_ARMED);
-    CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
+    CHECK(w.machine.drive[drive].state.mode == DRIVE_ARMED);
 }
 
 static inline can_drive *table_of(uint32_t drive)
@@ -181,7 +181,7 @@ static inline void become_quiet(void)
 {
     w.silent = true;
     go_on(320 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET);
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET);
 }
 
 static inline void forget_sent(void)
@@ -230,7 +230,7 @@ static inline void arm_and_go(void)
 {
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 100);
 }
 
 #endif

@@ -13,7 +13,7 @@ static uint32_t mode_before;
 static bool may_move(void)
 {
     const setpoints *from = &w.machine.newest;
-    return w.machine.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.shut == 0 &&
+    return w.machine.state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.shut == 0 &&
            w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(w.velocity_rad_s);
 }
 
@@ -33,7 +33,8 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
         return true;
     }
     CHECK(may_move() || (told(TARGET, 4, 1) == 0 && told(TARGET + 6, 4, 1) == 0));
-    CHECK(w.machine.mode != DRIVE_QUIET || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.back || w.machine.shut != 0);
+    CHECK(w.machine.state.mode != DRIVE_QUIET || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
+          w.machine.shut != 0);
     return true;
 }
 
@@ -96,7 +97,7 @@ static void look(void)
 {
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns);
-    uint32_t mode = w.machine.mode;
+    uint32_t mode = w.machine.state.mode;
     judge_mode(mode_before, mode, &w.machine.control.wish);
     mode_before = mode;
     CHECK(w.machine.said_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
@@ -110,7 +111,7 @@ static void say(uint8_t choice)
     } else {
         say_bytes();
     }
-    mode_before = w.machine.mode;
+    mode_before = w.machine.state.mode;
 }
 
 static board_table text(void)
@@ -148,7 +149,7 @@ static void begin_armed(void)
     look();
     w.machine.control.wish = (drive_wish){.count = 2, .mode = DRIVE_ARMED};
     look();
-    CHECK(w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.state.mode == DRIVE_ARMED);
 }
 
 static void once(const uint8_t *data, size_t size)
@@ -158,7 +159,7 @@ static void once(const uint8_t *data, size_t size)
     table.imu = (board_imu){.used = next_byte() % 2, .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
     begin_with(table);
     w.machine.send = judge;
-    mode_before = w.machine.mode;
+    mode_before = w.machine.state.mode;
     if (next_byte() % 2 == 0) {
         begin_armed();
     }

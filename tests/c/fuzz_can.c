@@ -20,7 +20,7 @@ static bool may_move(uint32_t drive)
 {
     const setpoints *from = &w.machine.newest;
     double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
-    return w.machine.drive[drive].mode == DRIVE_ARMED && w.machine.shut == 0 && from->enabled == 1 && from->stamp_ns > 0 &&
+    return w.machine.drive[drive].state.mode == DRIVE_ARMED && w.machine.shut == 0 && from->enabled == 1 && from->stamp_ns > 0 &&
            w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
 }
 
@@ -195,7 +195,7 @@ static void drives_side(uint8_t choice)
 static void judge_modes(void)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
-        uint32_t now = w.machine.drive[i].mode;
+        uint32_t now = w.machine.drive[i].state.mode;
         judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;
@@ -210,7 +210,7 @@ static void judge_modes(void)
 static void judge_stops(bool cycled)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
-        bool waits = w.machine.drive[i].mode == DRIVE_QUIET && !cycled;
+        bool waits = w.machine.drive[i].state.mode == DRIVE_QUIET && !cycled;
         CHECK(told[i] == 0 || may_move(i) || waits);
     }
 }
@@ -231,7 +231,7 @@ static void wish_all(uint32_t mode)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
         hear_motion(i, 0);
-        hear_state(i, w.machine.drive[i].mode == DRIVE_ARMED ? 0 : 1);
+        hear_state(i, w.machine.drive[i].state.mode == DRIVE_ARMED ? 0 : 1);
         w.machine.control.drive[i].count++;
         w.machine.control.drive[i].mode = mode;
     }

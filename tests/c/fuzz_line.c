@@ -104,7 +104,7 @@ static bool may_move(uint32_t drive)
 {
     const setpoints *from = &w.machine.newest;
     double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
-    return w.machine.drive[drive].mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 &&
+    return w.machine.drive[drive].state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 &&
            w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
 }
 
@@ -122,7 +122,7 @@ static void judge_request(const uint8_t *request)
 static void judge_modes(void)
 {
     for (uint32_t i = 0; i < UNITS; i++) {
-        uint32_t now = w.machine.drive[i].mode;
+        uint32_t now = w.machine.drive[i].state.mode;
         judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;

@@ -178,7 +178,7 @@ static inline void arm(uint32_t drive)
     go_on();
     wish(drive, DRIVE_ARMED);
     go_on();
-    CHECK(w.machine.drive[drive].mode == DRIVE_ARMED);
+    CHECK(w.machine.drive[drive].state.mode == DRIVE_ARMED);
 }
 
 #endif

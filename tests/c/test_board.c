@@ -7,7 +7,7 @@ static void nothing_but_zero_goes_out_before_arming(void)
 {
     begin();
     go_on(200 * MS);
-    CHECK(w.sent_count >= 19 && w.machine.mode == DRIVE_OFF);
+    CHECK(w.sent_count >= 19 && w.machine.state.mode == DRIVE_OFF);
     set_up();
     go_on(200 * MS);
     wish(DRIVE_STAND_DOWN);
@@ -64,7 +64,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     w.machine.control.wish.count++; /* STAND_DOWN or OFF, before the next one took its place */
     wish(DRIVE_ARMED);
     go_on(30 * MS);
-    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0);
     CHECK(told(TARGET, 4, 1) == 0);
 }
 
@@ -150,17 +150,17 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     w.stuck = true;
     w.enabled = 2;
     go_on(125 * MS);
-    CHECK((w.machine.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.machine.mode == DRIVE_READY);
-    CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.stopping);
+    CHECK((w.machine.state.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.state.stopping);
     go_on(300 * MS);
     CHECK(w.peer.braking == 1); /* the wheels turn still */
     w.stuck = false;
     go_on(50 * MS);
-    CHECK(w.peer.braking == 0 && !w.machine.stopping);
+    CHECK(w.peer.braking == 0 && !w.machine.state.stopping);
     w.enabled = 1;
     w.moving_count = 0;
     go_on(200 * MS);
-    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && w.moving_count == 0);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && w.moving_count == 0);
 }
 
 static void a_wheel_rests_below_the_speed_of_the_table(void)
@@ -173,7 +173,8 @@ static void a_wheel_rests_below_the_speed_of_the_table(void)
         w.stuck = true;
         w.enabled = 2;
         go_on(300 * MS);
-        CHECK((w.machine.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.peer.braking == strict && w.machine.stopping == strict);
+        CHECK((w.machine.state.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
+              w.machine.state.stopping == strict);
     }
 }
 
@@ -201,7 +202,7 @@ static void rest_is_only_what_was_said_after_the_stop_was_heard(void)
     w.mute = true;
     w.enabled = 2;
     go_on(115 * MS);
-    CHECK(w.peer.braking == 1 && w.machine.stopping);
+    CHECK(w.peer.braking == 1 && w.machine.state.stopping);
     w.mute = false;
     go_on(30 * MS);
     CHECK(w.peer.braking == 0);
@@ -216,7 +217,7 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
     w.enabled = 0;
     w.now_ns += MS;
     step(); /* no cycle is due */
-    CHECK(w.peer.enabled == 0 && w.peer.braking == 0 && w.machine.mode == DRIVE_READY);
+    CHECK(w.peer.enabled == 0 && w.peer.braking == 0 && w.machine.state.mode == DRIVE_READY);
     CHECK(told(CONTROL, 1, 0) == CONTROL_OFF && told(TARGET, 4, 1) == 0);
 }
 
@@ -236,7 +237,7 @@ static void a_stop_may_be_many_writes(void)
     CHECK(told(CONTROL, 1, 0) == CONTROL_BRAKE && told(4, 2, 0) == 11);
     w.enabled = 1;
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_READY); /* not while it comes to rest */
+    CHECK(w.machine.state.mode == DRIVE_READY); /* not while it comes to rest */
 }
 
 static void one_that_is_wished_off_is_off_at_once(void)
@@ -245,7 +246,7 @@ static void one_that_is_wished_off_is_off_at_once(void)
     arm_and_turn();
     (void)heard_news();
     wish(DRIVE_OFF);
-    CHECK(w.machine.mode == DRIVE_OFF && w.peer.enabled == 0 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && heard_news());
 }
 
 static void armed_again_it_waits_again_for_the_core(void)
@@ -259,13 +260,13 @@ static void armed_again_it_waits_again_for_the_core(void)
     order(CONTROL, 1, CONTROL_ENABLE, 1);
     wish(DRIVE_ARMED);
     go_on(100 * MS);
-    CHECK(w.machine.mode == DRIVE_ARMED && w.peer.enabled == 1);
+    CHECK(w.machine.state.mode == DRIVE_ARMED && w.peer.enabled == 1);
     w.enabled = 1;
     go_on(30 * MS);
     w.enabled = 0;
     (void)heard_news();
     go_on(30 * MS);
-    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && heard_news());
 }
 
 static void standing_down_takes_the_power_with_the_next_frame(void)
@@ -273,7 +274,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     begin();
     arm_and_turn();
     wish(DRIVE_STAND_DOWN);
-    CHECK(w.machine.mode == DRIVE_READY && w.peer.enabled == 0 && told(TARGET, 4, 1) == 0);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && told(TARGET, 4, 1) == 0);
     begin();
     arm();
     w.velocity_rad_s = 0.0;
@@ -291,12 +292,12 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     arm_and_turn();
     w.full = true;
     go_on((WATCHDOG_MS + 30) * MS);
-    CHECK(w.machine.mode != DRIVE_ARMED && (w.machine.demoted & DEMOTED_LEFT_ALONE) != 0);
+    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.demoted & DEMOTED_LEFT_ALONE) != 0);
     CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
     w.full = false;
     w.moving_count = 0;
     go_on(50 * MS);
-    CHECK(w.moving_count == 0 && w.machine.mode != DRIVE_ARMED);
+    CHECK(w.moving_count == 0 && w.machine.state.mode != DRIVE_ARMED);
 }
 
 static void a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does(void)
@@ -306,12 +307,12 @@ static void a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does(void)
     w.full = true;
     w.enabled = 0;
     go_on(30 * MS);
-    CHECK(w.machine.stop_waits && w.peer.enabled == 1);
+    CHECK(w.machine.state.stop && w.peer.enabled == 1);
     w.full = false;
     w.now_ns = w.wake_ns;
     CHECK(w.wake_ns <= w.now_ns + MS);
     step();
-    CHECK(w.peer.enabled == 0 && !w.machine.stop_waits);
+    CHECK(w.peer.enabled == 0 && !w.machine.state.stop);
 }
 
 static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
@@ -324,7 +325,7 @@ static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
     w.deaf = false;
     w.moving_count = 0;
     go_on(60 * MS);
-    CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_DISABLED_ITSELF) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_DISABLED_ITSELF) != 0);
     CHECK(w.peer.enabled == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
@@ -334,9 +335,9 @@ static void a_restarted_board_has_lost_its_set_up(void)
     arm_and_turn();
     motord_board_init(&w.peer, MOTORS, (uint32_t)(w.now_ns / 1000));
     go_on(250 * MS);
-    CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_LOST_SETUP) != 0 && w.peer.enabled == 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_LOST_SETUP) != 0 && w.peer.enabled == 0);
     set_up();
-    CHECK(w.machine.epoch == 2);
+    CHECK(w.machine.state.epoch == 2);
 }
 
 static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
@@ -345,7 +346,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
     set_up();
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
-    CHECK(w.peer.enabled == 0 && (w.machine.demoted & DEMOTED_STILL_ENABLED) == 0);
+    CHECK(w.peer.enabled == 0 && (w.machine.state.demoted & DEMOTED_STILL_ENABLED) == 0);
     for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
         uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
@@ -355,7 +356,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
         board_machine_hear(&w.machine, frame, count, w.now_ns);
     }
-    CHECK((w.machine.demoted & DEMOTED_STILL_ENABLED) != 0 && w.machine.mode == DRIVE_READY);
+    CHECK((w.machine.state.demoted & DEMOTED_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
 }
 
 /* --------------------------------------------------------------------------------------------------- presence */
@@ -365,7 +366,7 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     arm_and_turn();
     w.mute = true;
     go_on(180 * MS);
-    CHECK(w.machine.mode == DRIVE_QUIET && w.peer.braking == 1 && w.peer.enabled == 0);
+    CHECK(w.machine.state.mode == DRIVE_QUIET && w.peer.braking == 1 && w.peer.enabled == 0);
     CHECK(w.machine.said_bytes == 0 && heard_news());
     go_on(1200 * MS);
     CHECK(w.peer.braking == 1);
@@ -375,12 +376,12 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* told so in every cycle */
     wish(DRIVE_ARMED);
     wish(DRIVE_READY);
-    CHECK(w.machine.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_QUIET);
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
-    CHECK(w.machine.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1 && heard_news());
     set_up();
 }
 
@@ -391,12 +392,12 @@ static void arming_needs_fresh_set_points_and_no_stop_under_way(void)
     w.enabled = 2;
     go_on(150 * MS);
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_READY);
+    CHECK(w.machine.state.mode == DRIVE_READY);
     w.enabled = 1;
     w.full = true;
     wish(DRIVE_STAND_DOWN);
     wish(DRIVE_ARMED);
-    CHECK(w.machine.mode == DRIVE_READY && w.machine.stop_waits);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.stop);
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
@@ -415,10 +416,10 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     int64_t last_ns = w.machine.newest.stamp_ns;
     w.enabled = 2;
     w.velocity_rad_s = 0.0;
-    while (w.machine.mode == DRIVE_ARMED) {
+    while (w.machine.state.mode == DRIVE_ARMED) {
         go_on(MS);
     }
-    CHECK(w.machine.demoted == DEMOTED_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
+    CHECK(w.machine.state.demoted == DEMOTED_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
 }
 
 int main(void)

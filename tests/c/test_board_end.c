@@ -14,7 +14,7 @@ static void the_end_is_braked_switched_off_and_silent(void)
     uint32_t before = w.sent_count;
     wish(DRIVE_ARMED);
     go_on(200 * MS);
-    CHECK(w.sent_count == before && w.machine.mode == DRIVE_READY);
+    CHECK(w.sent_count == before && w.machine.state.mode == DRIVE_READY);
 }
 
 static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)

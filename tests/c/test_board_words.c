@@ -64,9 +64,9 @@ static void noise_is_counted_and_changes_nothing(void)
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame); /* too short */
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.bad_frames == 3 && w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
     go_on(50 * MS);
-    CHECK(w.machine.bad_frames == 3 && w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
 }
 
 static void what_was_said_before_a_write_was_heard_is_not_believed(void)
@@ -79,17 +79,17 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
     board_put(payload, &heard, w.machine.sequence + 1000);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &heard, w.machine.sequence);
     board_put(payload, &ago, 60000); /* heard six seconds ago: before it was sent, by an earlier program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.mode == DRIVE_ARMED);
+    CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.mode == DRIVE_OFF && (w.machine.demoted & DEMOTED_LOST_SETUP) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_LOST_SETUP) != 0);
 }
 
 /* ------------------------------------------------------------------------------------------------------- text */
@@ -136,15 +136,15 @@ static void text_without_feedback_lives_on_its_port(void)
     wish(DRIVE_READY);
     wish(DRIVE_ARMED);
     go_on(50 * MS);
-    CHECK(w.machine.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
+    CHECK(w.machine.state.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
     CHECK(w.machine.feedback_mask == 3 && isnan(w.machine.joint[0].feedback.velocity_rad_s));
     CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.told_ns && w.machine.received == 0);
     w.full = true;
     go_on(200 * MS);
-    CHECK(w.machine.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_QUIET);
     w.full = false;
     go_on(60 * MS);
-    CHECK(w.machine.mode == DRIVE_BACK && newest_line_is("0,0\n"));
+    CHECK(w.machine.state.mode == DRIVE_BACK && newest_line_is("0,0\n"));
 }
 
 static void hear(const char *text)
@@ -164,7 +164,7 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
     hear("\nv 2;hello;v 1e999\n");
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 && w.machine.bad_frames == 2);
     go_on(200 * MS);
-    CHECK(w.machine.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_QUIET);
 }
 
 /* -------------------------------------------------------------------------------------------------- its sensor */

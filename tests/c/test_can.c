@@ -161,7 +161,7 @@ static void a_full_bus_loses_set_points_and_the_next_are_newer(void)
     forget_sent();
     w.full = true;
     go_on(50 * MS);
-    CHECK(w.machine.tx_full >= 4 && w.machine.drive[0].mode == DRIVE_ARMED);
+    CHECK(w.machine.tx_full >= 4 && w.machine.drive[0].state.mode == DRIVE_ARMED);
     w.full = false;
     w.velocity_rad_s = 3.0;
     go_on(10 * MS);
@@ -201,14 +201,14 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     go_on(150 * MS);
     int64_t stopped_ns = told_ns(0, QUICK_STOP);
     CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && told_ns(0, DISABLE) == 0);
-    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.demoted == DEMOTED_SETPOINTS_OLD);
     w.said_rad_s = 0.0;
     go_on(30 * MS);
     CHECK(told_ns(0, DISABLE) > stopped_ns);
     w.enabled = 1;
     w.powered = false;
     go_on(100 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && speed_in(newest_of(0)) == 0);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && speed_in(newest_of(0)) == 0);
 }
 
 static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
@@ -232,7 +232,7 @@ static void enabled_that_is_taken_back_is_power_off_at_once(void)
     w.enabled = 0;
     step();
     CHECK(w.sent[0].data[0] == DISABLE && speed_in(&w.sent[0]) == 0);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].demoted == DEMOTED_NOT_ENABLED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.demoted == DEMOTED_NOT_ENABLED);
 }
 
 static void a_stop_that_the_bus_did_not_take_is_told_again(void)
@@ -257,10 +257,10 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     restart();
     arm(0);
     go_on(2000 * MS);
-    CHECK(w.machine.drive[0].told_motion);
+    CHECK(w.machine.drive[0].state.told_motion);
     w.velocity_rad_s = 0.0;
     go_on(10 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && !w.machine.drive[0].told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !w.machine.drive[0].state.told_motion);
 }
 
 static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
@@ -272,7 +272,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     say_state(0, 8);
     say_motion(0, 1.0F, 1.0F);
     step();
-    CHECK(w.machine.drive[0].demoted == DEMOTED_LEFT_ALONE && w.machine.drive[0].mode == DRIVE_READY);
+    CHECK(w.machine.drive[0].state.demoted == DEMOTED_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
 static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
@@ -282,7 +282,7 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     go_on(50 * MS);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_OFF && w.machine.drive[0].demoted == DEMOTED_DISABLED_ITSELF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.demoted == DEMOTED_DISABLED_ITSELF);
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
@@ -293,7 +293,7 @@ static void a_drive_that_stays_enabled_is_told_off_once_a_cycle(void)
     wish(0, DRIVE_READY);
     w.powered = true;
     go_on(50 * MS);
-    CHECK((w.machine.drive[0].demoted & DEMOTED_STILL_ENABLED) != 0);
+    CHECK((w.machine.drive[0].state.demoted & DEMOTED_STILL_ENABLED) != 0);
     forget_sent();
     for (uint32_t i = 0; i < 1000; i++) {
         say_state(0, 8);
@@ -312,7 +312,7 @@ static void a_drive_that_is_being_armed_may_say_that_it_is_enabled(void)
     w.powered = true;
     forget_sent();
     go_on(100 * MS);
-    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].demoted == 0);
+    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].state.demoted == 0);
 }
 
 static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(void)
@@ -342,10 +342,10 @@ static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
     w.silent = true;
     int64_t silent_ns = w.now_ns;
     forget_sent();
-    while (w.machine.drive[0].mode == DRIVE_ARMED) {
+    while (w.machine.drive[0].state.mode == DRIVE_ARMED) {
         go_on(5 * MS);
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET && w.now_ns - silent_ns < 230 * MS);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET && w.now_ns - silent_ns < 230 * MS);
     go_on(50 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
     go_on(3000 * MS);
@@ -353,12 +353,12 @@ static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
     w.silent = false;
     w.powered = false;
     go_on(50 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_BACK && newest_of(0)->data[0] == DISABLE);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && newest_of(0)->data[0] == DISABLE);
     wish(0, DRIVE_ARMED);
-    CHECK(w.machine.drive[0].mode == DRIVE_BACK);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK);
     wish(0, DRIVE_READY);
     go_on(50 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.joint[0].feedback.epoch == 2);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.joint[0].feedback.epoch == 2);
     CHECK(speed_in(newest_of(0)) == 0);
 }
 
@@ -371,7 +371,7 @@ static void one_frame_that_is_missing_makes_a_drive_quiet(void)
         say_motion(0, 1.0F, 1.0F);
         go_on(10 * MS);
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET && w.machine.drive[0].missing == 1);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET && w.machine.drive[0].missing == 1);
 }
 
 static void the_epochs_of_a_line_that_is_reopened_go_on(void)
@@ -380,7 +380,7 @@ static void the_epochs_of_a_line_that_is_reopened_go_on(void)
     arm(0);
     restart();
     arm(0);
-    CHECK(w.machine.drive[0].epoch == 2);
+    CHECK(w.machine.drive[0].state.epoch == 2);
 }
 
 static void only_who_is_listened_to_is_handed_on(void)

@@ -25,15 +25,15 @@ static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(v
     restart();
     arm_by_hand();
     step_with_stamp(w.now_ns - 100 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(w.now_ns + 10 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(w.now_ns + 10 * MS + 1);
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
     begin_with(1);
     arm_by_hand();
     step_with_stamp(w.now_ns - 100 * MS - 1);
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
 }
 
 static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
@@ -43,9 +43,9 @@ static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
     restart();
     arm_by_hand();
     step_with_stamp(1);
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(0);
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
 }
 
 static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
@@ -55,7 +55,7 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
     say_motion(0, 1.0F, 1.0F);
     int64_t stopped_ns = w.now_ns;
     step_with_stamp(0);
-    CHECK(state_of(0)->stopping);
+    CHECK(state_of(0)->state.stopping);
     for (w.now_ns += 100 * MS; w.now_ns < stopped_ns + 1000 * MS; w.now_ns += 100 * MS) {
         say_state(0, 8);
         say_motion(0, 1.0F, 1.0F);
@@ -63,10 +63,10 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
     }
     w.now_ns = stopped_ns + 1000 * MS - 1;
     step();
-    CHECK(state_of(0)->stopping && told_ns(0, DISABLE) == 0);
+    CHECK(state_of(0)->state.stopping && told_ns(0, DISABLE) == 0);
     w.now_ns++;
     step();
-    CHECK(!state_of(0)->stopping && told_ns(0, DISABLE) == stopped_ns + 1000 * MS);
+    CHECK(!state_of(0)->state.stopping && told_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
 static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
@@ -80,7 +80,7 @@ static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
     arm(0);
     w.machine.cycle.due_ns = w.now_ns;
     step();
-    CHECK(state_of(0)->told_motion);
+    CHECK(state_of(0)->state.told_motion);
     w.enabled = 2;
     say_motion(0, 1.0F, 1.0F);
     forget_sent();
@@ -95,11 +95,11 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     go_on(30 * MS);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
     go_on(60 * MS); /* and it goes on saying that it has power */
-    CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED));
+    CHECK(state_of(0)->state.demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED));
     become_quiet();
-    CHECK(state_of(0)->demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED | DEMOTED_QUIET));
+    CHECK(state_of(0)->state.demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED | DEMOTED_QUIET));
 }
 
 static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
@@ -109,10 +109,10 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
     wish(0, DRIVE_READY);
     w.machine.control.drive[0].arming_until_ns = w.now_ns + 1;
     say_state(0, 8);
-    CHECK(state_of(0)->still_enabled == 0);
+    CHECK(state_of(0)->state.still_enabled == 0);
     w.now_ns++;
     say_state(0, 8);
-    CHECK(state_of(0)->still_enabled == 1);
+    CHECK(state_of(0)->state.still_enabled == 1);
     begin_with(1);
     table_of(0)->says_enabled = 0;
     table_of(0)->slow_every = 1;
@@ -147,7 +147,7 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
     w.now_ns++;
     uint32_t stops = state_of(0)->stops;
     step();
-    CHECK(state_of(0)->missing == 2 && state_of(0)->mode == DRIVE_QUIET && state_of(0)->stops == stops + 1);
+    CHECK(state_of(0)->missing == 2 && state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->stops == stops + 1);
 }
 
 static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(void)
@@ -192,15 +192,15 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet(void
     restart();
     arm(0);
     w.silent = true;
-    while (state_of(0)->mode == DRIVE_ARMED) {
+    while (state_of(0)->state.mode == DRIVE_ARMED) {
         say_state(0, 8);
         go_on(10 * MS); /* its motion is heard no more */
     }
     go_on(10 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 1);
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 1);
     say_state(0, 8);
     go_on(20 * MS);
-    CHECK(state_of(0)->mode == DRIVE_BACK);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK);
 }
 
 static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops(void)
@@ -211,9 +211,9 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     go_on(3000 * MS); /* all that it was told before is long ago */
     w.enabled = 2;
     go_on(110 * MS);
-    CHECK(state_of(0)->stopping);
+    CHECK(state_of(0)->state.stopping);
     become_quiet();
-    CHECK(!state_of(0)->stopping);
+    CHECK(!state_of(0)->state.stopping);
     int64_t quiet_ns = state_of(0)->quiet_since_ns;
     CHECK(told_ns(0, DISABLE) == 0);
     go_on(800 * MS);
@@ -253,7 +253,7 @@ static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
     go_on(20 * MS);
     wish(0, DRIVE_READY);
     w.silent = true;
-    while (state_of(0)->mode != DRIVE_QUIET) {
+    while (state_of(0)->state.mode != DRIVE_QUIET) {
         go_on(MS);
     }
     forget_sent();
@@ -278,14 +278,14 @@ static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
         restart();
         wish(0, DRIVE_READY);
         wish(0, DRIVE_ARMED);
-        CHECK(state_of(0)->mode == DRIVE_ARMED);
+        CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns += watchdogs_ns[i];
         w.machine.cycle.due_ns = w.now_ns + MS;
         step();
-        CHECK(state_of(0)->mode == DRIVE_ARMED);
+        CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns++;
         step();
-        CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_LEFT_ALONE);
+        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_LEFT_ALONE);
     }
 }
 
@@ -308,7 +308,7 @@ static void standing_down_is_a_stop_that_ends_jobs(void)
     arm(0);
     uint32_t stops = state_of(0)->stops;
     wish(0, DRIVE_STAND_DOWN);
-    CHECK(state_of(0)->stops == stops + 1 && state_of(0)->mode == DRIVE_READY);
+    CHECK(state_of(0)->stops == stops + 1 && state_of(0)->state.mode == DRIVE_READY);
 }
 
 static void a_request_that_was_never_seen_may_have_been_a_stop(void)
@@ -316,11 +316,11 @@ static void a_request_that_was_never_seen_may_have_been_a_stop(void)
     begin_with(1);
     arm(0);
     wish(0, DRIVE_READY); /* it is more than that already */
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     uint32_t stops = state_of(0)->stops;
     w.machine.control.drive[0].count++;
     wish(0, DRIVE_ARMED);
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->stops == stops + 2 && state_of(0)->enabled == 2);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->stops == stops + 2 && state_of(0)->state.enabled == 2);
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
 
@@ -330,11 +330,11 @@ static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
     go_on(20 * MS);
     wish(0, DRIVE_READY);
     say_state(0, 8);
-    CHECK(state_of(0)->off_next_cycle);
+    CHECK(state_of(0)->state.off_due);
     wish(0, DRIVE_OFF);
     wish(0, DRIVE_READY);
     wish(0, DRIVE_ARMED);
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
 }
 
 static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before(void)
@@ -348,10 +348,10 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
     wish(0, DRIVE_ARMED);
     w.powered = true;
     go_on(50 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     w.machine.enabled_count = 6; /* it was enabled, and is no more */
     step();
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
 }
 
 static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
@@ -445,7 +445,7 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
+    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
     forget_sent();
     for (uint32_t i = 0; i < 100; i++) {
         w.now_ns += MS / 10;

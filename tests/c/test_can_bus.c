@@ -21,7 +21,7 @@ static void a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_f
     }
     CHECK(say(0, all, 8) == CAN_FOR_NOBODY && say(0x7FF, all, 8) == CAN_FOR_NOBODY);
     CHECK(w.machine.received == 0 && state_of(0)->received == 0 && state_of(0)->heard_ns[0] == 0);
-    CHECK(state_of(1)->enabled == 2 && w.machine.bad_frames == 0);
+    CHECK(state_of(1)->state.enabled == 2 && w.machine.bad_frames == 0);
     CHECK(say(STATE, all, 8) == 0 && say(STATE + 1, all, 8) == 1 && w.machine.received == 2);
 }
 
@@ -103,14 +103,14 @@ static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
     w.silent = true;
     say_motion(0, 1.0F, 0.0F);
     say_state(0, 8);
-    CHECK(state_of(0)->still_enabled == 1);
+    CHECK(state_of(0)->state.still_enabled == 1);
     for (uint32_t i = 0; i < 10; i++) {
         w.now_ns += 6 * MS;
         say_motion(0, 1.0F, 0.0F);
     }
-    CHECK(state_of(0)->still_enabled == 1 && state_of(0)->demoted == 0);
+    CHECK(state_of(0)->state.still_enabled == 1 && state_of(0)->state.demoted == 0);
     say_state(0, 8);
-    CHECK(state_of(0)->still_enabled == 2);
+    CHECK(state_of(0)->state.still_enabled == 2);
 }
 
 /* --------------------------------------------------------------------------------------------- the beginning */
@@ -224,7 +224,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        CHECK(state_of(n)->mode == (n == last ? DRIVE_ARMED : DRIVE_OFF)); /* the others say that they are off */
+        CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF)); /* the others say that they are off */
     }
     w.powered = true;
     forget_sent();
@@ -236,7 +236,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
     CHECK(count_sent(asked + CAN_ASKS_MAX - 1) >= 1 && count_sent(asked) >= 1);
     const can_packet *moving = newest_of(last + 8 * (CAN_OUTPUTS_MAX - 1));
     CHECK(can_get(moving->data, &(can_place){.start_bit = 48, .length = 16, .form = CAN_SIGNED}) == 100);
-    CHECK(state_of(last)->enabled == 1 && w.machine.joint[last].feedback.temperature_c == 8.0);
+    CHECK(state_of(last)->state.enabled == 1 && w.machine.joint[last].feedback.temperature_c == 8.0);
     w.machine.control.shut_down = 1;
     forget_sent();
     go_on(400 * MS);
@@ -253,11 +253,11 @@ static void eight_drives_are_all_there_are(void)
     w.velocity_rad_s = 0.0;
     step();
     uint8_t behind[sizeof w.machine.joint];
-    for (int stop = CAN_STOP_NOTHING; stop <= CAN_STOP_POWER_OFF; stop++) {
-        can_drive_state mover = {.mode = DRIVE_ARMED,
-                                 .stop = (uint32_t)stop,
-                                 .told_motion = true,
-                                 .stopping = true,
+    for (int stop = STOP_NOTHING; stop <= STOP_POWER_OFF; stop++) {
+        can_drive_state mover = {.state.mode = DRIVE_ARMED,
+                                 .state.stop = (uint32_t)stop,
+                                 .state.told_motion = true,
+                                 .state.stopping = true,
                                  .may_turn = true,
                                  .missing = 1,
                                  .probe_at_ns = w.now_ns,
@@ -392,7 +392,7 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was told no motion yet */
     say_state(0, 8);
     step();
-    CHECK(state_of(0)->stopping && !state_of(0)->told_motion && w.wake_ns == w.now_ns + 5 * MS);
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.told_motion && w.wake_ns == w.now_ns + 5 * MS);
 }
 
 /* --------------------------------------------------------------------------------------------------------- end */
@@ -440,7 +440,7 @@ static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with
     forget_sent();
     step();
     CHECK(w.machine.shut == 3 && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
-    CHECK(!state_of(0)->stopping && !state_of(1)->stopping);
+    CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 
 static void the_report_tells_fault_words_and_stops_that_wait(void)

@@ -26,7 +26,7 @@ static void one_that_is_told_all_the_time_is_never_left_alone(void)
     begin_with(1);
     arm(0);
     go_on(3000 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0 && w.machine.tx_full == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0 && w.machine.tx_full == 0);
     CHECK(w.machine.sent == w.sent_count && w.sent_count >= 290);
 }
 
@@ -37,9 +37,9 @@ static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
     uint64_t sent = w.machine.sent;
     w.full = true;
     go_on(480 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
     go_on(50 * MS);
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_LEFT_ALONE);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_LEFT_ALONE);
 }
 
 static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
@@ -63,10 +63,10 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     hold(1, 0x5A);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
-    CHECK(state_of(0)->demoted == DEMOTED_DISABLED_ITSELF);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
+    CHECK(state_of(0)->state.demoted == DEMOTED_DISABLED_ITSELF);
     wish(0, DRIVE_READY);
-    CHECK(state_of(0)->demoted == 0);
+    CHECK(state_of(0)->state.demoted == 0);
     arm(0);
     hold(1, 0x5A);
     forget_sent();
@@ -94,12 +94,12 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
     w.enabled = 2;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
-    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 100);
     CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
     w.machine.newest =
         (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {[1] = {.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
-    CHECK(state_of(0)->told_motion && speed_in(newest_of(0)) == 0);
+    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 0);
 }
 
 static void zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels(void)
@@ -109,11 +109,11 @@ static void zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels(void)
     w.velocity_rad_s = 0.0;
     w.not_taken = SECOND;
     go_on(20 * MS);
-    CHECK(state_of(0)->told_motion);
+    CHECK(state_of(0)->state.told_motion);
     w.not_taken = 0;
     forget_sent();
     step();
-    CHECK(!state_of(0)->told_motion && count_sent(SECOND) >= 1);
+    CHECK(!state_of(0)->state.told_motion && count_sent(SECOND) >= 1);
 }
 
 static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
@@ -122,12 +122,12 @@ static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
     w.not_taken = SECOND;
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->told_motion);
+    CHECK(state_of(0)->state.told_motion);
     w.velocity_rad_s = 0.0;
     w.not_taken = 0;
     forget_sent();
     step();
-    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.told_motion);
 }
 
 /* ------------------------------------------------------------------------------------------------- its power */
@@ -143,15 +143,15 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
     say_state(0, 1); /* the count begins anew */
     say_state(0, 8);
     say_state(0, 8);
-    CHECK(state_of(0)->demoted == 0 && !took_news());
+    CHECK(state_of(0)->state.demoted == 0 && !took_news());
     say_state(0, 8);
-    CHECK(state_of(0)->demoted == DEMOTED_STILL_ENABLED && took_news());
+    CHECK(state_of(0)->state.demoted == DEMOTED_STILL_ENABLED && took_news());
     say_state(0, 8);
     CHECK(!took_news() && count_sent(SPEED) == 0); /* frames that come send nothing */
     uint32_t stops = state_of(0)->stops;
     w.now_ns = w.machine.cycle.due_ns;
     step();
-    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE && state_of(0)->mode == DRIVE_READY);
+    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE && state_of(0)->state.mode == DRIVE_READY);
     CHECK(state_of(0)->stops == stops + 1);
 }
 
@@ -189,11 +189,11 @@ static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_arm
     go_on(105 * MS);
     forget_sent();
     go_on(300 * MS); /* it comes to rest: its power stays until then */
-    CHECK(state_of(0)->stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
+    CHECK(state_of(0)->state.stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
     w.said_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
-    CHECK(!state_of(0)->stopping && count_sent(CONTROL) == 1); /* told once */
+    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* told once */
 }
 
 static void time_without_set_points_before_arming_is_not_being_left_alone(void)
@@ -202,7 +202,7 @@ static void time_without_set_points_before_arming_is_not_being_left_alone(void)
     go_on(2000 * MS);
     wish(0, DRIVE_ARMED);
     go_on(50 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0);
 }
 
 static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
@@ -217,11 +217,11 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
     w.not_taken = CONTROL;
     w.enabled = 0;
     step();
-    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE && state_of(0)->stop == CAN_STOP_POWER_OFF);
+    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE && state_of(0)->state.stop == STOP_POWER_OFF);
     w.not_taken = 0;
     forget_sent();
     go_on(MS);
-    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->stop == CAN_STOP_NOTHING);
+    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->state.stop == STOP_NOTHING);
 }
 
 static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing(void)
@@ -229,10 +229,10 @@ static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing
     begin_with_one_that_cannot_say();
     wish(0, DRIVE_ARMED);
     go_on(30 * MS);
-    CHECK(state_of(0)->told_motion);
+    CHECK(state_of(0)->state.told_motion);
     w.enabled = 0;
     step();
-    CHECK(!state_of(0)->told_motion && w.sent[w.sent_count - 1].id == CONTROL);
+    CHECK(!state_of(0)->state.told_motion && w.sent[w.sent_count - 1].id == CONTROL);
     uint32_t speeds = count_sent(SPEED);
     go_on(100 * MS);
     CHECK(count_sent(SPEED) == speeds);
@@ -257,7 +257,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
     go_on(20 * MS);
     w.enabled = 2; /* a quick stop that waits for rest */
     go_on(120 * MS);
-    CHECK(state_of(0)->stopping && !state_of(0)->told_motion);
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.told_motion);
     forget_sent();
     wish(0, DRIVE_OFF);
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
@@ -270,28 +270,28 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
     go_on(20 * MS);
     wish(0, DRIVE_READY);
     go_on(20 * MS);
-    CHECK(state_of(0)->enabled == 0);
+    CHECK(state_of(0)->state.enabled == 0);
     wish(0, DRIVE_ARMED);
-    CHECK(state_of(0)->enabled == 2);
+    CHECK(state_of(0)->state.enabled == 2);
     w.powered = true;
     go_on(20 * MS);
-    CHECK(state_of(0)->enabled == 1);
+    CHECK(state_of(0)->state.enabled == 1);
     wish(0, DRIVE_STAND_DOWN);
-    CHECK(state_of(0)->enabled == 2);
+    CHECK(state_of(0)->state.enabled == 2);
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(20 * MS);
-    CHECK(state_of(0)->enabled == 1);
+    CHECK(state_of(0)->state.enabled == 1);
     wish(0, DRIVE_ARMED);
     go_on(20 * MS);
     w.enabled = 0;
     w.full = true;
     step();
-    CHECK(state_of(0)->enabled == 2 && state_of(0)->mode == DRIVE_READY);
+    CHECK(state_of(0)->state.enabled == 2 && state_of(0)->state.mode == DRIVE_READY);
     say_state(0, 8);
-    CHECK(state_of(0)->enabled == 1);
+    CHECK(state_of(0)->state.enabled == 1);
     w.full = false;
     step();
-    CHECK(state_of(0)->enabled == 2 && newest_of(0)->data[0] == DISABLE);
+    CHECK(state_of(0)->state.enabled == 2 && newest_of(0)->data[0] == DISABLE);
 }
 
 static void after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told(void)
@@ -317,16 +317,16 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     w.enabled = 0;
     wish(0, DRIVE_ARMED);
     go_on(100 * MS);
-    CHECK(state_of(0)->mode == DRIVE_ARMED && speed_in(newest_of(0)) == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && speed_in(newest_of(0)) == 0);
     w.enabled = 1;
     go_on(20 * MS);
     CHECK(speed_in(newest_of(0)) == 100);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
     w.enabled = 1;
     wish(0, DRIVE_ARMED);
-    CHECK(state_of(0)->mode == DRIVE_ARMED && state_of(0)->demoted == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0);
 }
 
 /* ------------------------------------------------------------------------------------- what asyncio is told of */
@@ -352,7 +352,7 @@ static void asyncio_hears_of_each_change(void)
     (void)took_news();
     w.silent = true;
     w.powered = false;
-    while (state_of(0)->mode != DRIVE_QUIET) {
+    while (state_of(0)->state.mode != DRIVE_QUIET) {
         go_on(MS);
     }
     CHECK(took_news());
@@ -361,12 +361,12 @@ static void asyncio_hears_of_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->back && took_news()); /* it has to be told off first */
+    CHECK(state_of(0)->state.back && took_news()); /* it has to be told off first */
     go_on(20 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && !took_news());
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && !took_news());
     w.full = false;
     go_on(2 * MS);
-    CHECK(state_of(0)->mode == DRIVE_BACK && !state_of(0)->back && took_news());
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_news());
 }
 
 int main(void)

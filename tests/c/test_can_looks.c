@@ -25,15 +25,15 @@ static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(v
     CHECK(next_look_ns() == 20 * MS);
     arm(2); /* the last of them */
     w.machine.cycle.due_ns = w.now_ns + 500 * MS;
-    CHECK(!state_of(2)->told_motion && next_look_ns() == 5 * MS);
+    CHECK(!state_of(2)->state.told_motion && next_look_ns() == 5 * MS);
     w.machine.cycle.due_ns = w.now_ns;
     step();
-    CHECK(state_of(2)->told_motion && next_look_ns() == 5 * MS);
+    CHECK(state_of(2)->state.told_motion && next_look_ns() == 5 * MS);
     w.full = true;
     w.enabled = 0;
-    CHECK(next_look_ns() == MS && state_of(2)->mode == DRIVE_READY);
+    CHECK(next_look_ns() == MS && state_of(2)->state.mode == DRIVE_READY);
     w.full = false;
-    CHECK(next_look_ns() == 20 * MS && !state_of(2)->told_motion);
+    CHECK(next_look_ns() == 20 * MS && !state_of(2)->state.told_motion);
 }
 
 static void jobs_wait_in_their_order_and_are_looked_at_often(void)

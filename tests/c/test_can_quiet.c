@@ -38,7 +38,7 @@ static void a_quiet_drive_is_asked_less_and_less_often(void)
     begin_with_questions();
     for (uint32_t again = 0; again < 2; again++) {
         w.silent = true;
-        while (state_of(0)->mode != DRIVE_QUIET) {
+        while (state_of(0)->state.mode != DRIVE_QUIET) {
             forget_sent();
             go_on(MS);
         }
@@ -52,7 +52,7 @@ static void a_quiet_drive_is_asked_less_and_less_often(void)
         w.silent = false;
         go_on(50 * MS);
         wish(0, DRIVE_READY);
-        CHECK(state_of(0)->mode == DRIVE_READY && state_of(0)->quiet == again + 1);
+        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->quiet == again + 1);
     }
 }
 
@@ -61,13 +61,13 @@ static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_an
     begin_with(1);
     arm_and_go();
     w.silent = true;
-    while (state_of(0)->mode == DRIVE_ARMED) {
+    while (state_of(0)->state.mode == DRIVE_ARMED) {
         go_on(MS);
     }
     forget_sent();
     int64_t quiet_ns = w.now_ns;
     go_on(950 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && told_ns(0, DISABLE) == 0 && !state_of(0)->told_motion);
+    CHECK(told_ns(0, QUICK_STOP) > 0 && told_ns(0, DISABLE) == 0 && !state_of(0)->state.told_motion);
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(speed_in(&w.sent[i]) == 0);
     }
@@ -107,10 +107,10 @@ static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_
     become_quiet();
     forget_sent();
     go_on(50 * MS);
-    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->told_motion);
+    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->state.told_motion);
     w.not_taken = 0;
     go_on(12 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.told_motion);
 }
 
 static void one_that_was_switched_off_while_it_came_back_stays_off(void)
@@ -121,11 +121,11 @@ static void one_that_was_switched_off_while_it_came_back_stays_off(void)
     w.silent = w.powered = false;
     w.full = true;
     go_on(30 * MS);
-    CHECK(state_of(0)->back);
+    CHECK(state_of(0)->state.back);
     wish(0, DRIVE_OFF);
     w.full = false;
     go_on(30 * MS);
-    CHECK(state_of(0)->mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
 }
 
 static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(void)
@@ -134,9 +134,9 @@ static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(v
     w.silent = true;
     wish(0, DRIVE_READY);
     go_on(190 * MS);
-    CHECK(state_of(0)->mode == DRIVE_READY);
+    CHECK(state_of(0)->state.mode == DRIVE_READY);
     go_on(30 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 2);
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 2);
 }
 
 /* Heard all the time, but set up anew only where it answers what it was asked. */
@@ -149,7 +149,7 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     drive->match[2].input = 3;
     restart();
     go_on(50 * MS);
-    CHECK(state_of(0)->mode == DRIVE_OFF && state_of(0)->missing == 3);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && state_of(0)->missing == 3);
     const uint8_t answer[8] = {0x43};
     (void)say(ANSWER, answer, 8);
     step();
@@ -159,10 +159,10 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     become_quiet();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && state_of(0)->missing == 3); /* its old answer counts no more */
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 3); /* its old answer counts no more */
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
-    CHECK(state_of(0)->mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);
     go_on(5050 * MS);
     CHECK(state_of(0)->missing == 3);
 }
@@ -176,7 +176,7 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
     forget_sent();
     w.machine.control.shut_down = 1;
     go_on(250 * MS);
-    CHECK(state_of(0)->mode == DRIVE_QUIET && w.machine.shut == 1);
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && w.machine.shut == 1);
     w.full = false;
     go_on(2 * MS);
     CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);

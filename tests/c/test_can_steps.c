@@ -33,17 +33,20 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
     for (uint32_t powered = 0; powered < 3; powered++) {
         for (uint32_t from = 0; from < 2; from++) {
             begin_drive();
-            drive->mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
-            drive->epoch = 4, drive->demoted = 0xff, drive->still_enabled = 2, drive->slow_cycles = 5;
-            drive->back = drive->may_turn = true;
-            drive->told_motion = powered == 1;
-            drive->stopping = powered == 2;
-            drive->enabled = 1;
+            drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
+            drive->state.epoch = 4, drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->slow_cycles = 5;
+            drive->state.back = drive->may_turn = true;
+            drive->state.told_motion = powered == 1;
+            drive->state.stopping = powered == 2;
+            drive->state.enabled = 1;
             w.now_ns += 7 * MS;
             obey(DRIVE_READY, 0);
-            CHECK(drive->mode == DRIVE_READY && drive->epoch == 5 && drive->demoted == 0 && drive->still_enabled == 0);
-            CHECK(!drive->back && drive->may_turn == (powered != 0) && drive->slow_cycles == 0 && drive->told_ns == w.now_ns);
-            CHECK(drive->stopping == (powered == 2) && drive->told_motion == (powered == 1) && drive->enabled == 2);
+            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && drive->state.demoted == 0 &&
+                  drive->state.still_enabled == 0);
+            CHECK(!drive->state.back && drive->may_turn == (powered != 0) && drive->slow_cycles == 0 &&
+                  drive->told_ns == w.now_ns);
+            CHECK(drive->state.stopping == (powered == 2) && drive->state.told_motion == (powered == 1) &&
+                  drive->state.enabled == 2);
             for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
                 CHECK(drive->heard_ns[i] == w.now_ns);
             }
@@ -55,21 +58,22 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 {
     for (uint32_t against = 0; against < 8; against++) {
         begin_drive();
-        drive->mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
-        drive->was_enabled = true;
-        drive->enabled_count = 3, w.machine.enabled_count = 8;
-        drive->demoted = 0xff, drive->still_enabled = 2, drive->enabled = 1;
+        drive->state.mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
+        drive->state.was_enabled = true;
+        drive->state.enabled_count = 3, w.machine.enabled_count = 8;
+        drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
         w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
-        drive->stopping = against == 2;
-        drive->stop = against == 3 ? CAN_STOP_POWER_OFF : CAN_STOP_NOTHING;
-        drive->off_next_cycle = against == 7;
+        drive->state.stopping = against == 2;
+        drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
+        drive->state.off_due = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
         bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
-        CHECK((drive->mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
+        CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->was_enabled && drive->enabled_count == 8 && drive->demoted == 0 && drive->still_enabled == 0);
-            CHECK(drive->enabled == 2 && drive->told_ns == w.now_ns);
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.demoted == 0 &&
+                  drive->state.still_enabled == 0);
+            CHECK(drive->state.enabled == 2 && drive->told_ns == w.now_ns);
         }
     }
 }
@@ -83,17 +87,17 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
             for (uint32_t i = 0; i < 4; i++) {
                 uint32_t mode = MODES[i];
                 begin_drive();
-                drive->mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
-                drive->stopping = has == 2;
-                drive->told_motion = has == 3;
-                drive->off_next_cycle = has == 4;
-                drive->enabled = 1;
-                drive->back = true;
+                drive->state.mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
+                drive->state.stopping = has == 2;
+                drive->state.told_motion = has == 3;
+                drive->state.off_due = has == 4;
+                drive->state.enabled = 1;
+                drive->state.back = true;
                 uint32_t stops = drive->stops;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
-                CHECK(drive->stop == (off ? CAN_STOP_POWER_OFF : CAN_STOP_NOTHING) && drive->stopping == (has == 2 && !off));
-                CHECK(drive->off_next_cycle == (has == 4 && !off));
+                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (has == 2 && !off));
+                CHECK(drive->state.off_due == (has == 4 && !off));
                 CHECK(drive->stops == stops + off + (unseen != 0) + (mode == DRIVE_STAND_DOWN));
                 uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
                 if (mode == DRIVE_ARMED && !off && has != 2 && has != 4) {
@@ -102,18 +106,18 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 if (mode == DRIVE_READY && has == 1 && !off) {
                     expected = DRIVE_ARMED; /* it is set up */
                 }
-                CHECK(drive->mode == expected && drive->back == (mode != DRIVE_OFF));
-                CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED || drive->enabled == 2);
+                CHECK(drive->state.mode == expected && drive->state.back == (mode != DRIVE_OFF));
+                CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED || drive->state.enabled == 2);
             }
         }
     }
     begin_drive();
-    drive->mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_QUIET;
     obey(DRIVE_READY, 0);
-    CHECK(drive->mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_QUIET);
     uint32_t stops = drive->stops;
     obey(DRIVE_STAND_DOWN, 0);
-    CHECK(drive->mode == DRIVE_QUIET && drive->stops == stops + 1);
+    CHECK(drive->state.mode == DRIVE_QUIET && drive->stops == stops + 1);
 }
 
 /* An armed drive after a look: does it stop, and why? */
@@ -124,15 +128,16 @@ static void guarded(uint32_t why, uint32_t stop)
     }
     w.machine.joint[0].feedback.velocity_rad_s = 1.0;
     can_guard(&w.machine, 0, w.now_ns);
-    CHECK(drive->demoted == why && drive->stop == stop && drive->mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
-    CHECK(drive->stopping == (stop == CAN_STOP_QUICK));
-    CHECK(stop != CAN_STOP_QUICK || drive->off_by_ns == w.now_ns + 1000 * MS);
+    CHECK(drive->state.demoted == why && drive->state.stop == stop &&
+          drive->state.mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
+    CHECK(drive->state.stopping == (stop == STOP_QUICK));
+    CHECK(stop != STOP_QUICK || drive->state.off_by_ns == w.now_ns + 1000 * MS);
 }
 
 static void begin_armed(void)
 {
     begin_drive();
-    drive->mode = DRIVE_ARMED;
+    drive->state.mode = DRIVE_ARMED;
     drive->may_turn = true;
 }
 
@@ -140,9 +145,9 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
 {
     begin_armed();
     w.now_ns += 100 * MS;
-    guarded(0, CAN_STOP_NOTHING);
+    guarded(0, STOP_NOTHING);
     w.now_ns += 1;
-    guarded(DEMOTED_SETPOINTS_OLD, CAN_STOP_QUICK);
+    guarded(DEMOTED_SETPOINTS_OLD, STOP_QUICK);
 }
 
 static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_stopped(void)
@@ -151,10 +156,10 @@ static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_
         begin_armed();
         w.now_ns += 500 * MS;
         w.machine.newest.stamp_ns = w.now_ns;
-        guarded(0, CAN_STOP_NOTHING);
+        guarded(0, STOP_NOTHING);
         w.now_ns += 1;
         w.machine.table.drive[0].watchdog_ns = how == 1 ? 0 : how == 2 ? 1 : 500 * MS;
-        guarded(how == 1 ? 0 : (uint32_t)DEMOTED_LEFT_ALONE, how == 1 ? CAN_STOP_NOTHING : CAN_STOP_QUICK);
+        guarded(how == 1 ? 0 : (uint32_t)DEMOTED_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
     }
 }
 
@@ -162,17 +167,17 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
 {
     begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = w.machine.enabled_count = 7;
-    guarded(0, CAN_STOP_NOTHING); /* they were not enabled yet */
+    drive->state.enabled_count = w.machine.enabled_count = 7;
+    guarded(0, STOP_NOTHING); /* they were not enabled yet */
     w.machine.newest.enabled = 1;
-    guarded(0, CAN_STOP_NOTHING);
-    CHECK(drive->was_enabled);
+    guarded(0, STOP_NOTHING);
+    CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
-    guarded(DEMOTED_NOT_ENABLED, CAN_STOP_POWER_OFF);
+    guarded(DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
     begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
-    guarded(DEMOTED_NOT_ENABLED, CAN_STOP_POWER_OFF);
+    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
+    guarded(DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
 }
 
 int main(void)

@@ -43,7 +43,7 @@ static void a_stop_that_waits_outlives_a_new_set_up(void)
     wish(0, DRIVE_OFF);
     wish(0, DRIVE_READY);
     wish(0, DRIVE_ARMED);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY); /* not before it has been stopped */
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY); /* not before it has been stopped */
     w.full = false;
     go_on(2 * MS);
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
@@ -55,7 +55,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     w.full = false;
     w.machine.control.drive[0].count++; /* STAND_DOWN or OFF, before the next one took its place */
     wish(0, DRIVE_ARMED);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY);
     go_on(2 * MS);
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
@@ -65,7 +65,7 @@ static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(v
     drive_off_on_a_full_bus();
     w.silent = true;
     go_on(330 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
     w.full = false;
     int64_t taken_ns = w.now_ns;
     go_on(12 * MS);
@@ -79,7 +79,7 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop
     wish(0, DRIVE_READY);
     w.silent = true;
     go_on(330 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
     w.full = false;
     go_on(12 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
@@ -95,7 +95,7 @@ static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_he
     forget_sent();
     int64_t opened_ns = w.now_ns;
     go_on(12 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_OFF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF);
     CHECK(told_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
     CHECK(count_sent(SPEED + 1) == 0); /* it was never armed */
     go_on(2500 * MS);
@@ -149,7 +149,7 @@ static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the
     CHECK(moving(0) == 0 && moving(1) == 0);
     can_machine_left(&w.machine);
     go_on(10 * MS);
-    CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 && state_of(0)->mode == DRIVE_ARMED);
+    CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 && state_of(0)->state.mode == DRIVE_ARMED);
 }
 
 static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
@@ -172,7 +172,7 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
     w.machine.hears_own = true; /* and nothing more is heard to have left */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->mode == DRIVE_ARMED);
+        CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->state.mode == DRIVE_ARMED);
     }
     CHECK(w.machine.tx_full >= 10); /* somebody can see it */
     can_machine_left(&w.machine);

@@ -80,15 +80,15 @@ static void both_wheels_are_told_in_one_frame(void)
     arm(0);
     want(1.0, 0.0);
     go_on(15 * MS);
-    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0 && state_of(0)->told_motion);
+    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0 && state_of(0)->state.told_motion);
     want(0.0, -2.0);
     forget_sent();
     go_on(90 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->state.told_motion);
     CHECK(w.sent_count >= 8 && w.sent_count <= 10); /* one wheel turns: nothing is to be stopped between two cycles */
     want(0.0, 0.0);
     step();
-    CHECK(second_speed() == 0 && !state_of(0)->told_motion);
+    CHECK(second_speed() == 0 && !state_of(0)->state.told_motion);
 }
 
 static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
@@ -99,10 +99,10 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     go_on(30 * MS);
     w.enabled = 2;
     go_on(150 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && state_of(0)->stopping && told_ns(0, DISABLE) == 0);
+    CHECK(told_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping && told_ns(0, DISABLE) == 0);
     say_second(0, 1); /* 0 rad/s */
     step();
-    CHECK(!state_of(0)->stopping);
+    CHECK(!state_of(0)->state.stopping);
     step();
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
@@ -183,7 +183,7 @@ static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_be
     say_motion(0, 1.0F, 0.0F);
     say_second(0, 1);
     wish(0, DRIVE_READY);
-    CHECK(state_of(0)->enabled == 2);
+    CHECK(state_of(0)->state.enabled == 2);
     w.machine.feedback_mask = 0;
     w.now_ns += MS; /* sooner than the spacing of wheel 0's frames */
     say_motion(0, 2.0F, 0.0F);

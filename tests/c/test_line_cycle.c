@@ -21,7 +21,7 @@ static void rest_is_told_before_another_way_and_the_way_after_its_first_magnitud
     uint32_t rest = frame_to(WAY, WAY_REST), forward = frame_to(WAY, WAY_FORWARD), reverse = frame_to(WAY, WAY_REVERSE);
     uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
     GOES(rest, fast, forward, status);
-    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->told_motion);
+    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->state.told_motion);
     want(0.5);
     GOES(slow, status);
     want(-0.5);
@@ -29,7 +29,7 @@ static void rest_is_told_before_another_way_and_the_way_after_its_first_magnitud
     CHECK(drive->way_told[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
     want(0.0);
     GOES(still, rest, status);
-    CHECK(drive->way_told[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->told_motion);
+    CHECK(drive->way_told[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->state.told_motion);
     GOES(still, status);
     want(0.5);
     GOES(slow, forward, status);
@@ -66,10 +66,10 @@ static void a_motion_in_any_exchange_is_a_motion(void)
         table->cyclic_count = 3;
         w.machine.newest.joint[which].velocity_rad_s = 1.0;
         GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0), frame_to(STATUS, 1));
-        CHECK(drive->told_motion);
+        CHECK(drive->state.told_motion);
         w.machine.newest.joint[which].velocity_rad_s = 0.0;
         GOES(frame_to(SPEED, 0), frame_to(SPEED, 0), frame_to(STATUS, 1));
-        CHECK(!drive->told_motion);
+        CHECK(!drive->state.told_motion);
     }
 }
 
@@ -93,8 +93,8 @@ static void each_of_several_ways_is_told(void)
 static void one_that_is_stopping_is_told_no_way(void)
 {
     begin_ways(1.0);
-    drive->mode = DRIVE_READY;
-    drive->stopping = true;
+    drive->state.mode = DRIVE_READY;
+    drive->state.stopping = true;
     w.machine.joint[0].feedback.velocity_rad_s = 3.0;
     line_cycle_begin(&w.machine, 0, w.now_ns);
     CHECK(sends() == frame_to(SPEED, 0));
@@ -107,23 +107,23 @@ static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
     begin_ways(0.0);
     drive->way_told[0] = WAY_REST;
     uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
-    drive->mode = DRIVE_READY;
-    drive->enabled = 0;
+    drive->state.mode = DRIVE_READY;
+    drive->state.enabled = 0;
     drive->cycle_count = 4;
     GOES(still, status, frame_to(EXTRA, 1));
-    CHECK(drive->extra_next == 1 && drive->enabled == 0);
+    CHECK(drive->extra_next == 1 && drive->state.enabled == 0);
     drive->cycle_count = 8;
     GOES(still, status, frame_to(EXTRA + 1, 1));
     CHECK(drive->extra_next == 0);
     drive->cycle_count = 7, drive->extra_next = 1;
     GOES(still, status);
-    drive->enabled = 2;
+    drive->state.enabled = 2;
     GOES(still, status, frame_to(EXTRA, 1));
     w.machine.table.drive[0].extra_count = 1;
-    drive->enabled = 2, drive->cycle_count = 7, drive->extra_next = 0;
+    drive->state.enabled = 2, drive->cycle_count = 7, drive->extra_next = 0;
     GOES(still, status, frame_to(EXTRA, 1));
     w.machine.table.drive[0].extra_count = 0;
-    drive->enabled = 2, drive->cycle_count = 8;
+    drive->state.enabled = 2, drive->cycle_count = 8;
     GOES(still, status);
 }
 
@@ -171,20 +171,21 @@ static void the_end_of_a_cycle_judges_what_the_drive_said(void)
     begin_ways(0.0);
     drive->lost_setup = true;
     ends();
-    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_LOST_SETUP && drive->stop == STOP_POWER_OFF);
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.demoted == DEMOTED_LOST_SETUP && drive->state.stop == STOP_POWER_OFF);
     begin_ways(0.0);
     ends();
-    CHECK(drive->mode == DRIVE_ARMED && drive->stop == STOP_NOTHING);
-    drive->enabled = 0;
+    CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
+    drive->state.enabled = 0;
     ends();
-    CHECK(drive->mode == DRIVE_OFF && drive->demoted == DEMOTED_DISABLED_ITSELF && drive->stop == STOP_POWER_OFF);
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.demoted == DEMOTED_DISABLED_ITSELF &&
+          drive->state.stop == STOP_POWER_OFF);
     for (uint32_t how = 0; how < 3; how++) {
         begin_ways(0.0);
-        drive->mode = DRIVE_READY, drive->enabled = 2;
-        drive->stopping = how != 2;
+        drive->state.mode = DRIVE_READY, drive->state.enabled = 2;
+        drive->state.stopping = how != 2, drive->state.off_by_ns = INT64_MAX;
         w.machine.joint[0].feedback.velocity_rad_s = how == 1 ? 0.2 : 0.05;
         ends();
-        CHECK(drive->stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (how == 1));
+        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (how == 1));
     }
 }
 
@@ -193,28 +194,28 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 {
     for (uint32_t how = 0; how < 7; how++) {
         begin_ways(0.0);
-        drive->mode = how == 1 ? DRIVE_OFF : DRIVE_READY;
-        drive->enabled = how == 2 ? 2 : 1;
-        drive->stopping = how == 3;
+        drive->state.mode = how == 1 ? DRIVE_OFF : DRIVE_READY;
+        drive->state.enabled = how == 2 ? 2 : 1;
+        drive->state.stopping = how == 3, drive->state.off_by_ns = INT64_MAX;
         w.machine.joint[0].feedback.velocity_rad_s = 3.0;
-        drive->stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
+        drive->state.stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
-        drive->still_enabled = how == 6 ? 2 : 1; /* of three tries */
-        drive->demoted = DEMOTED_LEFT_ALONE;
+        drive->state.still_enabled = how == 6 ? 2 : 1; /* of three tries */
+        drive->state.demoted = drive->state.demoted_known = DEMOTED_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
-        CHECK(drive->stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
-        CHECK(drive->still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
-        CHECK(drive->demoted == (DEMOTED_LEFT_ALONE | (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0)));
+        CHECK(drive->state.stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->state.still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
+        CHECK(drive->state.demoted == (DEMOTED_LEFT_ALONE | (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0)));
         CHECK(w.machine.news == (how == 6));
     }
-    drive->stop = STOP_NOTHING, drive->mode = DRIVE_READY;
+    drive->state.stop = STOP_NOTHING, drive->state.mode = DRIVE_READY;
     ends();
-    CHECK(drive->still_enabled == 4 && !w.machine.news);
-    drive->enabled = 0;
+    CHECK(drive->state.still_enabled == 4 && !w.machine.news);
+    drive->state.enabled = 0;
     ends();
-    CHECK(drive->still_enabled == 0);
+    CHECK(drive->state.still_enabled == 0);
 }
 
 static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)

@@ -14,7 +14,7 @@ static line_drive_state *begin_drive(void)
 static line_drive_state *begin_armed(void)
 {
     line_drive_state *drive = begin_drive();
-    drive->mode = DRIVE_ARMED;
+    drive->state.mode = DRIVE_ARMED;
     drive->may_turn = true;
     drive->answered_ns = w.now_ns;
     return drive;
@@ -31,7 +31,7 @@ static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
         }
         w.machine.current = current;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
-        CHECK(drive->stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
+        CHECK(drive->state.stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
         CHECK(drive->stop_failures == 0 && !drive->stop_refused && drive->stage == STAGE_IDLE);
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
             CHECK(drive->way_told[way] == WAY_UNKNOWN);
@@ -43,11 +43,11 @@ static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
 static void reasons_of_a_demotion_gather(void)
 {
     line_drive_state *drive = begin_armed();
-    drive->enabled = 1;
-    line_demote(&w.machine, 0, DEMOTED_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive->demoted == DEMOTED_LEFT_ALONE && drive->mode == DRIVE_READY && drive->enabled == 2 && w.machine.news);
-    line_demote(&w.machine, 0, DEMOTED_QUIET, DRIVE_QUIET);
-    CHECK(drive->demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive->mode == DRIVE_QUIET);
+    drive->state.enabled = 1;
+    drive_demote(&drive->state, DEMOTED_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive->state.demoted == DEMOTED_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
+    drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
+    CHECK(drive->state.demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive->state.mode == DRIVE_QUIET);
 }
 
 static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
@@ -55,9 +55,9 @@ static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_o
     line_drive_state *drive = begin_drive();
     w.machine.table.broadcast_stop_count = 2;
     line_stop_unheard(&w.machine, 0, w.now_ns);
-    CHECK(drive->may_turn && drive->mode == DRIVE_OFF && drive->demoted == 0 && drive->stopping);
-    CHECK(drive->stop == STOP_QUICK && drive->off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
-    CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].stop == STOP_NOTHING);
+    CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.demoted == 0 && drive->state.stopping);
+    CHECK(drive->state.stop == STOP_QUICK && drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
+    CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].state.stop == STOP_NOTHING);
 }
 
 static void a_reply_takes_the_time_of_its_bytes(void)
@@ -71,9 +71,10 @@ static void a_reply_takes_the_time_of_its_bytes(void)
 static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
 {
     line_guard(&w.machine, 0, w.now_ns);
-    CHECK(drive->demoted == why && drive->stop == stop && drive->mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
-    CHECK(drive->stopping == (stop == STOP_QUICK));
-    CHECK(stop != STOP_QUICK || (drive->off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
+    CHECK(drive->state.demoted == why && drive->state.stop == stop &&
+          drive->state.mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
+    CHECK(drive->state.stopping == (stop == STOP_QUICK));
+    CHECK(stop != STOP_QUICK || (drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
 }
 
 static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
@@ -107,16 +108,16 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
 {
     line_drive_state *drive = begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = w.machine.enabled_count = 7;
+    drive->state.enabled_count = w.machine.enabled_count = 7;
     guarded(drive, 0, STOP_NOTHING); /* they were not enabled yet */
     w.machine.newest.enabled = 1;
     guarded(drive, 0, STOP_NOTHING);
-    CHECK(drive->was_enabled);
+    CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
     guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
     drive = begin_armed();
     w.machine.newest.enabled = 0;
-    drive->enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
+    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
     guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
 }
 
@@ -124,7 +125,7 @@ static void a_stop_does_not_wait_for_its_turn(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         line_drive_state *drive = begin_armed();
-        drive->told_motion = how != 1;
+        drive->state.told_motion = how != 1;
         w.machine.newest.joint[0].velocity_rad_s = how == 2 ? 1.0 : 0.0;
         drive->due_ns = how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS;
         line_guard(&w.machine, 0, w.now_ns);
@@ -136,13 +137,13 @@ static void one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over
 {
     for (uint32_t how = 0; how < 4; how++) {
         line_drive_state *drive = begin_drive();
-        drive->mode = DRIVE_READY;
-        drive->stopping = how != 1;
-        drive->stop = how == 2 ? STOP_QUICK : STOP_NOTHING;
-        drive->off_by_ns = how == 3 ? w.now_ns + 1 : w.now_ns;
+        drive->state.mode = DRIVE_READY;
+        drive->state.stopping = how != 1;
+        drive->state.stop = how == 2 ? STOP_QUICK : STOP_NOTHING;
+        drive->state.off_by_ns = how == 3 ? w.now_ns + 1 : w.now_ns;
         line_guard(&w.machine, 0, w.now_ns);
-        CHECK(drive->stop == (how == 0 ? STOP_POWER_OFF : how == 2 ? STOP_QUICK : STOP_NOTHING));
-        CHECK(drive->stopping == (how == 2 || how == 3));
+        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : how == 2 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->state.stopping == (how == 2 || how == 3));
     }
 }
 
@@ -163,12 +164,12 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
     for (uint32_t pending = 0; pending < 3; pending++) {
         for (uint32_t from = 0; from < 2; from++) {
             line_drive_state *drive = begin_drive();
-            drive->mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
-            drive->epoch = 4;
-            drive->demoted = 0xff, drive->failures = 5, drive->still_enabled = 6;
-            drive->may_turn = drive->told_motion = drive->back = true;
-            drive->stop = pending == 1 ? STOP_QUICK : STOP_NOTHING;
-            drive->stopping = pending == 2;
+            drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
+            drive->state.epoch = 4;
+            drive->state.demoted = 0xff, drive->failures = 5, drive->state.still_enabled = 6;
+            drive->may_turn = drive->state.told_motion = drive->state.back = true;
+            drive->state.stop = pending == 1 ? STOP_QUICK : STOP_NOTHING;
+            drive->state.stopping = pending == 2;
             drive->cycle_count = 9, drive->extra_next = 3, drive->cycle_start_ns = 77;
             drive->due_ns = drive->answered_ns = 1;
             for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
@@ -176,10 +177,10 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             }
             w.machine.joint[0].feedback.velocity_rad_s = 5.0;
             obey(DRIVE_READY, 0);
-            CHECK(drive->mode == DRIVE_READY && drive->epoch == 5 && !drive->back);
-            CHECK(drive->demoted == 0 && drive->failures == 0 && drive->still_enabled == 0);
-            CHECK(drive->may_turn == (pending != 0) && drive->told_motion == (pending != 0));
-            CHECK(drive->stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->stopping == (pending == 2));
+            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && !drive->state.back);
+            CHECK(drive->state.demoted == 0 && drive->failures == 0 && drive->state.still_enabled == 0);
+            CHECK(drive->may_turn == (pending != 0) && drive->state.told_motion == (pending != 0));
+            CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->state.stopping == (pending == 2));
             CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
             CHECK(drive->due_ns == w.now_ns && drive->answered_ns == w.now_ns);
             for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
@@ -194,21 +195,22 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 {
     for (uint32_t against = 0; against < 7; against++) {
         line_drive_state *drive = begin_drive();
-        drive->mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
-        drive->was_enabled = true;
-        drive->enabled_count = 3, w.machine.enabled_count = 8;
-        drive->demoted = 0xff, drive->still_enabled = 2, drive->enabled = 1;
+        drive->state.mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
+        drive->state.was_enabled = true;
+        drive->state.enabled_count = 3, w.machine.enabled_count = 8;
+        drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
         memset(drive->told, 0x11, sizeof drive->told);
         w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
-        drive->stopping = against == 2;
-        drive->stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
+        drive->state.stopping = against == 2;
+        drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
         bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
-        CHECK((drive->mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
+        CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->was_enabled && drive->enabled_count == 8 && drive->demoted == 0);
-            CHECK(drive->still_enabled == 0 && drive->enabled == 2 && drive->told[1][1] == 0 && drive->told[0][0] == 0);
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.demoted == 0);
+            CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 && drive->told[1][1] == 0 &&
+                  drive->told[0][0] == 0);
         }
     }
 }
@@ -223,17 +225,17 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                     continue;
                 }
                 line_drive_state *drive = begin_drive();
-                drive->mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
-                drive->stopping = has == 2;
-                drive->told_motion = has == 3;
-                drive->enabled = 1;
-                drive->back = true;
+                drive->state.mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
+                drive->state.stopping = has == 2;
+                drive->state.told_motion = has == 3;
+                drive->state.enabled = 1;
+                drive->state.back = true;
                 drive->stage = STAGE_READ;
                 drive->due_ns = w.now_ns + 9 * MS;
                 w.machine.current = 0;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
-                CHECK(drive->stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->stopping == (has == 2 && !off));
+                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (has == 2 && !off));
                 uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
                 if (mode == DRIVE_ARMED && !off && has != 2) {
                     expected = DRIVE_ARMED;
@@ -241,25 +243,26 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 if (mode == DRIVE_READY && has == 1 && !off) {
                     expected = DRIVE_ARMED; /* one that is armed is set up */
                 }
-                CHECK(drive->mode == expected);
-                CHECK(mode != DRIVE_OFF || (!drive->back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
+                CHECK(drive->state.mode == expected);
+                CHECK(mode != DRIVE_OFF ||
+                      (!drive->state.back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
                 bool stands_down = has == 1 && unseen == 0 && mode == DRIVE_STAND_DOWN;
                 CHECK(drive->due_ns == (stands_down ? w.now_ns : w.now_ns + 9 * MS));
-                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->enabled == 2);
+                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->state.enabled == 2);
             }
         }
     }
     line_drive_state *drive = begin_drive();
-    drive->mode = DRIVE_READY;
+    drive->state.mode = DRIVE_READY;
     w.machine.current = 1;
     w.machine.control.drive[0].arming_until_ns = 1234;
     obey(DRIVE_OFF, 0);
     CHECK(w.machine.current == 1 && drive->arming_until_ns == 1234);
-    drive->mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_QUIET;
     obey(DRIVE_READY, 0);
-    CHECK(drive->mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_QUIET);
     obey(DRIVE_STAND_DOWN, 0);
-    CHECK(drive->mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_QUIET);
 }
 
 static void frames_of_a_stop_are_told_until_each_is_done(void)
@@ -273,13 +276,14 @@ static void frames_of_a_stop_are_told_until_each_is_done(void)
     drive->stop_done = 2;
     CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && drive->stop_place == 0);
     drive->stop_done = 3;
-    drive->enabled = 1;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->stop == STOP_NOTHING && drive->enabled == 2 && !w.machine.news);
+    drive->state.enabled = 1;
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.stop == STOP_NOTHING && drive->state.enabled == 2 &&
+          !w.machine.news);
     line_stop_now(&w.machine, 0, STOP_QUICK);
     CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP);
     drive->stop_done = 1;
-    drive->back = true;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->mode == DRIVE_BACK && !drive->back && w.machine.news);
+    drive->state.back = true;
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.mode == DRIVE_BACK && !drive->state.back && w.machine.news);
 }
 
 static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)

@@ -15,16 +15,16 @@ static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_
     begin_with(2, 0);
     w.machine.table.broadcast_stop_count = 2;
     line_drive_state *armed = &w.machine.drive[1], *ready = &w.machine.drive[0];
-    armed->mode = DRIVE_ARMED, ready->mode = DRIVE_READY;
+    armed->state.mode = DRIVE_ARMED, ready->state.mode = DRIVE_READY;
     armed->due_ns = ready->due_ns = w.now_ns + 1000 * MS;
     look_at(w.now_ns);
-    CHECK(w.machine.shut == 0 && armed->mode == DRIVE_ARMED);
+    CHECK(w.machine.shut == 0 && armed->state.mode == DRIVE_ARMED);
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
     CHECK(w.machine.shut == 1 && !w.machine.news && w.machine.broadcasts == 2);
-    CHECK(armed->mode == DRIVE_READY && armed->stopping && armed->stop == STOP_QUICK);
-    CHECK(armed->due_ns == w.now_ns && armed->off_by_ns == w.now_ns + REST_NS);
-    CHECK(!ready->stopping && ready->stop == STOP_NOTHING && ready->due_ns == w.now_ns + 1000 * MS);
+    CHECK(armed->state.mode == DRIVE_READY && armed->state.stopping && armed->state.stop == STOP_QUICK);
+    CHECK(armed->due_ns == w.now_ns && armed->state.off_by_ns == w.now_ns + REST_NS);
+    CHECK(!ready->state.stopping && ready->state.stop == STOP_NOTHING && ready->due_ns == w.now_ns + 1000 * MS);
 }
 
 /* What has to be over before the power goes off; all of it by itself. */
@@ -34,21 +34,22 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
         begin_with(2, 0);
         w.machine.control.shut_down = 1;
         line_drive_state *first = &w.machine.drive[0], *last = &w.machine.drive[1];
-        first->stopping = what == 0;
-        first->stop = what == 1 ? STOP_QUICK : STOP_NOTHING;
-        last->stopping = what == 2;
+        first->state.stopping = what == 0;
+        first->state.stop = what == 1 ? STOP_QUICK : STOP_NOTHING;
+        last->state.stopping = what == 2;
         w.machine.broadcasts = what == 3 ? 1 : what == 4 ? 2 : 0;
         look_at(w.now_ns);
-        CHECK(w.machine.shut == 1 && last->stop == STOP_NOTHING);
-        first->stopping = last->stopping = false;
-        first->stop = STOP_NOTHING;
+        CHECK(w.machine.shut == 1 && last->state.stop == STOP_NOTHING);
+        first->state.stopping = last->state.stopping = false;
+        first->state.stop = STOP_NOTHING;
         w.machine.broadcasts = 0;
         look_at(w.now_ns + MS);
-        CHECK(w.machine.shut == 2 && first->stop == STOP_POWER_OFF && last->stop == STOP_POWER_OFF && !w.machine.news);
-        first->stop = STOP_NOTHING;
+        CHECK(w.machine.shut == 2 && first->state.stop == STOP_POWER_OFF && last->state.stop == STOP_POWER_OFF &&
+              !w.machine.news);
+        first->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 2 * MS);
         CHECK(w.machine.shut == 2);
-        last->stop = STOP_NOTHING;
+        last->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 3 * MS);
         CHECK(w.machine.shut == 3 && w.machine.news);
     }
@@ -57,14 +58,14 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
 static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes(void)
 {
     begin_with(2, 0);
-    w.machine.drive[0].mode = DRIVE_ARMED;
+    w.machine.drive[0].state.mode = DRIVE_ARMED;
     w.machine.control.shut_down = 1;
     int64_t begun_ns = w.now_ns;
     look_at(begun_ns);
     look_at(begun_ns + REST_NS - 1);
-    CHECK(w.machine.shut == 1 && w.machine.drive[0].stopping);
+    CHECK(w.machine.shut == 1 && w.machine.drive[0].state.stopping);
     look_at(begun_ns + REST_NS);
-    CHECK(w.machine.shut == 2 && !w.machine.drive[0].stopping && w.machine.drive[0].stop == STOP_POWER_OFF);
+    CHECK(w.machine.shut == 2 && !w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_POWER_OFF);
     w.machine.drive[0].stop_told = w.machine.drive[1].stop_told = (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
     CHECK(w.machine.shut == 2 && !w.machine.news);
@@ -83,7 +84,7 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
         look_at(begun_ns);
         look_at(begun_ns);
         CHECK(w.machine.shut == 2 && frames > 0);
-        w.machine.drive[0].stop = STOP_NOTHING;
+        w.machine.drive[0].state.stop = STOP_NOTHING;
         w.machine.drive[1].stop_told = (1U << (frames - 1)) - 1;
         look_at(begun_ns + END_NS);
         CHECK(w.machine.shut == 2);
@@ -98,7 +99,7 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
 /* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */
 static void eight_drives_are_all_there_are(void)
 {
-    line_drive_state mover = {.mode = DRIVE_ARMED, .stop = STOP_QUICK, .stopping = true, .may_turn = true};
+    line_drive_state mover = {.state.mode = DRIVE_ARMED, .state.stop = STOP_QUICK, .state.stopping = true, .may_turn = true};
     begin_with(LINE_DRIVES_MAX, 0);
     uint8_t behind[sizeof w.machine.joint];
     memcpy(w.machine.joint, &mover, sizeof mover < sizeof behind ? sizeof mover : sizeof behind);
@@ -107,8 +108,8 @@ static void eight_drives_are_all_there_are(void)
     look_at(w.now_ns);
     CHECK(w.machine.shut == 2 && memcmp(behind, w.machine.joint, sizeof behind) == 0);
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
-        CHECK(w.machine.drive[i].stop == STOP_POWER_OFF);
-        w.machine.drive[i].stop = STOP_NOTHING;
+        CHECK(w.machine.drive[i].state.stop == STOP_POWER_OFF);
+        w.machine.drive[i].state.stop = STOP_NOTHING;
     }
     look_at(w.now_ns);
     CHECK(w.machine.shut == 3 && memcmp(behind, w.machine.joint, sizeof behind) == 0);

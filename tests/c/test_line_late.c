@@ -161,11 +161,11 @@ static void look_for(int64_t length_ns)
 
 static void set_up_again_when_it_is_back(uint32_t number)
 {
-    uint32_t mode = w.machine.drive[number].mode;
+    uint32_t mode = w.machine.drive[number].state.mode;
     if (mode == DRIVE_OFF || mode == DRIVE_BACK) {
         last_stamp_ns = 0;
         wish(number, DRIVE_READY);
-    } else if (mode == DRIVE_READY && w.machine.drive[number].stop == STOP_NOTHING) {
+    } else if (mode == DRIVE_READY && w.machine.drive[number].state.stop == STOP_NOTHING) {
         wish(number, DRIVE_ARMED);
     }
 }
@@ -275,7 +275,7 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
         line_machine_step(&w.machine, w.machine.end_ns + 7 * CHARACTER_NS, old, 7, &w.out);
         CHECK(w.machine.joint[0].feedback.count != 0x1234);
         run(1, 1000 * MS);
-        CHECK(w.machine.drive[0].mode == DRIVE_ARMED);
+        CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     }
 }
 

@@ -14,7 +14,7 @@ static void begin_turning(uint32_t drives)
     for (uint32_t i = 0; i < drives; i++) {
         arm(i);
     }
-    while (!w.machine.drive[drives - 1].told_motion) {
+    while (!w.machine.drive[drives - 1].state.told_motion) {
         go_on();
     }
 }
@@ -34,7 +34,7 @@ static void a_power_off_goes_out(void)
     wish(0, DRIVE_OFF);
     babble_for(2 * FRAME_NS + 30 * MS);
     CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
-    CHECK(w.machine.drive[0].stop == STOP_NOTHING); /* its answers are found among the noise */
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING); /* its answers are found among the noise */
 }
 
 static void a_quick_stop_goes_out(void)
@@ -55,7 +55,7 @@ static void all_drives_are_switched_off_at_the_end(void)
     babble_for(500 * MS);
     CHECK(w.machine.shut == 3);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 && w.machine.drive[i].stop == STOP_NOTHING);
+        CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 && w.machine.drive[i].state.stop == STOP_NOTHING);
     }
 }
 
@@ -98,10 +98,10 @@ static void its_drives_become_quiet_and_are_told_to_stop(void)
     }
     w.dead = 3;
     babble_for(700 * MS);
-    CHECK(w.machine.drive[0].mode == DRIVE_ARMED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     babble_for(100 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.machine.drive[i].mode == DRIVE_QUIET && w.machine.drive[i].demoted == DEMOTED_QUIET);
+        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.demoted == DEMOTED_QUIET);
         CHECK(w.machine.drive[i].count.bad_reply >= 3);
     }
     babble_for(3000 * MS);
@@ -111,7 +111,7 @@ static void its_drives_become_quiet_and_are_told_to_stop(void)
     for (int64_t end_ns = w.now_ns + 5000 * MS; w.now_ns < end_ns;) {
         go_on();
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_BACK && w.machine.drive[1].mode == DRIVE_BACK);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.machine.drive[1].state.mode == DRIVE_BACK);
 }
 
 static void noise_before_a_turn_that_has_just_come_is_no_failure(void)

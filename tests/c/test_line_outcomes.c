@@ -31,11 +31,11 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         drive->failures = 2;
         drive->owed_count = 0;
         drive->answered_ns = w.machine.end_ns - 500 * MS - (how != 1);
-        drive->mode = how == 2 ? DRIVE_READY : DRIVE_ARMED;
+        drive->state.mode = how == 2 ? DRIVE_READY : DRIVE_ARMED;
         w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : how == 4 ? 1 : 500 * MS;
         answers_with(0);
         bool alone = how == 0 || how == 4;
-        CHECK(drive->demoted == (alone ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->stopping == alone);
+        CHECK(drive->state.demoted == (alone ? (uint32_t)DEMOTED_LEFT_ALONE : 0) && drive->state.stopping == alone);
         CHECK(drive->failures == 0 && drive->place == !alone); /* its cycle is over then */
     }
 }
@@ -57,7 +57,7 @@ static void what_is_not_answered_tells_no_turn_around(void)
 static void a_quiet_drive_that_answers_is_told_to_switch_off_first(void)
 {
     begin_ways(0.0);
-    drive->mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_QUIET;
     line_frame frame;
     line_next_probe(&w.machine, 0, w.now_ns, &frame);
     w.machine.transaction.frame = frame;
@@ -65,7 +65,8 @@ static void a_quiet_drive_that_answers_is_told_to_switch_off_first(void)
     w.machine.end_ns = w.now_ns;
     drive->smoothed_ns = 0;
     answers_with(0);
-    CHECK(drive->back && drive->stop == STOP_POWER_OFF && drive->mode == DRIVE_QUIET && drive->smoothed_ns == DEVICE_NS + 1);
+    CHECK(drive->state.back && drive->state.stop == STOP_POWER_OFF && drive->state.mode == DRIVE_QUIET &&
+          drive->smoothed_ns == DEVICE_NS + 1);
 }
 
 static void each_failure_is_counted_by_its_kind(void)
@@ -100,11 +101,11 @@ static void so_many_failures_as_it_has_tries_make_it_quiet(void)
         begin_ways(0.0);
         line_cycle_begin(&w.machine, 0, w.now_ns);
         (void)sends();
-        drive->mode = how == 1 ? DRIVE_READY : how >= 2 && how < 4 ? DRIVE_OFF : DRIVE_ARMED;
-        drive->stop = how == 3 ? STOP_QUICK : STOP_NOTHING;
+        drive->state.mode = how == 1 ? DRIVE_READY : how >= 2 && how < 4 ? DRIVE_OFF : DRIVE_ARMED;
+        drive->state.stop = how == 3 ? STOP_QUICK : STOP_NOTHING;
         drive->failures = how == 4 ? 1 : 2;
         line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
-        CHECK((drive->mode == DRIVE_QUIET) == (how != 2 && how != 4));
+        CHECK((drive->state.mode == DRIVE_QUIET) == (how != 2 && how != 4));
     }
     for (uint32_t failures = 1; failures < 3; failures++) {
         begin_ways(0.0);
@@ -112,7 +113,7 @@ static void so_many_failures_as_it_has_tries_make_it_quiet(void)
         drive->due_ns = 1;
         line_drive_not_reached(&w.machine, 0, w.now_ns);
         CHECK(drive->due_ns == w.now_ns && drive->last_failure == ANSWER_NEVER_SILENT && drive->last_exception == 0);
-        CHECK((drive->mode == DRIVE_QUIET) == (failures == 2) && drive->count.bad_reply == 1);
+        CHECK((drive->state.mode == DRIVE_QUIET) == (failures == 2) && drive->count.bad_reply == 1);
     }
 }
 
@@ -152,7 +153,7 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
 {
     for (uint32_t older = 0; older < 2; older++) {
         begin_ways(0.0);
-        drive->mode = DRIVE_OFF;
+        drive->state.mode = DRIVE_OFF;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         drive->stop_done = 1;
         line_frame frame;

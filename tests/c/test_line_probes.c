@@ -7,10 +7,10 @@ static void one_that_becomes_quiet_forgets_what_it_was_told(void)
     for (uint32_t how = 0; how < 4; how++) {
         begin_with(2, 0);
         line_drive_state *drive = &w.machine.drive[0];
-        drive->mode = how == 3 ? DRIVE_QUIET : DRIVE_ARMED;
+        drive->state.mode = how == 3 ? DRIVE_QUIET : DRIVE_ARMED;
         drive->may_turn = how != 1;
-        drive->stop = STOP_POWER_OFF;
-        drive->stopping = drive->back = true;
+        drive->state.stop = STOP_POWER_OFF;
+        drive->state.stopping = drive->state.back = true;
         drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7, drive->probe_at_ns = 1;
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
             drive->way_told[way] = WAY_FORWARD;
@@ -18,8 +18,9 @@ static void one_that_becomes_quiet_forgets_what_it_was_told(void)
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.shut = how == 2 ? 2 : how == 1 ? 1 : 0;
         line_go_quiet(&w.machine, 0, w.now_ns);
-        CHECK(drive->mode == DRIVE_QUIET && (drive->demoted & DEMOTED_QUIET) != 0 && drive->count.quiet == (how != 3));
-        CHECK(drive->stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->stopping && !drive->back);
+        CHECK(drive->state.mode == DRIVE_QUIET && (drive->state.demoted & DEMOTED_QUIET) != 0 &&
+              drive->count.quiet == (how != 3));
+        CHECK(drive->state.stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);
         /* one quick stop, one set-point of zero, and a question; or the question alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
@@ -70,11 +71,11 @@ static void the_first_quiet_drive_whose_time_has_come_is_asked(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
-    m->drive[3].mode = DRIVE_QUIET; /* it is none of the line */
+    m->drive[3].state.mode = DRIVE_QUIET; /* it is none of the line */
     m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
-        m->drive[i].mode = DRIVE_QUIET;
+        m->drive[i].state.mode = DRIVE_QUIET;
         m->drive[i].probe_at_ns = m->drive[i].quiet_until_ns = w.now_ns;
     }
     CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
@@ -97,9 +98,9 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
         m->ours_ns = w.now_ns + 3 * MS;
         m->broadcasts = what == 1;
-        m->drive[2].stop = STOP_QUICK; /* it is none of the line */
-        m->drive[1].stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
-        m->drive[1].mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
+        m->drive[2].state.stop = STOP_QUICK; /* it is none of the line */
+        m->drive[1].state.stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
+        m->drive[1].state.mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
         m->shut = what == 4;
         bool urgent = what >= 1 && what <= 3;

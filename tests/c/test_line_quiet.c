@@ -37,7 +37,7 @@ static void restart(void)
 static void become_quiet(void)
 {
     w.dead = 1;
-    while (w.machine.drive[0].mode != DRIVE_QUIET) {
+    while (w.machine.drive[0].state.mode != DRIVE_QUIET) {
         sent_count = 0;
         look(); /* the first one goes out in the look that finds it quiet */
     }
@@ -72,7 +72,7 @@ static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_question
         CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
         CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
     }
-    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].demoted == DEMOTED_QUIET);
+    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.demoted == DEMOTED_QUIET);
 }
 
 static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)
@@ -152,11 +152,11 @@ static void one_that_answers_is_told_off_and_is_back(void)
         CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS && sent[3].at_ns - sent[2].at_ns < 101 * MS);
         w.dead = 0;
         w.power_offs[0] = 0;
-        while (w.machine.drive[0].mode != DRIVE_BACK) {
+        while (w.machine.drive[0].state.mode != DRIVE_BACK) {
             go_on();
         }
-        CHECK(w.power_offs[0] == 2 && w.machine.drive[0].stop == STOP_NOTHING);
-        CHECK(!w.machine.drive[0].stopping && !w.machine.drive[0].back);
+        CHECK(w.power_offs[0] == 2 && w.machine.drive[0].state.stop == STOP_NOTHING);
+        CHECK(!w.machine.drive[0].state.stopping && !w.machine.drive[0].state.back);
     }
 }
 
@@ -170,9 +170,9 @@ static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
     }
     w.machine.newest.stamp_ns = 0;
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* old set-points: it comes to rest */
-    CHECK(w.machine.drive[0].stopping);
+    CHECK(w.machine.drive[0].state.stopping);
     become_quiet();
-    CHECK(!w.machine.drive[0].stopping && w.machine.drive[0].stop == STOP_NOTHING);
+    CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
 /* Whatever it was in the middle of: its next cycle and its next round of probes begin at their beginning. */
@@ -183,11 +183,11 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else
     for (uint32_t current = 0; current < 2; current++) {
         drive->stage = STAGE_EXTRA;
         drive->probe_place = 2;
-        drive->back = true;
+        drive->state.back = true;
         memset(drive->way_told, 1, sizeof drive->way_told);
         w.machine.current = current;
         line_go_quiet(&w.machine, 0, w.now_ns);
-        CHECK(drive->mode == DRIVE_QUIET && drive->stage == STAGE_IDLE && drive->probe_place == 0 && !drive->back);
+        CHECK(drive->state.mode == DRIVE_QUIET && drive->stage == STAGE_IDLE && drive->probe_place == 0 && !drive->state.back);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
             CHECK(drive->way_told[way] == WAY_UNKNOWN);

@@ -66,7 +66,7 @@ static void one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it(void)
         w.dead = 0;
         (void)shut_down();
         CHECK(w.power_offs[0] >= 2);
-        CHECK(w.machine.drive[0].stop == STOP_NOTHING);
+        CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
     }
 }
 
@@ -95,8 +95,8 @@ static void of_two_missing_drives_the_one_that_comes_back_is_told(void)
     }
     w.dead = 1;
     (void)shut_down();
-    CHECK(w.power_offs[1] >= 2 && w.machine.drive[1].stop == STOP_NOTHING);
-    CHECK(w.machine.drive[0].stop != STOP_NOTHING);
+    CHECK(w.power_offs[1] >= 2 && w.machine.drive[1].state.stop == STOP_NOTHING);
+    CHECK(w.machine.drive[0].state.stop != STOP_NOTHING);
 }
 
 static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(void)
@@ -126,7 +126,7 @@ static void one_that_hears_but_is_not_heard_is_told_every_frame_at_the_end(void)
     CHECK(shut_down() <= 520 * MS);
     CHECK(w.quick_stop_ns[0] > 0);
     CHECK(w.released[0] > 0 && w.power_offs[0] > w.released[0]);
-    CHECK(w.released[1] > 0 && w.machine.drive[1].stop == STOP_NOTHING);
+    CHECK(w.released[1] > 0 && w.machine.drive[1].state.stop == STOP_NOTHING);
 }
 
 static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
@@ -140,7 +140,7 @@ static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
     CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] == 0);
     wish(0, DRIVE_OFF);
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* its answer comes later */
-    CHECK(w.machine.drive[0].stop == STOP_POWER_OFF);
+    CHECK(w.machine.drive[0].state.stop == STOP_POWER_OFF);
     (void)shut_down();
     CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* for the wish, and for the end */
 }
@@ -164,7 +164,7 @@ static void one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again(voi
     CHECK(w.quick_stop_ns[0] > 0 && w.quick_stop_ns[0] < opened_ns + 50 * MS);
     CHECK(w.told_off[0] > 0);
     CHECK(w.quick_stop_ns[1] == 0 && w.told_off[1] == 0);
-    CHECK(w.machine.drive[0].mode == DRIVE_OFF); /* its set-up is Python's */
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF); /* its set-up is Python's */
 }
 
 static void one_that_does_not_answer_then_is_told_again_and_again(void)
@@ -177,7 +177,7 @@ static void one_that_does_not_answer_then_is_told_again_and_again(void)
     while (w.now_ns < opened_ns + 1200 * MS) {
         go_on();
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
     CHECK(w.machine.drive[0].may_turn);
     CHECK(w.quick_stop_sent[0] > 4);
 }
@@ -224,32 +224,32 @@ static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
     CHECK(w.machine.echo == 1);
     wish(0, DRIVE_ARMED);
     go_on();
-    CHECK(w.machine.drive[0].mode == DRIVE_ARMED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     w.dead = 1;
     int64_t died_ns = w.now_ns;
     while (w.now_ns < died_ns + 5000 * MS) {
         go_on();
-        CHECK(w.machine.drive[0].mode != DRIVE_BACK);
+        CHECK(w.machine.drive[0].state.mode != DRIVE_BACK);
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
     w.dead = 0;
-    while (w.machine.drive[0].mode == DRIVE_QUIET && w.now_ns < died_ns + 20000 * MS) {
+    while (w.machine.drive[0].state.mode == DRIVE_QUIET && w.now_ns < died_ns + 20000 * MS) {
         go_on();
     }
-    CHECK(w.machine.drive[0].mode == DRIVE_BACK && w.power_offs[0] >= 2);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.power_offs[0] >= 2);
 }
 
 static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power(void)
 {
     begin_with(1, 0);
     arm(0);
-    while (!w.machine.drive[0].told_motion) {
+    while (!w.machine.drive[0].state.told_motion) {
         go_on();
     }
     w.dead = 1;
     wish(0, DRIVE_STAND_DOWN);
     go_on();
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].told_motion);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.told_motion);
     wish(0, DRIVE_OFF);
     for (uint32_t i = 0; i < 50; i++) {
         go_on();
@@ -262,7 +262,7 @@ static void begin_turning(void)
 {
     begin_with(1, 0);
     arm(0);
-    while (!w.machine.drive[0].told_motion || w.machine.work != WORK_CYCLE) {
+    while (!w.machine.drive[0].state.told_motion || w.machine.work != WORK_CYCLE) {
         go_on();
     }
 }
@@ -287,7 +287,7 @@ static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
             go_on();
         }
         CHECK(w.power_offs[0] == 2 && w.released[0] == 1);
-        CHECK(w.machine.drive[0].mode == DRIVE_READY || seen == 0);
+        CHECK(w.machine.drive[0].state.mode == DRIVE_READY || seen == 0);
     }
 }
 
@@ -297,11 +297,11 @@ static void one_that_waits_for_its_power_off_is_not_armed(void)
     wish(0, DRIVE_STAND_DOWN);
     wish(0, DRIVE_ARMED); /* the stop was not seen by itself */
     look_without_bytes();
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].stop == STOP_POWER_OFF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.stop == STOP_POWER_OFF);
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }
-    CHECK(w.power_offs[0] == 2 && w.machine.drive[0].mode == DRIVE_READY);
+    CHECK(w.power_offs[0] == 2 && w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
 static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile(void)
@@ -316,7 +316,7 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
         go_on();
     }
     CHECK(w.quick_stop_ns[0] > opened_ns && w.power_offs[0] == 0);
-    CHECK(w.machine.drive[0].mode == DRIVE_READY && w.machine.drive[0].stopping);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.stopping);
     w.turning = 0;
     while (w.now_ns < opened_ns + 400 * MS) {
         go_on();

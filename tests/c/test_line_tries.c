@@ -144,11 +144,11 @@ static void a_frame_of_a_stop_that_is_refused_is_told_as_often_as_the_drive_s_tr
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
     w.refused = CONTROL;
     shut_down_until(3);
-    CHECK(w.machine.drive[0].stop == STOP_NOTHING && w.refusals == 6);
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
     w.refused = CONTROL; /* the second one is heard: what follows is counted anew */
     shut_down_until(3);
-    CHECK(w.machine.drive[0].stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
 
 static void a_new_stop_has_all_of_its_tries(void)

@@ -133,7 +133,7 @@ def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
     bench.wish(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, age_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.demoted == lib.PWM_DEMOTED_OLD
+    assert bench.state.demoted == lib.DEMOTED_SETPOINTS_OLD
     assert bench.step(0.5) == bench.levels("brake")
     assert bench.step(0.5, after_ns=STOPPING_NS) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
@@ -146,7 +146,7 @@ def test_set_points_that_are_not_enabled_any_more_take_the_power_at_once():
     bench.step(0.5)
     assert bench.step(0.5, enabled=False) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
-    assert bench.state.demoted == lib.PWM_DEMOTED_NOT_ENABLED
+    assert bench.state.demoted == lib.DEMOTED_NOT_ENABLED
 
 
 def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
@@ -154,7 +154,7 @@ def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
     bench.wish(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, after_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.demoted == lib.PWM_DEMOTED_LEFT_ALONE
+    assert bench.state.demoted == lib.DEMOTED_LEFT_ALONE
 
 
 def test_arming_needs_fresh_set_points_and_a_new_wish():

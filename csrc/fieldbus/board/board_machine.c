@@ -18,7 +18,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     }
     memset(m, 0, sizeof *m);
     m->table = *table;
-    m->epoch = epoch;
+    m->state.epoch = epoch;
     m->sequence = sequence;
     m->next = (uint16_t)(sequence + 1);
     m->cycle.due_ns = now_ns;
@@ -134,7 +134,7 @@ bool board_machine_order(board_machine *m, const board_order *order)
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
-    bool stopped = m->mode == DRIVE_QUIET || (order->guarded != 0 && order->stops != m->stops);
+    bool stopped = m->state.mode == DRIVE_QUIET || (order->guarded != 0 && order->stops != m->stops);
     if (!m->has_order || m->order_written) {
         return;
     }
@@ -167,7 +167,7 @@ static void tell(board_machine *m, int64_t now_ns)
     m->sequence = sequence;
     m->next = (uint16_t)(sequence + 1);
     m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
-    m->told_motion = motion;
+    m->state.told_motion = motion;
     memcpy(m->told, payload, m->table.payload_bytes);
     m->sent++;
     board_told(m, now_ns);
@@ -186,8 +186,8 @@ static void shut_down_begin(board_machine *m, int64_t now_ns)
     m->shut = 1;
     m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
     m->shut_by_ns = now_ns + SHUT_NS;
-    if (m->mode == DRIVE_ARMED) {
-        m->mode = DRIVE_READY;
+    if (m->state.mode == DRIVE_ARMED) {
+        m->state.mode = DRIVE_READY;
         board_quick_stop(m, now_ns);
     }
 }
@@ -195,7 +195,7 @@ static void shut_down_begin(board_machine *m, int64_t now_ns)
 /* Silent only when the last frame has had the time to leave the port. */
 static void shut_down_go_on(board_machine *m, int64_t now_ns)
 {
-    bool stopping = m->stopping || m->stop_waits;
+    bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING;
     if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
         m->shut = 2;
         board_power_off(m, now_ns);
@@ -219,12 +219,12 @@ static void shut_down(board_machine *m, int64_t now_ns)
 static bool has_to_stop(const board_machine *m)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
-    return m->stop_waits || (m->told_motion && !board_payload(m, payload));
+    return m->state.stop != STOP_NOTHING || (m->state.told_motion && !board_payload(m, payload));
 }
 
 static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 {
-    bool moving = m->told_motion || m->stopping || m->mode == DRIVE_ARMED || m->shut != 0;
+    bool moving = m->state.told_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->shut != 0;
     int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     return m->shut < 3 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
@@ -232,8 +232,8 @@ static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 void board_machine_kick(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
-    bool stops = !board_payload(m, payload) && m->told_motion;
-    if (m->mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
+    bool stops = !board_payload(m, payload) && m->state.told_motion;
+    if (m->state.mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
         cycle_clock_hurry(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
     }
 }
@@ -254,15 +254,15 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
 void board_machine_report(const board_machine *m, board_report *report)
 {
     report->shut_down = m->shut == 3;
-    report->mode = m->mode;
-    report->demoted = m->demoted;
-    report->wish_seen = m->wish_seen;
-    report->enabled = m->enabled;
-    report->stopping = m->stopping;
-    report->told_motion = m->told_motion;
-    report->stop_waits = m->stop_waits;
+    report->mode = m->state.mode;
+    report->demoted = m->state.demoted;
+    report->wish_seen = m->state.wish_seen;
+    report->enabled = m->state.enabled;
+    report->stopping = m->state.stopping;
+    report->told_motion = m->state.told_motion;
+    report->stop_waits = m->state.stop != STOP_NOTHING;
     report->stops = m->stops;
-    report->epoch = m->epoch;
+    report->epoch = m->state.epoch;
     report->orders_sent = m->orders_sent;
     report->orders_dropped = m->orders_dropped;
     report->said_bytes = m->said_bytes;

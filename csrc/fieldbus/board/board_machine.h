@@ -14,6 +14,7 @@
 #ifndef MOTORD_BOARD_MACHINE_H
 #define MOTORD_BOARD_MACHINE_H
 
+#include "drive_state.h"
 #include "pace.h"
 #include "rt.h"
 
@@ -47,29 +48,18 @@ typedef struct {
     board_clock clock;
     board_order order;
     bool has_order;
+    drive_state state;
     bool order_written; /* it is in the payload, and has not gone out */
-    uint32_t mode;      /* drive_mode */
-    uint32_t demoted;
-    uint32_t wish_seen;
-    uint32_t enabled; /* 1, 0, 2 */
-    uint32_t epoch;
-    uint32_t joints; /* bit n: joint n of the core */
+    uint32_t joints;    /* bit n: joint n of the core */
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
-    uint32_t still_enabled;          /* words in a row that said so without its being armed */
     uint32_t shut;                   /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
     uint32_t feedback_mask;          /* joints whose feedback is new since it was taken */
     imu_sample imu;                  /* the newest */
     bool imu_is_new;                 /* since it was taken */
-    bool was_enabled;                /* set-points were enabled since it was armed */
-    uint64_t enabled_count_armed;    /* enabled_count when it was armed */
     uint8_t told[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
-    bool told_motion;
-    bool stopping;
-    bool back;       /* a quiet board spoke: BACK when it has been told to disarm */
-    bool stop_waits; /* a stop is in the payload, and has not gone out */
-    bool news;       /* something that Python wants to hear */
+    bool news;                       /* something that Python wants to hear */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;
@@ -80,8 +70,7 @@ typedef struct {
     int64_t told_ns;  /* a frame went out last */
     int64_t heard_ns; /* 0: never */
     int64_t knows_ns;
-    int64_t stamp_ns;  /* of the newest word */
-    int64_t off_by_ns; /* stopping: power off then, at rest or not */
+    int64_t stamp_ns; /* of the newest word */
     int64_t shut_rest_by_ns;
     int64_t shut_by_ns;
     cycle_clock cycle;

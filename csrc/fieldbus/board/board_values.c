@@ -38,7 +38,7 @@ int64_t board_raw_max(const board_place *place)
 /* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
 bool board_payload(const board_machine *m, uint8_t *payload)
 {
-    bool motion = false, may_move = m->mode == DRIVE_ARMED && m->newest.enabled == 1;
+    bool motion = false, may_move = m->state.mode == DRIVE_ARMED && m->newest.enabled == 1;
     memcpy(payload, m->held, BOARD_PAYLOAD_MAX);
     for (uint32_t i = 0; i < m->table.setpoint_count; i++) {
         const board_setpoint *setpoint = &m->table.setpoint[i];
@@ -71,7 +71,7 @@ bool board_read(board_machine *m)
         int64_t raw = board_get(m->said, &field->place);
         bool equals = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals;
         if (field->meaning.kind == FIELD_ENABLED) {
-            m->enabled = equals ? 1 : 0;
+            m->state.enabled = equals ? 1 : 0;
         } else if (field->meaning.kind == FIELD_KEPT) {
             kept &= equals;
         } else {
@@ -88,8 +88,8 @@ void board_publish(board_machine *m)
         if ((m->joints >> j & 1) != 0) {
             joint_feedback *feedback = &m->joint[j].feedback;
             feedback->stamp_ns = m->stamp_ns;
-            feedback->epoch = m->epoch;
-            feedback->enabled = m->enabled;
+            feedback->epoch = m->state.epoch;
+            feedback->enabled = m->state.enabled;
             m->feedback_mask |= 1U << j;
         }
     }
@@ -100,7 +100,7 @@ void board_forget(board_machine *m)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         m->joint[j].feedback = feedback_unknown();
     }
-    m->enabled = 2;
+    m->state.enabled = 2;
 }
 
 bool board_at_rest(const board_machine *m)

@@ -5,14 +5,8 @@
 #include "can_machine.h"
 #include "fresh.h"
 
-static const int64_t STOPPING_NS = 1000 * CAN_MS;
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
 static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* until it is set up */
-
-static bool fresh(const can_machine *m, int64_t now_ns)
-{
-    return fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns);
-}
 
 /* --------------------------------------------------------------------------------------------------- sending */
 bool can_send(can_machine *m, const can_packet *packet)
@@ -68,7 +62,7 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         can_packet packet;
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
-        drive->told_motion |= moves;
+        drive->state.told_motion |= moves;
         bool went = can_send(m, &packet);
         all &= went;
         if (went) {
@@ -79,7 +73,7 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         }
     }
     if (all) {
-        drive->told_motion = motion;
+        drive->state.told_motion = motion;
         drive->told_ns = now_ns;
     }
 }
@@ -99,8 +93,8 @@ bool can_differs(const can_machine *m, uint32_t number)
 void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool moves = drive->told_motion && drive->stop == CAN_STOP_NOTHING; /* it has power: zero does not switch it on */
-    if (drive->mode == DRIVE_ARMED || drive->stopping || moves || m->table.drive[number].idle_setpoints != 0) {
+    bool moves = drive->state.told_motion && drive->state.stop == STOP_NOTHING; /* it has power: zero does not switch it on */
+    if (drive->state.mode == DRIVE_ARMED || drive->state.stopping || moves || m->table.drive[number].idle_setpoints != 0) {
         send_setpoints(m, number, now_ns);
     }
 }
@@ -109,40 +103,25 @@ void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
 void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
 {
     can_drive_state *drive = &m->drive[number];
-    drive->stop = kind;
+    drive->state.stop = kind;
     drive->stop_place = 0;
     drive->stops++;
     m->news = true;
 }
 
-static void demote(can_machine *m, uint32_t number, uint32_t why, uint32_t mode)
+/* What the rules have decided: begun here. */
+static void begin_stop(can_machine *m, uint32_t number, drive_stop stop)
 {
-    can_drive_state *drive = &m->drive[number];
-    drive->mode = mode;
-    drive->demoted |= why;
-    drive->enabled = 2;
-    m->news = true;
-}
-
-static void quick_stop(can_machine *m, uint32_t number, uint32_t why, int64_t now_ns)
-{
-    demote(m, number, why, DRIVE_READY);
-    m->drive[number].stopping = true;
-    m->drive[number].off_by_ns = now_ns + STOPPING_NS;
-    can_stop_now(m, number, CAN_STOP_QUICK);
-}
-
-static void power_off(can_machine *m, uint32_t number)
-{
-    m->drive[number].stopping = false;
-    can_stop_now(m, number, CAN_STOP_POWER_OFF);
+    if (stop != STOP_NOTHING) {
+        can_stop_now(m, number, stop);
+    }
 }
 
 void can_send_stop(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool quick = drive->stop == CAN_STOP_QUICK;
+    bool quick = drive->state.stop == STOP_QUICK;
     const can_write *write = quick ? table->quick_stop : table->disarm;
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
@@ -151,33 +130,22 @@ void can_send_stop(can_machine *m, uint32_t number)
         }
     }
     if (!quick && m->table.drive[number].idle_setpoints == 0) {
-        drive->told_motion = false; /* set-points would switch it on again */
+        drive->state.told_motion = false; /* set-points would switch it on again */
     }
-    drive->stop = CAN_STOP_NOTHING;
-    drive->enabled = 2;
-    if (drive->back) {
-        drive->back = false;
-        drive->mode = DRIVE_BACK;
-        m->news = true;
-    }
+    m->news |= drive_stop_done(&drive->state);
 }
 
 void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
-        demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+    bool settled = now_ns >= m->control.drive[number].arming_until_ns;
+    drive_stop stop = drive_check_power(&drive->state, m->table.drive[number].tries, settled);
+    m->news |= drive_has_news(&drive->state);
+    if (stop != STOP_NOTHING && drive->state.mode == DRIVE_OFF) {
         can_hold_nothing(m, number);
-        power_off(m, number);
-    } else if (drive->mode != DRIVE_READY || drive->enabled != 1) {
-        drive->still_enabled = 0;
-    } else if (!drive->stopping && drive->stop == CAN_STOP_NOTHING && now_ns >= m->control.drive[number].arming_until_ns) {
-        drive->still_enabled++;
-        if (drive->still_enabled == m->table.drive[number].tries) {
-            drive->demoted |= DEMOTED_STILL_ENABLED;
-            m->news = true;
-        }
-        drive->off_next_cycle = true;
+        begin_stop(m, number, stop);
+    } else if (stop != STOP_NOTHING) {
+        drive->state.off_due = true;
     }
 }
 
@@ -187,7 +155,7 @@ static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
     drive->missing = 0;
-    if (table->hello > 0 && drive->mode != DRIVE_READY && drive->mode != DRIVE_ARMED) {
+    if (table->hello > 0 && drive->state.mode != DRIVE_READY && drive->state.mode != DRIVE_ARMED) {
         int64_t heard_ns = drive->heard_ns[table->hello - 1];
         drive->missing = heard_ns > 0 && now_ns - heard_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
         return;
@@ -204,13 +172,14 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive->quiet++;
-    demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
+    drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
+    m->news = true;
     can_hold_nothing(m, number);
     if (m->shut == 0) {
-        drive->stop = CAN_STOP_NOTHING; /* its probes stop it */
+        drive->state.stop = STOP_NOTHING; /* its probes stop it */
     }
     drive->stops++;
-    drive->stopping = drive->back = drive->off_next_cycle = false;
+    drive->state.stopping = drive->state.back = drive->state.off_due = false;
     drive->quiet_since_ns = drive->probe_at_ns = now_ns;
     drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     if (m->table.drive[number].hello > 0) {
@@ -223,16 +192,16 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    if (now_ns < drive->probe_at_ns || drive->back) {
+    if (now_ns < drive->probe_at_ns || drive->state.back) {
         return;
     }
     bool told = true;
-    if (drive->may_turn && now_ns > drive->quiet_since_ns + STOPPING_NS) {
+    if (drive->may_turn && now_ns > drive->quiet_since_ns + DRIVE_STOPPING_NS) {
         told = write_all(m, number, table->disarm, table->disarm_count);
     } else if (drive->may_turn) {
         told = write_all(m, number, table->quick_stop, table->quick_stop_count);
         send_setpoints(m, number, now_ns);
-        told = told && !drive->told_motion;
+        told = told && !drive->state.told_motion;
     }
     ask_all(m, table->probe, table->probe_count);
     if (told) { /* else again in the next cycle */
@@ -242,51 +211,40 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* --------------------------------------------------------------------------------------------------- guarding */
-static void guard_armed(can_machine *m, uint32_t number, int64_t now_ns)
+static drive_view view_of(const can_machine *m, uint32_t number, int64_t now_ns)
 {
-    can_drive_state *drive = &m->drive[number];
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
-    if (!fresh(m, now_ns)) {
-        quick_stop(m, number, DEMOTED_SETPOINTS_OLD, now_ns);
-    } else if (watchdog_ns > 0 && now_ns - drive->told_ns > watchdog_ns) {
-        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
-    } else if (m->newest.enabled == 1) {
-        drive->was_enabled = true;
-    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
-        demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
-        power_off(m, number);
-    }
+    return (drive_view){.now_ns = now_ns,
+                        .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
+                        .enabled = m->newest.enabled == 1,
+                        .left_alone = watchdog_ns > 0 && now_ns - m->drive[number].told_ns > watchdog_ns,
+                        .shut_down = m->control.shut_down != 0,
+                        .enabled_count = m->enabled_count};
 }
 
 void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    if (drive->mode == DRIVE_ARMED) {
-        guard_armed(m, number, now_ns);
-    }
+    drive_view view = view_of(m, number, now_ns);
+    begin_stop(m, number, drive_guard(&drive->state, &view));
     look_for(m, number, now_ns);
     bool there = drive->missing == 0;
-    if (!there && (drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED)) {
+    if (!there && (drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED)) {
         go_quiet(m, number, now_ns);
-    } else if (there && drive->mode == DRIVE_QUIET && !drive->back && m->shut == 0) {
-        drive->back = true;
-        power_off(m, number);
+    } else if (there && drive->state.mode == DRIVE_QUIET && !drive->state.back && m->shut == 0) {
+        drive->state.back = true;
+        begin_stop(m, number, drive_power_off(&drive->state));
     }
-    if (drive->stopping && drive->stop == CAN_STOP_NOTHING && (can_at_rest(m, number) || now_ns >= drive->off_by_ns)) {
-        power_off(m, number);
+    if (drive->state.stopping) {
+        begin_stop(m, number, drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));
     }
 }
 
-/* ---------------------------------------------------------------------------------------------------- wishes */
-/* A stop that is pending stays so, whatever is requested after it. */
+/* -------------------------------------------------------------------------------------------------- requests */
 static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    drive->mode = DRIVE_READY;
-    drive->epoch++;
-    drive->demoted = drive->still_enabled = 0;
-    drive->back = false;
-    drive->may_turn = drive->told_motion || drive->stopping;
+    drive->may_turn = drive->state.told_motion || drive->state.stopping;
     drive->slow_cycles = 0;
     drive->told_ns = now_ns;
     can_forget(m, number);
@@ -295,55 +253,22 @@ static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-static void arm(can_machine *m, uint32_t number, int64_t now_ns)
-{
-    can_drive_state *drive = &m->drive[number];
-    bool told_off = drive->stopping || drive->stop != CAN_STOP_NOTHING || drive->off_next_cycle;
-    if (!fresh(m, now_ns) || told_off || m->control.shut_down != 0) {
-        return;
-    }
-    drive->mode = DRIVE_ARMED;
-    drive->may_turn = true;
-    drive->was_enabled = false;
-    drive->enabled_count = m->enabled_count;
-    drive->demoted = drive->still_enabled = 0;
-    drive->enabled = 2;
-    drive->told_ns = now_ns;
-}
-
 void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
+    drive_view view = view_of(m, number, now_ns);
     const drive_wish *wish = &m->control.drive[number];
-    if (wish->count == drive->wish_seen) {
-        return;
-    }
-    bool overtaken = wish->count - drive->wish_seen > 1; /* one that was never seen may have been a stop */
-    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_next_cycle;
-    drive->wish_seen = wish->count;
-    m->news = true;
-    if ((overtaken || wish->mode == DRIVE_OFF) && powered) {
-        drive->off_next_cycle = false;
-        power_off(m, number);
-    }
-    drive->stops += overtaken;
-    if (overtaken && drive->mode == DRIVE_ARMED) {
-        drive->mode = DRIVE_READY;
-        drive->enabled = 2;
-    }
-    if (wish->mode == DRIVE_OFF) {
-        drive->mode = DRIVE_OFF;
-        drive->back = false;
-    } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
+    drive_answer answer = drive_obey(&drive->state, wish, &view);
+    bool is_new = answer.request != REQUEST_NONE;
+    m->news |= is_new;
+    begin_stop(m, number, answer.stop);
+    drive->stops += answer.overtaken;
+    drive->stops += is_new && wish->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */
+    if (answer.request == REQUEST_SET_UP) {
         set_up(m, number, now_ns);
-    } else if (wish->mode == DRIVE_ARMED && drive->mode == DRIVE_READY) {
-        arm(m, number, now_ns);
-    } else if (wish->mode == DRIVE_STAND_DOWN) {
-        drive->stops++;
-        if (drive->mode == DRIVE_ARMED) {
-            drive->mode = DRIVE_READY;
-            drive->enabled = 2;
-        }
+    } else if (answer.request == REQUEST_ARM) {
+        drive->may_turn = true;
+        drive->told_ns = now_ns;
     }
 }
 
@@ -358,7 +283,7 @@ static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
     if (table->slow_count > 0) {
         (void)can_send(m, &table->slow[turn % table->slow_count]);
     }
-    bool resting = drive->mode == DRIVE_READY && !drive->stopping && drive->stop == CAN_STOP_NOTHING;
+    bool resting = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
     if (table->says_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
         (void)write_all(m, number, table->disarm, table->disarm_count);
     }
@@ -368,17 +293,17 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool unheard = drive->mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
-    if (drive->mode == DRIVE_QUIET || unheard) {
+    bool unheard = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
+    if (drive->state.mode == DRIVE_QUIET || unheard) {
         probe(m, number, now_ns);
         return;
     }
-    if (drive->mode != DRIVE_READY && drive->mode != DRIVE_ARMED) {
+    if (drive->state.mode != DRIVE_READY && drive->state.mode != DRIVE_ARMED) {
         return;
     }
-    if (drive->off_next_cycle) {
-        drive->off_next_cycle = false;
-        power_off(m, number);
+    if (drive->state.off_due) {
+        drive->state.off_due = false;
+        begin_stop(m, number, drive_power_off(&drive->state));
         can_send_stop(m, number);
     }
     can_tell(m, number, now_ns);

@@ -42,11 +42,11 @@ static void init_drive(can_machine *m, uint32_t number, const can_before *before
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    drive->epoch = before->epoch;
+    drive->state.epoch = before->epoch;
     drive->may_turn = (before->may_turn >> number & 1) != 0;
     drive->quiet_since_ns = drive->probe_at_ns = now_ns;
     drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
-    drive->enabled = 2;
+    drive->state.enabled = 2;
     for (uint32_t o = 0; o < table->output_count; o++) {
         for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
             drive->joints |= 1U << table->output[o].setpoint[i].scale.joint;
@@ -100,7 +100,7 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
     drive->sample_ns[place] = stamp_ns;
     drive->known |= 1U << place;
     can_read(m, number, input, packet->data, stamp_ns);
-    bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
+    bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
     if (cyclic && (drive->fast >> place & 1) != 0) {
         can_publish(m, number);
         if ((drive->powers >> place & 1) != 0) {
@@ -202,11 +202,11 @@ static void shut_down_begin(can_machine *m, int64_t now_ns)
     m->shut_by_ns = now_ns + SHUT_NS;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_drive_state *drive = &m->drive[i];
-        if (drive->mode == DRIVE_ARMED) {
-            drive->mode = DRIVE_READY;
-            drive->stopping = true;
-            drive->off_by_ns = m->shut_rest_by_ns;
-            can_stop_now(m, i, CAN_STOP_QUICK);
+        if (drive->state.mode == DRIVE_ARMED) {
+            drive->state.mode = DRIVE_READY;
+            drive->state.stopping = true;
+            drive->state.off_by_ns = m->shut_rest_by_ns;
+            can_stop_now(m, i, STOP_QUICK);
         }
     }
 }
@@ -215,13 +215,13 @@ static void shut_down_go_on(can_machine *m, int64_t now_ns)
 {
     bool stopping = false;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        stopping |= m->drive[i].stopping || m->drive[i].stop != CAN_STOP_NOTHING;
+        stopping |= m->drive[i].state.stopping || m->drive[i].state.stop != STOP_NOTHING;
     }
     if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
         m->shut = 2;
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            m->drive[i].stopping = false;
-            can_stop_now(m, i, CAN_STOP_POWER_OFF);
+            m->drive[i].state.stopping = false;
+            can_stop_now(m, i, STOP_POWER_OFF);
         }
     } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
         m->shut = 3;
@@ -244,11 +244,11 @@ static void send_stops(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_drive_state *drive = &m->drive[i];
-        if (drive->stop != CAN_STOP_NOTHING) {
+        if (drive->state.stop != STOP_NOTHING) {
             can_send_stop(m, i);
         }
-        bool cyclic = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;
-        if (cyclic && drive->told_motion && !can_wants_motion(m, i)) {
+        bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
+        if (cyclic && drive->state.told_motion && !can_wants_motion(m, i)) {
             can_tell(m, i, now_ns); /* a stop does not wait for its cycle */
         }
     }
@@ -287,10 +287,10 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     int64_t wake_ns = now_ns + (m->shut == 0 ? LOOK_RESTING_NS : LOOK_MOVING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const can_drive_state *drive = &m->drive[i];
-        if (drive->told_motion || drive->stopping || drive->mode == DRIVE_ARMED) {
+        if (drive->state.told_motion || drive->state.stopping || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->stop != CAN_STOP_NOTHING) {
+        if (drive->state.stop != STOP_NOTHING) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_FULL_NS);
         }
     }
@@ -304,7 +304,7 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
 static void tell_early(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        if (m->drive[i].mode == DRIVE_ARMED) {
+        if (m->drive[i].state.mode == DRIVE_ARMED) {
             can_tell(m, i, now_ns);
         }
     }
@@ -315,7 +315,7 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
 {
     bool differs = false;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        differs |= m->drive[i].mode == DRIVE_ARMED && can_differs(m, i);
+        differs |= m->drive[i].state.mode == DRIVE_ARMED && can_differs(m, i);
     }
     bool queued = m->hears_own && m->motion_since_ns != 0; /* a pulled cable would keep more motion for later */
     m->early = differs && !queued && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
@@ -359,21 +359,21 @@ void can_machine_report(const can_machine *m, can_report *report)
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         const can_drive_state *drive = &m->drive[i];
         report->drive[i] = (can_drive_report){
-            .mode = drive->mode,
-            .demoted = drive->demoted,
-            .wish_seen = drive->wish_seen,
-            .enabled = drive->enabled,
-            .stopping = drive->stopping,
-            .told_motion = drive->told_motion,
+            .mode = drive->state.mode,
+            .demoted = drive->state.demoted,
+            .wish_seen = drive->state.wish_seen,
+            .enabled = drive->state.enabled,
+            .stopping = drive->state.stopping,
+            .told_motion = drive->state.told_motion,
             .missing = drive->missing,
             .stops = drive->stops,
             .cycles = drive->cycles,
             .received = drive->received,
             .quiet = drive->quiet,
             .heard_ns = drive->newest_ns,
-            .epoch = drive->epoch,
+            .epoch = drive->state.epoch,
             .may_turn = drive->may_turn,
-            .stop_waits = drive->stop != CAN_STOP_NOTHING,
+            .stop_waits = drive->state.stop != STOP_NOTHING,
             .orders_sent = drive->orders_sent,
             .orders_dropped = drive->orders_dropped,
             .faults = drive->faults,

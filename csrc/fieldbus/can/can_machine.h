@@ -10,6 +10,7 @@
 #ifndef MOTORD_CAN_MACHINE_H
 #define MOTORD_CAN_MACHINE_H
 
+#include "drive_state.h"
 #include "pace.h"
 #include "rt.h"
 
@@ -22,14 +23,8 @@ enum { CAN_WAITING_MAX = 8, CAN_FOR_NOBODY = CAN_DRIVES_MAX + 1 };
 typedef bool (*can_sender)(void *sink, const can_packet *packet);
 
 /* Frames that go before all else. */
-typedef enum { CAN_STOP_NOTHING = 0, CAN_STOP_QUICK = 1, CAN_STOP_POWER_OFF = 2 } can_stop_kind;
-
 typedef struct {
-    uint32_t mode; /* drive_mode */
-    uint32_t demoted;
-    uint32_t wish_seen;
-    uint32_t enabled; /* 1, 0, 2 */
-    uint32_t epoch;
+    drive_state state;
     uint32_t joints; /* bit n: joint n of the core */
     uint32_t stops;
     uint32_t orders_sent;
@@ -37,19 +32,10 @@ typedef struct {
     uint32_t faults; /* as in can_drive_report, the two after it, too */
     uint32_t last_fault;
     uint32_t last_fault_joint;
-    uint32_t still_enabled; /* frames in a row in which it said so without being armed */
     uint32_t missing;
-    uint32_t stop; /* can_stop_kind */
     uint32_t stop_place;
-    bool was_enabled;       /* set-points were enabled since it was armed */
-    uint64_t enabled_count; /* of the machine, when it was armed */
-    bool may_turn;          /* armed since it was last set up, before the bus was opened or after */
-    bool told_motion;
-    bool stopping;
-    bool back;           /* a quiet drive is there: BACK when it has been told to disarm */
-    bool off_next_cycle; /* what it said calls for a power-off: the cycle sends it, however often it says so */
-    int64_t off_by_ns;   /* stopping: power off then, at rest or not */
-    int64_t told_ns;     /* set-points went out last */
+    bool may_turn;   /* armed since it was last set up, before the bus was opened or after */
+    int64_t told_ns; /* set-points went out last */
     int64_t quiet_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;

@@ -55,7 +55,7 @@ static double number_of(const can_place *place, int64_t raw)
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    bool may_move = m->drive[drive].mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
+    bool may_move = m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
     double raw = scaled(&m->newest, may_move, &setpoint->scale);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
@@ -133,7 +133,7 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
     } else if (field->meaning.kind == FIELD_FAULT) {
         read_fault(m, number, field, (uint32_t)raw);
     } else {
-        m->drive[number].enabled = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
+        m->drive[number].state.enabled = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
     }
 }
 
@@ -164,8 +164,8 @@ void can_publish(can_machine *m, uint32_t drive)
         joint->feedback.stamp_ns = joint->count_ns > 0      ? joint->count_ns
                                    : joint->velocity_ns > 0 ? joint->velocity_ns
                                                             : joint->newest_ns;
-        joint->feedback.epoch = m->drive[drive].epoch;
-        joint->feedback.enabled = m->drive[drive].enabled;
+        joint->feedback.epoch = m->drive[drive].state.epoch;
+        joint->feedback.enabled = m->drive[drive].state.enabled;
         m->feedback_mask |= 1U << j;
     }
 }
@@ -179,7 +179,7 @@ void can_forget(can_machine *m, uint32_t drive)
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);
     m->drive[drive].known = 0;
-    m->drive[drive].enabled = 2;
+    m->drive[drive].state.enabled = 2;
 }
 
 bool can_at_rest(const can_machine *m, uint32_t drive)

@@ -5,8 +5,6 @@
 #include "line_machine.h"
 #include "fresh.h"
 
-static const int64_t STOPPING_NS = 1000 * LINE_MS;
-
 bool line_fresh(const line_machine *m, int64_t now_ns)
 {
     return fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns);
@@ -21,7 +19,7 @@ int64_t line_reply_ns(const line_machine *m, const line_frame *frame)
 void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 {
     line_drive_state *drive = &m->drive[number];
-    drive->stop = kind;
+    drive->state.stop = kind;
     drive->stop_place = drive->stop_done = drive->stop_told = 0;
     drive->stop_failures = 0;
     drive->stop_refused = false;
@@ -32,82 +30,59 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     }
 }
 
-void line_demote(line_machine *m, uint32_t number, uint32_t why, uint32_t mode)
+/* What the rules have decided: begun here. */
+static void begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
 {
-    line_drive_state *drive = &m->drive[number];
-    drive->mode = mode;
-    drive->demoted |= why;
-    drive->enabled = 2;
-    m->news = true;
-}
-
-static void quick_stop(line_machine *m, uint32_t number, uint32_t why, int64_t now_ns)
-{
-    line_drive_state *drive = &m->drive[number];
-    line_demote(m, number, why, DRIVE_READY);
-    drive->stopping = true;
-    drive->off_by_ns = now_ns + STOPPING_NS;
-    drive->due_ns = now_ns;
-    m->broadcasts = m->table.broadcast_stop_count;
-    line_stop_now(m, number, STOP_QUICK);
+    m->news |= drive_has_news(&m->drive[number].state);
+    if (stop == STOP_QUICK) {
+        m->drive[number].due_ns = now_ns;
+        m->broadcasts = m->table.broadcast_stop_count;
+    }
+    if (stop != STOP_NOTHING) {
+        line_stop_now(m, number, stop);
+    }
 }
 
 void line_stop_unheard(line_machine *m, uint32_t number, int64_t now_ns)
 {
-    m->drive[number].may_turn = true;
-    quick_stop(m, number, 0, now_ns);
-    m->drive[number].mode = DRIVE_OFF;
-}
-
-static void power_off(line_machine *m, uint32_t number)
-{
-    m->drive[number].stopping = false;
-    line_stop_now(m, number, STOP_POWER_OFF);
-}
-
-static void guard_armed(line_machine *m, uint32_t number, int64_t now_ns)
-{
     line_drive_state *drive = &m->drive[number];
+    drive->may_turn = true;
+    begin_stop(m, number, drive_quick_stop(&drive->state, 0, now_ns), now_ns);
+    drive->state.mode = DRIVE_OFF;
+}
+
+static drive_view view_of(const line_machine *m, uint32_t number, int64_t now_ns)
+{
+    const line_drive_state *drive = &m->drive[number];
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
     bool busy = m->work != WORK_NONE && m->worker == number;
-    if (!line_fresh(m, now_ns)) {
-        quick_stop(m, number, DEMOTED_SETPOINTS_OLD, now_ns);
-    } else if (watchdog_ns > 0 && !busy && now_ns - drive->answered_ns > watchdog_ns) {
-        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
-    } else if (m->newest.enabled == 1) {
-        drive->was_enabled = true;
-    } else if (drive->was_enabled || drive->enabled_count != m->enabled_count) {
-        line_demote(m, number, DEMOTED_NOT_ENABLED, DRIVE_READY);
-        power_off(m, number);
-    }
+    return (drive_view){.now_ns = now_ns,
+                        .fresh = line_fresh(m, now_ns),
+                        .enabled = m->newest.enabled == 1,
+                        .left_alone = watchdog_ns > 0 && !busy && now_ns - drive->answered_ns > watchdog_ns,
+                        .shut_down = m->control.shut_down != 0,
+                        .enabled_count = m->enabled_count};
 }
 
 void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    if (drive->mode == DRIVE_ARMED) {
-        guard_armed(m, number, now_ns);
-    }
-    if (drive->told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
+    drive_view view = view_of(m, number, now_ns);
+    begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
+    if (drive->state.told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
         drive->due_ns = now_ns; /* a stop does not wait for its turn */
     }
-    if (drive->stopping && drive->stop == STOP_NOTHING && now_ns >= drive->off_by_ns) {
-        power_off(m, number);
-    }
+    begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
 }
 
-/* ---------------------------------------------------------------------------------------------------- wishes */
-/* A stop that is pending stays so, whatever is requested after it. */
+/* -------------------------------------------------------------------------------------------------- requests */
 static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    bool stops = drive->stop != STOP_NOTHING || drive->stopping;
-    drive->mode = DRIVE_READY;
-    drive->epoch++;
-    drive->demoted = drive->failures = drive->still_enabled = 0;
+    bool stops = drive->state.stop != STOP_NOTHING || drive->state.stopping;
+    drive->failures = 0;
     drive->may_turn &= stops;
-    drive->told_motion &= stops;
-    drive->back = false;
+    drive->state.told_motion &= stops;
     drive->cycle_count = 0;
     drive->extra_next = 0;
     drive->due_ns = now_ns;
@@ -117,52 +92,24 @@ static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
     line_forget(m, number);
 }
 
-static void arm(line_machine *m, uint32_t number, int64_t now_ns)
-{
-    line_drive_state *drive = &m->drive[number];
-    if (!line_fresh(m, now_ns) || drive->stopping || drive->stop != STOP_NOTHING || m->control.shut_down != 0) {
-        return;
-    }
-    drive->mode = DRIVE_ARMED;
-    drive->may_turn = true;
-    drive->was_enabled = false;
-    drive->enabled_count = m->enabled_count;
-    drive->demoted = 0;
-    drive->still_enabled = 0;
-    drive->enabled = 2;
-    memset(drive->told, 0, sizeof drive->told);
-}
-
 void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     const drive_wish *wish = &m->control.drive[number];
+    drive_view view = view_of(m, number, now_ns);
     drive->arming_until_ns = wish->arming_until_ns;
-    if (wish->count == drive->wish_seen) {
-        return;
-    }
-    bool overtaken = wish->count - drive->wish_seen > 1; /* one that was never seen may have been a stop */
-    drive->wish_seen = wish->count;
-    m->news = true;
-    if ((overtaken || wish->mode == DRIVE_OFF) && (drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion)) {
-        power_off(m, number);
-    }
-    if (overtaken && drive->mode == DRIVE_ARMED) {
-        drive->mode = DRIVE_READY;
-        drive->enabled = 2;
-    }
-    if (wish->mode == DRIVE_OFF) {
-        drive->mode = DRIVE_OFF;
-        drive->back = false;
+    drive_answer answer = drive_obey(&drive->state, wish, &view);
+    m->news |= answer.request != REQUEST_NONE;
+    begin_stop(m, number, answer.stop, now_ns);
+    if (answer.request == REQUEST_OFF) {
         drive->stage = STAGE_IDLE;
         m->current = m->current == number ? LINE_DRIVES_MAX : m->current;
-    } else if (wish->mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
+    } else if (answer.request == REQUEST_SET_UP) {
         set_up(m, number, now_ns);
-    } else if (wish->mode == DRIVE_ARMED && drive->mode == DRIVE_READY) {
-        arm(m, number, now_ns);
-    } else if (wish->mode == DRIVE_STAND_DOWN && drive->mode == DRIVE_ARMED) {
-        drive->mode = DRIVE_READY;
-        drive->enabled = 2;
+    } else if (answer.request == REQUEST_ARM) {
+        drive->may_turn = true;
+        memset(drive->told, 0, sizeof drive->told);
+    } else if (answer.request == REQUEST_STAND_DOWN) {
         drive->due_ns = now_ns;
     }
 }
@@ -171,7 +118,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
 static const line_frame *stop_frames(const line_machine *m, uint32_t number, uint32_t *count)
 {
     const line_drive *table = &m->table.drive[number];
-    bool quick = m->drive[number].stop == STOP_QUICK;
+    bool quick = m->drive[number].state.stop == STOP_QUICK;
     *count = quick ? table->quick_stop_count : table->disarm_count;
     return quick ? table->quick_stop : table->disarm;
 }
@@ -189,13 +136,7 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
             return true;
         }
     }
-    drive->stop = STOP_NOTHING;
-    drive->enabled = 2;
-    if (drive->back) {
-        drive->back = false;
-        drive->mode = DRIVE_BACK;
-        m->news = true;
-    }
+    m->news |= drive_stop_done(&drive->state);
     return false;
 }
 
@@ -210,7 +151,7 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
-    if (drive->stopping) {
+    if (drive->state.stopping) {
         return false; /* rest would take its brake off: it comes with the power-off */
     }
     for (; drive->place < table->way_count; drive->place++) {
@@ -237,12 +178,12 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
         if ((table->cyclic[drive->place].setpoint_count > 0) == writing) {
             bool motion = line_build(m, number, drive->place, out);
             drive->cycle_motion |= motion;
-            drive->told_motion |= motion;
+            drive->state.told_motion |= motion;
             return true;
         }
     }
     if (writing) {
-        drive->told_motion = drive->cycle_motion; /* all acknowledged */
+        drive->state.told_motion = drive->cycle_motion; /* all acknowledged */
     }
     return false;
 }
@@ -268,7 +209,7 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->cycle_motion = false;
     drive->frozen = m->newest;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
-    if (drive->enabled == 2 && table->extra_count > 0) {
+    if (drive->state.enabled == 2 && table->extra_count > 0) {
         drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first range */
         drive->extra_next = 0;
     }
@@ -291,24 +232,13 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->count.cycles++;
     line_publish(m, number);
     if (drive->lost_setup) {
-        line_demote(m, number, DEMOTED_LOST_SETUP, DRIVE_OFF);
-        power_off(m, number);
-    } else if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
-        line_demote(m, number, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
-        power_off(m, number);
-    } else if (drive->stopping && line_at_rest(m, number)) {
-        power_off(m, number);
+        drive_demote(&drive->state, DEMOTED_LOST_SETUP, DRIVE_OFF);
+        begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
     }
-    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && !drive->stopping && drive->stop == STOP_NOTHING &&
-                           drive->cycle_start_ns >= drive->arming_until_ns;
-    drive->still_enabled = armed_by_nobody ? drive->still_enabled + 1 : drive->enabled == 0 ? 0 : drive->still_enabled;
-    if (armed_by_nobody) {
-        if (drive->still_enabled == table->tries) {
-            drive->demoted |= DEMOTED_STILL_ENABLED;
-            m->news = true;
-        }
-        power_off(m, number);
-    }
+    begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
+               drive->cycle_start_ns);
+    bool settled = drive->cycle_start_ns >= drive->arming_until_ns;
+    begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled), drive->cycle_start_ns);
 }
 
 bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
@@ -427,8 +357,8 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     line_settle(m, number, now_ns);
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
     int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
-    if (drive->mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
-        quick_stop(m, number, DEMOTED_LEFT_ALONE, now_ns);
+    if (drive->state.mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
+        begin_stop(m, number, drive_quick_stop(&drive->state, DEMOTED_LEFT_ALONE, now_ns), now_ns);
     }
     if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
         drive->failures = 0;
@@ -444,7 +374,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     } else if (m->work == WORK_STOP) {
         stop_frame_done(m, number);
     } else if (m->work == WORK_PROBE) {
-        drive->back = true;
+        drive->state.back = true;
         line_stop_now(m, number, STOP_POWER_OFF);
     }
 }
@@ -478,7 +408,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     if (m->work == WORK_STOP) {
         stop_frame_failed(m, number, failure);
     }
-    bool counts = drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED || drive->stop != STOP_NOTHING;
+    bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED || drive->state.stop != STOP_NOTHING;
     if (counts && drive->failures >= table->tries) {
         line_go_quiet(m, number, now_ns);
     }

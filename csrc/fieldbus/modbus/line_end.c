@@ -13,10 +13,10 @@ static void shut_down_begin(line_machine *m, int64_t now_ns)
     m->shut_by_ns = now_ns + SHUT_NS;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         line_drive_state *drive = &m->drive[i];
-        if (drive->mode == DRIVE_ARMED) {
-            drive->mode = DRIVE_READY;
-            drive->stopping = true;
-            drive->off_by_ns = m->shut_rest_by_ns;
+        if (drive->state.mode == DRIVE_ARMED) {
+            drive->state.mode = DRIVE_READY;
+            drive->state.stopping = true;
+            drive->state.off_by_ns = m->shut_rest_by_ns;
             drive->due_ns = now_ns;
             m->broadcasts = m->table.broadcast_stop_count;
             line_stop_now(m, i, STOP_QUICK);
@@ -28,20 +28,21 @@ static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
     uint32_t all = (1U << m->table.drive[number].disarm_count) - 1;
-    return drive->stop == STOP_NOTHING || (drive->stop == STOP_POWER_OFF && (drive->stop_told | drive->stop_done) == all);
+    return drive->state.stop == STOP_NOTHING ||
+           (drive->state.stop == STOP_POWER_OFF && (drive->stop_told | drive->stop_done) == all);
 }
 
 static void shut_down_go_on(line_machine *m, int64_t now_ns)
 {
     bool stopping = m->broadcasts > 0, told = true;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        stopping |= m->drive[i].stopping || m->drive[i].stop != STOP_NOTHING;
+        stopping |= m->drive[i].state.stopping || m->drive[i].state.stop != STOP_NOTHING;
         told = told && was_sent_its_power_off(m, i);
     }
     if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
         m->shut = 2;
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            m->drive[i].stopping = false;
+            m->drive[i].state.stopping = false;
             line_stop_now(m, i, STOP_POWER_OFF);
         }
     } else if (m->shut == 2 && (!stopping || now_ns >= (told ? m->shut_by_ns : m->shut_by_ns + SHUT_UNHEARD_NS))) {

@@ -56,7 +56,7 @@ static bool stops_wait(const line_machine *m)
 {
     bool waits = m->shut != 0;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        waits |= m->drive[i].stop != STOP_NOTHING && i != m->worker;
+        waits |= m->drive[i].state.stop != STOP_NOTHING && i != m->worker;
     }
     return waits;
 }
@@ -227,7 +227,7 @@ static uint32_t first_to_stop(const line_machine *m)
 {
     uint32_t first = LINE_DRIVES_MAX;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        bool waits = m->drive[i].stop != STOP_NOTHING;
+        bool waits = m->drive[i].state.stop != STOP_NOTHING;
         if (waits && (first == LINE_DRIVES_MAX || stop_rank(&m->drive[i]) < stop_rank(&m->drive[first]))) {
             first = i;
         }
@@ -254,7 +254,7 @@ static bool take_stop(line_machine *m, line_output *out)
 
 static bool is_cyclic(const line_machine *m, uint32_t number)
 {
-    return m->drive[number].mode == DRIVE_READY || m->drive[number].mode == DRIVE_ARMED;
+    return m->drive[number].state.mode == DRIVE_READY || m->drive[number].state.mode == DRIVE_ARMED;
 }
 
 static int64_t due_of(const line_machine *m, uint32_t number)
@@ -417,14 +417,14 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     int64_t wake_ns = now_ns + (m->shut != 0 ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        if (drive->told_motion || drive->mode == DRIVE_ARMED) {
+        if (drive->state.told_motion || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->mode == DRIVE_QUIET && m->shut < 2) {
+        if (drive->state.mode == DRIVE_QUIET && m->shut < 2) {
             int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }
-        if (drive->stop != STOP_NOTHING) {
+        if (drive->state.stop != STOP_NOTHING) {
             wake_ns = m->free_ns; /* stops wait for the gap alone, whatever the mode */
         }
         wake_ns = earlier(wake_ns, due_of(m, i));
@@ -462,7 +462,7 @@ void line_machine_kick(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         line_drive_state *drive = &m->drive[i];
-        if (drive->mode == DRIVE_ARMED && drive->due_ns > now_ns) {
+        if (drive->state.mode == DRIVE_ARMED && drive->due_ns > now_ns) {
             setpoints before = drive->frozen;
             drive->frozen = m->newest;
             if (line_differs(m, i)) {

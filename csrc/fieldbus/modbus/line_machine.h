@@ -16,6 +16,7 @@
 #ifndef MOTORD_LINE_MACHINE_H
 #define MOTORD_LINE_MACHINE_H
 
+#include "drive_state.h"
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
@@ -56,29 +57,21 @@ typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_WAY, WORK_STOP, WORK_BROADCAST, W
 
 typedef enum { WAY_UNKNOWN = 0, WAY_REST = 1, WAY_FORWARD = 2, WAY_REVERSE = 3 } line_way_told;
 
-typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } line_stop_kind;
-
 /* Where in its cycle a drive is. */
 typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_WAYS, STAGE_READ, STAGE_EXTRA } line_stage;
 
 typedef struct {
-    uint32_t mode; /* drive_mode */
-    uint32_t demoted;
-    uint32_t wish_seen;
-    uint32_t enabled;  /* 1, 0, 2 */
+    drive_state state;
     uint32_t failures; /* in a row */
     uint32_t last_failure;
     uint32_t last_exception;
-    uint32_t epoch;
     uint32_t joints; /* bit n: joint n of the core */
     uint32_t stage;  /* line_stage */
     uint32_t place;  /* within the stage */
     uint32_t extra_next;
-    uint32_t still_enabled; /* cycles in a row in which it said so without being armed */
-    uint32_t stop;          /* line_stop_kind: frames that go before all else */
-    uint32_t stop_place;    /* the frame that is told next, or has been told */
-    uint32_t stop_done;     /* bit n: frame n was acknowledged, or is refused for good */
-    uint32_t stop_told;     /* bit n: frame n was sent at the end, and not answered */
+    uint32_t stop_place; /* the frame that is told next, or has been told */
+    uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
+    uint32_t stop_told;  /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
     bool stop_refused; /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
@@ -86,16 +79,10 @@ typedef struct {
     uint32_t way_told[DRIVE_WAYS_MAX];
     uint32_t way_last[DRIVE_WAYS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
-    bool was_enabled;       /* set-points were enabled since it was armed */
-    uint64_t enabled_count; /* of the machine, when it was armed */
-    bool may_turn;          /* armed since it was last set up, before the port was opened or after */
-    bool told_motion;
+    bool may_turn; /* armed since it was last set up, before the port was opened or after */
     bool cycle_motion;
-    bool stopping;
-    bool back; /* a quiet drive answered: BACK when it has been told to disarm */
     bool extra_due;
     int64_t arming_until_ns;
-    int64_t off_by_ns; /* stopping: power off then, at rest or not */
     int64_t due_ns;
     int64_t quiet_until_ns; /* a late answer may come till then: it is not asked again before */
     int64_t held_until_ns;  /* a reply was doubtful: silence but for stops and urgent requests */
@@ -229,8 +216,6 @@ void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
 /* One that was armed before the port was opened. */
 void line_stop_unheard(line_machine *m, uint32_t drive, int64_t now_ns);
-/* It loses what it was allowed; `why`: DEMOTED_*. */
-void line_demote(line_machine *m, uint32_t drive, uint32_t why, uint32_t mode);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */
 bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);

@@ -28,14 +28,15 @@ static uint32_t stop_probes(const line_machine *m, uint32_t number)
 void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    if (drive->mode != DRIVE_QUIET) {
+    if (drive->state.mode != DRIVE_QUIET) {
         drive->count.quiet++;
     }
-    line_demote(m, number, DEMOTED_QUIET, DRIVE_QUIET);
+    drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
+    m->news = true;
     if (m->shut < 2) {
-        drive->stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
+        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
     }
-    drive->stopping = drive->back = false;
+    drive->state.stopping = drive->state.back = false;
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
     drive->probes_at_once = stop_probes(m, number) + 1;
@@ -86,7 +87,7 @@ uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        bool due = drive->mode == DRIVE_QUIET && drive->probe_at_ns <= now_ns && drive->quiet_until_ns <= now_ns;
+        bool due = drive->state.mode == DRIVE_QUIET && drive->probe_at_ns <= now_ns && drive->quiet_until_ns <= now_ns;
         if (due && (drive->may_turn || !may_turn)) {
             return i;
         }
@@ -100,7 +101,7 @@ static bool is_urgent(const line_machine *m, int64_t now_ns)
     uint32_t place = line_pick_ask(m, now_ns);
     bool urgent = m->broadcasts > 0 || (place < LINE_ASKS_MAX && m->ask[place].urgent != 0);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        urgent |= m->drive[i].stop != STOP_NOTHING;
+        urgent |= m->drive[i].state.stop != STOP_NOTHING;
     }
     return urgent || (m->shut == 0 && line_due_probe(m, true, now_ns) < LINE_DRIVES_MAX);
 }

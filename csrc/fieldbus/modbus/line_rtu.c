@@ -201,7 +201,7 @@ static uint32_t last_epoch(const line_machine *m)
 {
     uint32_t epoch = 0;
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
-        epoch = m->drive[i].epoch > epoch ? m->drive[i].epoch : epoch;
+        epoch = m->drive[i].state.epoch > epoch ? m->drive[i].state.epoch : epoch;
     }
     return epoch;
 }
@@ -216,7 +216,7 @@ static int prepare(rtu_thread *t, uint32_t line, const line_config *config, cons
         return error;
     }
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
-        t->machine.drive[i].epoch = epoch;
+        t->machine.drive[i].state.epoch = epoch;
     }
     t->config = *config;
     memset(&t->asks, 0, sizeof t->asks);

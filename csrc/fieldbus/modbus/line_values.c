@@ -16,7 +16,7 @@ static const setpoints *source(const line_machine *m, uint32_t drive)
 /* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind)
 {
-    if (m->drive[drive].mode != DRIVE_ARMED || m->newest.enabled != 1) {
+    if (m->drive[drive].state.mode != DRIVE_ARMED || m->newest.enabled != 1) {
         return 0.0;
     }
     double now = setpoint_of(&m->newest, joint, kind);
@@ -37,7 +37,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
 static bool is_idle(const line_machine *m, uint32_t drive)
 {
     const line_drive_state *state = &m->drive[drive];
-    return state->mode == DRIVE_READY && !state->stopping && state->stop == STOP_NOTHING;
+    return state->state.mode == DRIVE_READY && !state->state.stopping && state->state.stop == STOP_NOTHING;
 }
 
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
@@ -130,7 +130,7 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
         joint->count_ns = stamp_ns;
         break;
     case FIELD_FAULT: read_fault(m, field, (uint32_t)raw); break;
-    case FIELD_ENABLED: drive->enabled = equal ? 1 : 0; break;
+    case FIELD_ENABLED: drive->state.enabled = equal ? 1 : 0; break;
     case FIELD_KEPT: drive->lost_setup |= !equal; break;
     case FIELD_VELOCITY:
         joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);
@@ -158,11 +158,11 @@ void line_forget(line_machine *m, uint32_t drive)
         if (has_joint(m, drive, j)) {
             line_joint_state *joint = &m->joint[j];
             joint->feedback = feedback_unknown();
-            joint->feedback.epoch = m->drive[drive].epoch;
+            joint->feedback.epoch = m->drive[drive].state.epoch;
             joint->count_ns = joint->velocity_ns = joint->newest_ns = 0;
         }
     }
-    m->drive[drive].enabled = 2;
+    m->drive[drive].state.enabled = 2;
     m->drive[drive].lost_setup = false;
 }
 
@@ -178,8 +178,8 @@ void line_publish(line_machine *m, uint32_t drive)
         if (only_acknowledges) { /* a value that was never read has no stamp, whatever else was answered */
             joint->feedback.stamp_ns = m->drive[drive].answered_ns;
         }
-        joint->feedback.epoch = m->drive[drive].epoch;
-        joint->feedback.enabled = m->drive[drive].enabled;
+        joint->feedback.epoch = m->drive[drive].state.epoch;
+        joint->feedback.enabled = m->drive[drive].state.enabled;
         m->feedback_mask |= 1U << j;
     }
 }

@@ -23,15 +23,9 @@ from motord_hal.fieldbus.ports import (
     Listener,
 )
 from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
+from motord_hal.realtime.drive_state import Demoted
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.realtime.pwm import (
-    BridgeConfig,
-    BridgeJoint,
-    BridgeReport,
-    BridgeThread,
-    Demoted,
-    Wish,
-)
+from motord_hal.realtime.pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Wish
 
 STOPPING_S = 0.3
 """A quick stop brakes for so long, then the power goes off."""
@@ -244,7 +238,7 @@ class PwmLine(LineTask):
             if not armed:
                 self._thread.wish(Wish.OFF)
         if not armed:  # the thread alone reads set-points: their mailbox has one reader
-            old = report.demoted & Demoted.OLD
+            old = report.demoted & Demoted.SETPOINTS_OLD
             why = "no fresh set-points: is the loop running?" if old else "stopped: arm it again"
             raise HalError(f"{self.spec.name}: {why}")
 

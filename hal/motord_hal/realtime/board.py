@@ -14,8 +14,8 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import RoundTrips
+from motord_hal.realtime.drive_state import Demoted, Mode
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.realtime.line import Demoted, Mode
 from motord_hal.realtime.thread import (
     LineLife,
     Plain,

@@ -16,6 +16,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import LineSpec, RoundTrips
+from motord_hal.realtime.drive_state import Demoted, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.table import LineFrame, LineTable
 from motord_hal.realtime.thread import (
@@ -31,26 +32,6 @@ from motord_hal.realtime.thread import (
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
 ASKS_MAX: int = lib.LINE_ASKS_MAX
 FAULT_WORDS: int = lib.JOINTS_MAX
-
-
-class Mode(enum.IntEnum):
-    OFF = lib.DRIVE_OFF
-    READY = lib.DRIVE_READY
-    ARMED = lib.DRIVE_ARMED
-    QUIET = lib.DRIVE_QUIET
-    BACK = lib.DRIVE_BACK
-    STAND_DOWN = lib.DRIVE_STAND_DOWN
-    """Only as a wish."""
-
-
-class Demoted(enum.IntFlag):
-    SETPOINTS_OLD = lib.DEMOTED_SETPOINTS_OLD
-    NOT_ENABLED = lib.DEMOTED_NOT_ENABLED
-    LEFT_ALONE = lib.DEMOTED_LEFT_ALONE
-    LOST_SETUP = lib.DEMOTED_LOST_SETUP
-    DISABLED_ITSELF = lib.DEMOTED_DISABLED_ITSELF
-    QUIET = lib.DEMOTED_QUIET
-    STILL_ENABLED = lib.DEMOTED_STILL_ENABLED
 
 
 class AnswerKind(enum.IntEnum):

@@ -14,6 +14,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.base.errors import HalError
+from motord_hal.realtime.drive_state import Demoted
 from motord_hal.realtime.exchange import Exchange
 
 OUTPUTS_MAX: int = lib.PWM_OUTPUTS_MAX
@@ -25,12 +26,6 @@ class Wish(enum.IntEnum):
     OFF = lib.PWM_OFF
     STOP = lib.PWM_STOP
     ARMED = lib.PWM_ARMED
-
-
-class Demoted(enum.IntFlag):
-    OLD = lib.PWM_DEMOTED_OLD
-    NOT_ENABLED = lib.PWM_DEMOTED_NOT_ENABLED
-    LEFT_ALONE = lib.PWM_DEMOTED_LEFT_ALONE
 
 
 _NEVER = Demoted(0)

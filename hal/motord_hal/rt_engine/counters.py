@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from motord_hal.fieldbus.ports import LineStats, RoundTrips
-from motord_hal.realtime.line import LineReport, LineThread, Mode
+from motord_hal.realtime.drive_state import Mode
+from motord_hal.realtime.line import LineReport, LineThread
 
 _ERRORS = ("no_reply", "bad_reply", "refused")
 

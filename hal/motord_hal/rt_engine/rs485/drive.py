@@ -20,7 +20,8 @@ from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.fieldbus.faults import FaultWatch, Say
 from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
-from motord_hal.realtime.line import AnswerKind, Demoted, DriveReport, LineThread, Mode
+from motord_hal.realtime.drive_state import Demoted, Mode
+from motord_hal.realtime.line import AnswerKind, DriveReport, LineThread
 from motord_hal.rt_engine.notifier import News
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, exception_text

@@ -1,0 +1,153 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * drive_state.c: when a drive may move, and when it has to stop: the rules of all media. Pure: time is an argument. */
+#include "drive_state.h"
+
+/* -------------------------------------------------------------------------------------------------- stopping */
+void drive_demote(drive_state *drive, uint32_t why, uint32_t mode)
+{
+    drive->mode = mode;
+    drive->demoted |= why;
+    drive->enabled = 2;
+}
+
+bool drive_has_news(drive_state *drive)
+{
+    bool news = drive->demoted != drive->demoted_known;
+    drive->demoted_known = drive->demoted;
+    return news;
+}
+
+drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns)
+{
+    drive_demote(drive, why, DRIVE_READY);
+    drive->stopping = true;
+    drive->off_by_ns = now_ns + DRIVE_STOPPING_NS;
+    return STOP_QUICK;
+}
+
+drive_stop drive_power_off(drive_state *drive)
+{
+    drive->stopping = false;
+    return STOP_POWER_OFF;
+}
+
+drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns)
+{
+    bool over = drive->stopping && drive->stop == STOP_NOTHING && (at_rest || now_ns >= drive->off_by_ns);
+    return over ? drive_power_off(drive) : STOP_NOTHING;
+}
+
+bool drive_stop_done(drive_state *drive)
+{
+    bool back = drive->back;
+    drive->stop = STOP_NOTHING;
+    drive->enabled = 2;
+    drive->back = false;
+    drive->mode = back ? DRIVE_BACK : drive->mode;
+    return back;
+}
+
+/* -------------------------------------------------------------------------------------------------- guarding */
+uint32_t drive_lost(bool fresh, bool left_alone, bool enabled, bool was_enabled)
+{
+    if (!fresh) {
+        return DEMOTED_SETPOINTS_OLD;
+    }
+    if (left_alone) {
+        return DEMOTED_LEFT_ALONE;
+    }
+    return !enabled && was_enabled ? DEMOTED_NOT_ENABLED : 0;
+}
+
+/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any more: no power. */
+drive_stop drive_guard(drive_state *drive, const drive_view *view)
+{
+    if (drive->mode != DRIVE_ARMED) {
+        return STOP_NOTHING;
+    }
+    bool was_enabled = drive->was_enabled || drive->enabled_count != view->enabled_count;
+    uint32_t why = drive_lost(view->fresh, view->left_alone, view->enabled, was_enabled);
+    if (why == DEMOTED_NOT_ENABLED) {
+        drive_demote(drive, why, DRIVE_READY);
+        return drive_power_off(drive);
+    }
+    drive->was_enabled |= why == 0 && view->enabled;
+    return why != 0 ? drive_quick_stop(drive, why, view->now_ns) : STOP_NOTHING;
+}
+
+drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
+{
+    if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
+        drive_demote(drive, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+        return drive_power_off(drive);
+    }
+    if (drive->enabled == 0) {
+        drive->still_enabled = 0;
+    }
+    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && settled;
+    if (!armed_by_nobody || drive->stopping || drive->stop != STOP_NOTHING) {
+        return STOP_NOTHING;
+    }
+    drive->still_enabled++;
+    drive->demoted |= drive->still_enabled == tries ? DEMOTED_STILL_ENABLED : 0;
+    return drive_power_off(drive);
+}
+
+/* -------------------------------------------------------------------------------------------------- requests */
+static void arm(drive_state *drive, const drive_view *view)
+{
+    drive->mode = DRIVE_ARMED;
+    drive->was_enabled = false;
+    drive->enabled_count = view->enabled_count;
+    drive->demoted = drive->still_enabled = 0;
+    drive->enabled = 2;
+}
+
+static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const drive_view *view)
+{
+    if (mode == DRIVE_OFF) {
+        drive->mode = DRIVE_OFF;
+        drive->back = false;
+        return REQUEST_OFF;
+    }
+    if (mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
+        drive->mode = DRIVE_READY;
+        drive->epoch++;
+        drive->demoted = drive->still_enabled = 0;
+        drive->back = false;
+        return REQUEST_SET_UP;
+    }
+    if (mode == DRIVE_ARMED && drive->mode == DRIVE_READY && view->fresh && !view->shut_down && !stops) {
+        arm(drive, view);
+        return REQUEST_ARM;
+    }
+    if (mode == DRIVE_STAND_DOWN && drive->mode == DRIVE_ARMED) {
+        drive->mode = DRIVE_READY;
+        drive->enabled = 2;
+        return REQUEST_STAND_DOWN;
+    }
+    return REQUEST_SEEN;
+}
+
+/* A stop that is pending stays so, whatever is requested after it. */
+drive_answer drive_obey(drive_state *drive, const drive_wish *wish, const drive_view *view)
+{
+    drive_answer answer = {.request = REQUEST_NONE, .stop = STOP_NOTHING};
+    if (wish->count == drive->wish_seen) {
+        return answer;
+    }
+    answer.overtaken = wish->count - drive->wish_seen > 1;
+    drive->wish_seen = wish->count;
+    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_due;
+    if ((answer.overtaken || wish->mode == DRIVE_OFF) && powered) {
+        drive->off_due = false;
+        answer.stop = drive_power_off(drive);
+    }
+    if (answer.overtaken && drive->mode == DRIVE_ARMED) {
+        drive->mode = DRIVE_READY;
+        drive->enabled = 2;
+    }
+    bool stops = drive->stopping || drive->stop != STOP_NOTHING || answer.stop != STOP_NOTHING || drive->off_due;
+    answer.request = obey(drive, wish->mode, stops, view);
+    return answer;
+}

@@ -1,0 +1,192 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * The rules of when a drive has to stop: every state and every event, against a table. */
+#include "check.h"
+#include "drive_state.h"
+
+static const int64_t NOW_NS = 5000000000;
+enum { MODES = 5, REQUESTS = 6 };
+static const uint32_t MODE[MODES] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_QUIET, DRIVE_BACK};
+static const uint32_t REQUEST[REQUESTS] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN, DRIVE_QUIET, DRIVE_BACK};
+
+static drive_view good_view(void)
+{
+    return (drive_view){.now_ns = NOW_NS, .fresh = true, .enabled = true, .enabled_count = 7};
+}
+
+/* ------------------------------------------------------------------------------------------------- requests */
+/* By mode and request: the mode that follows where nothing is against it. */
+static const uint32_t FOLLOWS[MODES][REQUESTS] = {
+    {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
+    {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
+    {DRIVE_OFF, DRIVE_ARMED, DRIVE_ARMED, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED},
+    {DRIVE_OFF, DRIVE_QUIET, DRIVE_QUIET, DRIVE_QUIET, DRIVE_QUIET, DRIVE_QUIET},
+    {DRIVE_OFF, DRIVE_READY, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK},
+};
+
+static drive_request event_of(uint32_t from, uint32_t request)
+{
+    bool set_up = from == DRIVE_OFF || from == DRIVE_BACK;
+    return request == DRIVE_OFF                                 ? REQUEST_OFF
+           : request == DRIVE_READY && set_up                   ? REQUEST_SET_UP
+           : request == DRIVE_ARMED && from == DRIVE_READY      ? REQUEST_ARM
+           : request == DRIVE_STAND_DOWN && from == DRIVE_ARMED ? REQUEST_STAND_DOWN
+                                                                : REQUEST_SEEN;
+}
+
+static void each_request_leads_where_the_table_says(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (int r = 0; r < REQUESTS; r++) {
+            drive_state drive = {.mode = MODE[m], .wish_seen = 3, .demoted = 8, .still_enabled = 2, .enabled = 1, .epoch = 4};
+            drive_view view = good_view();
+            drive_wish wish = {.count = 4, .mode = REQUEST[r]};
+            drive_answer answer = drive_obey(&drive, &wish, &view);
+            drive_request event = event_of(MODE[m], REQUEST[r]);
+            bool begins = event == REQUEST_SET_UP || event == REQUEST_ARM;
+            CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken && drive.wish_seen == 4);
+            CHECK(answer.stop == (MODE[m] == DRIVE_ARMED && REQUEST[r] == DRIVE_OFF ? STOP_POWER_OFF : STOP_NOTHING));
+            CHECK(drive.demoted == (begins ? 0 : 8) && drive.still_enabled == (begins ? 0 : 2));
+            CHECK(drive.epoch == (event == REQUEST_SET_UP ? 5 : 4));
+            CHECK(drive.enabled == (event == REQUEST_ARM || event == REQUEST_STAND_DOWN ? 2 : 1));
+            CHECK(drive.enabled_count == (event == REQUEST_ARM ? 7 : 0));
+            answer = drive_obey(&drive, &wish, &view);
+            CHECK(answer.request == REQUEST_NONE && answer.stop == STOP_NOTHING && !answer.overtaken);
+        }
+    }
+}
+
+static void nothing_is_armed_while_anything_is_against_it(void)
+{
+    for (int against = 0; against < 7; against++) {
+        drive_state drive = {.mode = DRIVE_READY, .was_enabled = true};
+        drive_view view = good_view();
+        drive_wish wish = {.count = 1, .mode = DRIVE_ARMED};
+        view.fresh = against != 1;
+        view.shut_down = against == 2;
+        drive.stopping = against == 3;
+        drive.stop = against == 4 ? STOP_QUICK : against == 5 ? STOP_POWER_OFF : STOP_NOTHING;
+        drive.off_due = against == 6;
+        drive_answer answer = drive_obey(&drive, &wish, &view);
+        CHECK(drive.mode == (against == 0 ? DRIVE_ARMED : DRIVE_READY));
+        CHECK(answer.request == (against == 0 ? REQUEST_ARM : REQUEST_SEEN));
+        CHECK(drive.was_enabled == (against != 0));
+    }
+}
+
+/* One that was never seen may have been a stop: what may have power loses it, and is not armed by the one after it. */
+static void a_request_that_was_overtaken_counts_as_a_stop(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (int r = 0; r < REQUESTS; r++) {
+            for (int power = 0; power < 4; power++) {
+                drive_state drive = {.mode = MODE[m], .wish_seen = UINT32_MAX, .back = true};
+                drive.stopping = power == 1;
+                drive.told_motion = power == 2;
+                drive.off_due = power == 3;
+                drive_view view = good_view();
+                drive_wish wish = {.count = 1, .mode = REQUEST[r]};
+                drive_answer answer = drive_obey(&drive, &wish, &view);
+                bool powered = power > 0 || MODE[m] == DRIVE_ARMED;
+                CHECK(answer.overtaken && answer.stop == (powered ? STOP_POWER_OFF : STOP_NOTHING));
+                CHECK(!drive.stopping && !drive.off_due);
+                bool arms = MODE[m] == DRIVE_READY && REQUEST[r] == DRIVE_ARMED && !powered;
+                CHECK((drive.mode == DRIVE_ARMED) == arms && (answer.request == REQUEST_ARM) == arms);
+                CHECK(drive.back == (answer.request != REQUEST_OFF && answer.request != REQUEST_SET_UP));
+            }
+        }
+    }
+}
+
+/* ------------------------------------------------------------------------------------------------- guarding */
+/* The first of them that is true decides. */
+static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
+{
+    for (uint32_t bits = 0; bits < 64; bits++) {
+        bool fresh = bits & 1, alone = bits & 2, enabled = bits & 4, was = bits & 8, between = bits & 16, armed = bits & 32;
+        drive_state drive = {.mode = armed ? DRIVE_ARMED : DRIVE_READY, .was_enabled = was, .enabled = 1};
+        drive.enabled_count = between ? 6 : 7;
+        drive_view view = {.now_ns = NOW_NS, .fresh = fresh, .left_alone = alone, .enabled = enabled, .enabled_count = 7};
+        drive_stop stop = drive_guard(&drive, &view);
+        uint32_t why = !armed                         ? 0
+                       : !fresh                       ? DEMOTED_SETPOINTS_OLD
+                       : alone                        ? DEMOTED_LEFT_ALONE
+                       : !enabled && (was || between) ? DEMOTED_NOT_ENABLED
+                                                      : 0;
+        bool quick = why == DEMOTED_SETPOINTS_OLD || why == DEMOTED_LEFT_ALONE;
+        CHECK(drive.demoted == why && stop == (quick ? STOP_QUICK : why != 0 ? STOP_POWER_OFF : STOP_NOTHING));
+        CHECK(drive.mode == (armed && why == 0 ? DRIVE_ARMED : DRIVE_READY) && drive.enabled == (why != 0 ? 2 : 1));
+        CHECK(drive.stopping == quick && drive.off_by_ns == (quick ? NOW_NS + 1000000000 : 0));
+        CHECK(drive.was_enabled == (was || (armed && why == 0 && enabled)));
+        CHECK(drive_has_news(&drive) == (why != 0) && !drive_has_news(&drive));
+    }
+}
+
+static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived(void)
+{
+    for (uint32_t bits = 0; bits < 16; bits++) {
+        bool stopping = bits & 1, rests = bits & 2, late = bits & 4, pending = bits & 8;
+        drive_state drive = {.mode = DRIVE_READY, .stopping = stopping, .off_by_ns = NOW_NS};
+        drive.stop = pending ? STOP_QUICK : STOP_NOTHING;
+        bool off = stopping && !pending && (rests || late);
+        CHECK(drive_end_stopping(&drive, rests, late ? NOW_NS : NOW_NS - 1) == (off ? STOP_POWER_OFF : STOP_NOTHING));
+        CHECK(drive.stopping == (stopping && !off));
+    }
+}
+
+static void its_own_word_takes_its_power_where_nobody_has_armed_it(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (uint32_t bits = 0; bits < 24; bits++) {
+            uint32_t word = bits % 3;
+            bool settled = bits / 3 & 1, stopping = bits / 6 & 1, pending = bits / 12 & 1;
+            drive_state drive = {.mode = MODE[m], .enabled = word, .stopping = stopping, .still_enabled = 1};
+            drive.stop = pending ? STOP_POWER_OFF : STOP_NOTHING;
+            drive_stop stop = drive_check_power(&drive, 2, settled);
+            bool itself = MODE[m] == DRIVE_ARMED && word == 0;
+            bool nobody = MODE[m] == DRIVE_READY && word == 1 && settled && !stopping && !pending;
+            CHECK(stop == (itself || nobody ? STOP_POWER_OFF : STOP_NOTHING));
+            CHECK(drive.mode == (itself ? DRIVE_OFF : MODE[m]));
+            CHECK(drive.demoted == (itself ? DEMOTED_DISABLED_ITSELF : nobody ? DEMOTED_STILL_ENABLED : 0U));
+            CHECK(drive.still_enabled == (nobody ? 2U : word == 0 && !itself ? 0U : 1U));
+        }
+    }
+    drive_state drive = {.mode = DRIVE_READY, .enabled = 1, .still_enabled = 0};
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.demoted == 0 && drive.still_enabled == 1);
+    drive.enabled = 1, drive.still_enabled = 2;
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.demoted == 0 && drive.still_enabled == 3);
+}
+
+static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (int back = 0; back < 2; back++) {
+            drive_state drive = {.mode = MODE[m], .stop = STOP_POWER_OFF, .enabled = 1, .back = back == 1};
+            CHECK(drive_stop_done(&drive) == (back == 1));
+            CHECK(drive.stop == STOP_NOTHING && drive.enabled == 2 && !drive.back);
+            CHECK(drive.mode == (back == 1 ? DRIVE_BACK : MODE[m]));
+        }
+    }
+}
+
+static void reasons_gather(void)
+{
+    drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
+    drive_demote(&drive, DEMOTED_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive.demoted == DEMOTED_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
+    drive_demote(&drive, DEMOTED_QUIET, DRIVE_QUIET);
+    CHECK(drive.demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive.mode == DRIVE_QUIET);
+    CHECK(!drive_is_cycled(&drive));
+}
+
+int main(void)
+{
+    each_request_leads_where_the_table_says();
+    nothing_is_armed_while_anything_is_against_it();
+    a_request_that_was_overtaken_counts_as_a_stop();
+    an_armed_drive_is_taken_back_for_each_reason_in_its_order();
+    the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
+    its_own_word_takes_its_power_where_nobody_has_armed_it();
+    a_stop_that_has_arrived_brings_back_what_was_unresponsive();
+    reasons_gather();
+    return checks_report("drive state");
+}
