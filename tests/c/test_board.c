@@ -312,7 +312,7 @@ static void a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does(void)
     w.now_ns = w.wake_ns;
     CHECK(w.wake_ns <= w.now_ns + MS);
     step();
-    CHECK(w.peer.enabled == 0 && !w.machine.state.stop);
+    CHECK(w.peer.enabled == 0 && w.machine.state.stop == STOP_NOTHING);
 }
 
 static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
@@ -397,7 +397,7 @@ static void arming_needs_fresh_set_points_and_no_stop_under_way(void)
     w.full = true;
     wish(DRIVE_STAND_DOWN);
     wish(DRIVE_ARMED);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.stop);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.stop != STOP_NOTHING);
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */

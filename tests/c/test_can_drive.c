@@ -369,6 +369,30 @@ static void asyncio_hears_of_each_change(void)
     CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_news());
 }
 
+static void each_of_its_frames_may_differ_from_what_it_was_told_and_no_other(void)
+{
+    for (uint32_t other = 0; other < 3; other++) {
+        begin_with_two_frames();
+        for (uint32_t o = 0; o < 2; o++) {
+            can_packet packet;
+            (void)can_build(&w.machine, 0, o, &packet);
+            memcpy(w.machine.drive[0].told[o], packet.data, packet.bytes);
+        }
+        w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1]; /* behind the last one */
+        CHECK(!can_differs(&w.machine, 0));
+        w.machine.drive[0].told[other][0] ^= 1;
+        CHECK(can_differs(&w.machine, 0) == (other < 2));
+    }
+}
+
+static void news_of_one_is_not_lost_where_another_has_none(void)
+{
+    begin_with(1);
+    w.machine.news = true;
+    can_check_power(&w.machine, 0, w.now_ns);
+    CHECK(w.machine.news);
+}
+
 int main(void)
 {
     one_that_is_told_all_the_time_is_never_left_alone();
@@ -388,5 +412,7 @@ int main(void)
     after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told();
     armed_again_it_may_wait_for_the_core_to_enable_it();
     asyncio_hears_of_each_change();
+    each_of_its_frames_may_differ_from_what_it_was_told_and_no_other();
+    news_of_one_is_not_lost_where_another_has_none();
     return checks_report("can drive");
 }

@@ -299,6 +299,18 @@ static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_fir
     CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 && frame.request[3] == CONTROL);
 }
 
+static void news_of_one_is_not_lost_where_another_has_none(void)
+{
+    line_frame frame;
+    line_drive_state *drive = begin_drive();
+    w.machine.news = true;
+    line_obey_wish(&w.machine, 0, w.now_ns);
+    CHECK(w.machine.news);
+    drive->state.stop = STOP_POWER_OFF;
+    drive->stop_done = UINT32_MAX;
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && w.machine.news && drive->state.stop == STOP_NOTHING);
+}
+
 int main(void)
 {
     after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
@@ -315,5 +327,6 @@ int main(void)
     it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
     switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
     frames_of_a_stop_are_told_until_each_is_done();
+    news_of_one_is_not_lost_where_another_has_none();
     return checks_report("line drive");
 }

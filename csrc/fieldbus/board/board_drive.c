@@ -42,7 +42,6 @@ static void go_quiet(board_machine *m, int64_t now_ns)
     m->quiet++;
     board_quick_stop(m, now_ns); /* it may hear us all the same: in every cycle from now on */
     drive_demote(&m->state, DEMOTED_QUIET, DRIVE_QUIET);
-    m->news = true;
     m->state.stopping = m->state.back = false;
     m->said_bytes = 0;
 }

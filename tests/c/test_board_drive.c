@@ -1,0 +1,134 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A board's drive at its bounds: the last moment that is good, the first that is not. */
+#include "board_wire.h"
+
+static board_machine *m = &w.machine;
+
+/* READY, everything known, nothing to send. */
+static void begin_ready(void)
+{
+    begin();
+    m->state.mode = DRIVE_READY;
+    m->heard_ns = m->told_ns = m->written_ns = m->knows_ns = w.now_ns;
+    m->newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1};
+    m->news = false;
+}
+
+static void begin_armed(void)
+{
+    begin_ready();
+    m->state.mode = DRIVE_ARMED;
+    m->state.was_enabled = true;
+}
+
+static void a_board_is_unresponsive_after_its_silence_and_not_before(void)
+{
+    for (int late = 0; late < 2; late++) {
+        begin_ready();
+        m->heard_ns = w.now_ns - w.table.silence_ns - late;
+        uint32_t stops = m->stops;
+        board_guard(m, w.now_ns);
+        CHECK(m->state.mode == (late ? DRIVE_QUIET : DRIVE_READY) && m->quiet == (uint64_t)late && m->news == (late == 1));
+        CHECK(m->stops == stops + (uint32_t)late && m->state.demoted == (late ? DEMOTED_QUIET : 0U));
+        CHECK(m->state.stop == (late ? STOP_QUICK : STOP_NOTHING) && !m->state.stopping);
+    }
+}
+
+static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
+{
+    for (int late = 0; late < 2; late++) {
+        begin_armed();
+        m->told_ns = w.now_ns - w.table.watchdog_ns - late;
+        board_guard(m, w.now_ns);
+        CHECK(m->state.mode == (late ? DRIVE_READY : DRIVE_ARMED) && m->state.demoted == (late ? DEMOTED_LEFT_ALONE : 0U));
+        CHECK(m->state.stopping == (late == 1) && m->news == (late == 1));
+    }
+    for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: it has none */
+        begin_armed();
+        m->table.watchdog_ns = watchdog_ns;
+        m->told_ns = w.now_ns - 2;
+        board_guard(m, w.now_ns);
+        CHECK(m->state.mode == (watchdog_ns ? DRIVE_READY : DRIVE_ARMED));
+    }
+}
+
+static void it_is_at_rest_by_a_word_of_after_its_stop(void)
+{
+    for (int before = 0; before < 2; before++) {
+        begin_ready();
+        m->state.stopping = true;
+        m->state.off_by_ns = INT64_MAX;
+        for (uint32_t j = 0; j < MOTORS; j++) {
+            m->joint[j].feedback.velocity_rad_s = 0.0;
+        }
+        m->knows_ns = m->written_ns - before;
+        bool rests = board_at_rest(m);
+        board_guard(m, w.now_ns);
+        CHECK(rests && m->state.stopping == (before == 1) && m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
+    }
+}
+
+/* `said` is what the board says of itself; it has heard what is in its payload by then. */
+static void says(uint32_t status, int64_t watchdog_ms)
+{
+    memset(m->said, 0, sizeof m->said);
+    m->said_bytes = w.table.said_bytes;
+    board_place place = at(STATUS, 1, 0);
+    board_put(m->said, &place, status);
+    place = at(WATCHDOG, 2, 0);
+    board_put(m->said, &place, watchdog_ms);
+    board_heard(m, w.now_ns);
+}
+
+static void its_word_counts_when_it_had_heard_what_stays_in_its_payload(void)
+{
+    for (int before = 0; before < 2; before++) {
+        begin_armed();
+        m->knows_ns = m->written_ns - before;
+        says(STATUS_RESTARTED, WATCHDOG_MS);
+        CHECK(m->state.mode == (before ? DRIVE_ARMED : DRIVE_OFF) && m->state.demoted == (before ? 0U : DEMOTED_LOST_SETUP));
+        CHECK(m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
+    }
+}
+
+static void power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nobody_arms_it(void)
+{
+    for (int early = 0; early < 2; early++) {
+        begin_ready();
+        m->control.wish.arming_until_ns = w.now_ns + early;
+        says(STATUS_ENABLED, WATCHDOG_MS);
+        CHECK(m->state.stop == (early ? STOP_NOTHING : STOP_POWER_OFF) && m->state.still_enabled == (early ? 0U : 1U));
+    }
+}
+
+static void arming_begins_its_watchdog_anew(void)
+{
+    begin_ready();
+    m->told_ns = 1;
+    m->control.wish = (drive_wish){.count = 1, .mode = DRIVE_ARMED};
+    board_obey_wish(m, w.now_ns);
+    CHECK(m->state.mode == DRIVE_ARMED && m->told_ns == w.now_ns);
+    board_guard(m, w.now_ns);
+    CHECK(m->state.mode == DRIVE_ARMED);
+}
+
+static void an_order_counts_when_it_has_gone_out(void)
+{
+    begin_ready();
+    m->has_order = m->order_written = true;
+    m->orders_sent = 7;
+    board_told(m, w.now_ns);
+    CHECK(m->orders_sent == 8 && m->news && !m->has_order && !m->order_written);
+}
+
+int main(void)
+{
+    a_board_is_unresponsive_after_its_silence_and_not_before();
+    a_board_is_left_alone_after_its_watchdog_and_not_before();
+    it_is_at_rest_by_a_word_of_after_its_stop();
+    its_word_counts_when_it_had_heard_what_stays_in_its_payload();
+    power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nobody_arms_it();
+    arming_begins_its_watchdog_anew();
+    an_order_counts_when_it_has_gone_out();
+    return checks_report("board drive");
+}
