@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_state.h: what every drive has, whatever its medium: what it may do, why it was taken back, which stop it has not got
- * yet. The rules of when a drive has to stop stand here and nowhere else; a medium says what it knows and sends the stop. */
+ * drive_state.h: api_drive.h for the lines in C, and what only they need. */
 #ifndef MOTORD_DRIVE_STATE_H
 #define MOTORD_DRIVE_STATE_H
 
@@ -11,62 +10,6 @@
 
 /* After a quick stop the power stays on until the wheels are at rest, so long at most. */
 static const int64_t DRIVE_STOPPING_NS = 1000000000;
-
-typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } drive_stop;
-
-typedef struct {
-    uint32_t mode;          /* drive_mode */
-    uint32_t demoted;       /* DEMOTED_*, since it was set up or armed */
-    uint32_t demoted_known; /* the same, as it was reported */
-    uint32_t wish_seen;     /* number of the newest request */
-    uint32_t enabled;       /* by its own word: 1 yes, 0 no, 2 not known */
-    uint32_t epoch;         /* how often it was set up */
-    uint32_t still_enabled; /* how often in a row it said so without being armed */
-    uint32_t stop;          /* drive_stop that it has not got yet: it goes before all else */
-    bool was_enabled;       /* set-points were enabled since it was armed */
-    bool told_motion;       /* set-points that are not zero were sent, and zero not since */
-    bool stopping;          /* after a quick stop, until its power goes off */
-    bool off_due;           /* its own word calls for a power-off, which goes out with its cycle */
-    bool back;              /* it was unresponsive and answers again: BACK when it has got its power-off */
-    int64_t off_by_ns;      /* stopping: power off then, at rest or not */
-    uint64_t enabled_count; /* of the core's set-points, when it was armed */
-} drive_state;
-
-/* What its line knows in this step. */
-typedef struct {
-    int64_t now_ns;
-    bool fresh;             /* the core's set-points are */
-    bool enabled;           /* they say so */
-    bool left_alone;        /* it got nothing for longer than its watchdog waits */
-    bool shut_down;         /* the line ends */
-    uint64_t enabled_count; /* how often the set-points have become enabled */
-} drive_view;
-
-typedef enum { REQUEST_NONE = 0, REQUEST_SEEN, REQUEST_OFF, REQUEST_SET_UP, REQUEST_ARM, REQUEST_STAND_DOWN } drive_request;
-
-/* What becomes of a request: the stop goes first. */
-typedef struct {
-    drive_request request; /* NONE: there is no new one. SEEN: it asks for nothing that can be */
-    drive_stop stop;
-    bool overtaken; /* one before it was never seen: it may have been a stop */
-} drive_answer;
-
-/* DEMOTED_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
-uint32_t drive_lost(bool fresh, bool left_alone, bool enabled, bool was_enabled);
-/* Each returns the stop that its medium has to begin. */
-drive_stop drive_guard(drive_state *drive, const drive_view *view);
-drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);
-drive_stop drive_power_off(drive_state *drive);
-/* Quick stop is over: power off. */
-drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns);
-/* It has said whether it is enabled. `settled`: nobody is arming it. DISABLED_ITSELF, or still enabled for so many `tries`. */
-drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
-drive_answer drive_obey(drive_state *drive, const drive_wish *wish, const drive_view *view);
-void drive_demote(drive_state *drive, uint32_t why, uint32_t mode);
-/* It was taken back for another reason since it was asked last. */
-bool drive_has_news(drive_state *drive);
-/* It has got its stop. True: it was unresponsive, and is BACK. */
-bool drive_stop_done(drive_state *drive);
 
 static inline bool drive_is_cycled(const drive_state *drive)
 {

@@ -7,8 +7,6 @@
 #include <stdint.h>
 
 static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000, LOOK_FULL_NS = 1000000;
-/* The end: until the wheels are at rest, and until all have heard that their power is off. */
-static const int64_t SHUT_REST_NS = 350 * 1000000, SHUT_NS = 480 * 1000000;
 
 /* What is said before its cycle, because it is new: in the long run no more of it than there are cycles, and so many at
  * once. So a medium carries at most twice what its cycle asks for, however often the set-points change. */

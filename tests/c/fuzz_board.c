@@ -13,14 +13,14 @@ static uint32_t mode_before;
 static bool may_move(void)
 {
     const setpoints *from = &w.machine.newest;
-    return w.machine.state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.shut == 0 &&
+    return w.machine.state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.end.stage == END_NOT &&
            w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(w.velocity_rad_s);
 }
 
 static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
 {
     (void)sink;
-    CHECK(w.machine.shut != 3);
+    CHECK(w.machine.end.stage != END_SILENT);
     if (w.full) {
         return false;
     }
@@ -34,7 +34,7 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
     }
     CHECK(may_move() || (told(TARGET, 4, 1) == 0 && told(TARGET + 6, 4, 1) == 0));
     CHECK(w.machine.state.mode != DRIVE_QUIET || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
-          w.machine.shut != 0);
+          w.machine.end.stage != END_NOT);
     return true;
 }
 
@@ -181,7 +181,7 @@ static void once(const uint8_t *data, size_t size)
         w.now_ns = (choice & 8) != 0 ? w.wake_ns : w.now_ns + next_byte() * MS / 8;
     }
     w.machine.control.shut_down = 1;
-    for (int64_t asked_ns = w.now_ns; w.machine.shut != 3; w.now_ns = w.wake_ns) {
+    for (int64_t asked_ns = w.now_ns; w.machine.end.stage != END_SILENT; w.now_ns = w.wake_ns) {
         look();
         CHECK(w.now_ns <= asked_ns + 600 * MS);
     }

@@ -20,8 +20,8 @@ static bool may_move(uint32_t drive)
 {
     const setpoints *from = &w.machine.newest;
     double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
-    return w.machine.drive[drive].state.mode == DRIVE_ARMED && w.machine.shut == 0 && from->enabled == 1 && from->stamp_ns > 0 &&
-           w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
+    return w.machine.drive[drive].state.mode == DRIVE_ARMED && w.machine.end.stage == END_NOT && from->enabled == 1 &&
+           from->stamp_ns > 0 && w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
 }
 
 /* ---------------------------------------------------------------------------------------------------- the bus */
@@ -35,7 +35,7 @@ static void judge_job(const can_packet *packet, uint32_t drive)
 static void judge_packet(const can_packet *packet)
 {
     uint32_t drive = packet->id & 0x0F;
-    CHECK(w.machine.shut != 3 && packet->bytes <= 8);
+    CHECK(w.machine.end.stage != END_SILENT && packet->bytes <= 8);
     switch (packet->id & ~0x0FU) {
     case SPEED:
         CHECK(drive < DRIVES);
@@ -222,7 +222,7 @@ static void look(void)
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
     judge_modes();
-    if (refused == 0 && w.machine.shut < 3) { /* at the end, a bus that takes nothing has had its time */
+    if (refused == 0 && w.machine.end.stage < END_SILENT) { /* at the end, a bus that takes nothing has had its time */
         judge_stops(w.machine.cycle.count != cycles);
     }
 }
@@ -275,7 +275,7 @@ static void once(const uint8_t *data, size_t size)
     }
     w.machine.control.shut_down = 1;
     int64_t asked_ns = w.now_ns;
-    while (w.machine.shut != 3) {
+    while (w.machine.end.stage != END_SILENT) {
         look();
         w.now_ns = w.wake_ns;
         CHECK(w.now_ns <= asked_ns + 600 * MS);

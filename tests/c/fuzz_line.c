@@ -111,11 +111,11 @@ static bool may_move(uint32_t drive)
 static void judge_request(const uint8_t *request)
 {
     uint32_t drive = request[0] - 1U;
-    CHECK(request[0] >= 1 && request[0] <= UNITS && w.machine.shut != 3);
+    CHECK(request[0] >= 1 && request[0] <= UNITS && w.machine.end.stage != END_SILENT);
     CHECK(w.now_ns - silent_ns >= GAP_NS);
     CHECK(rtu_is_sealed(request, 8, SEAL_CRC16));
     if (request[1] == WRITE && request[3] == SPEED && (request[4] != 0 || request[5] != 0)) {
-        CHECK(may_move(drive) && w.machine.shut == 0);
+        CHECK(may_move(drive) && w.machine.end.stage == END_NOT);
     }
 }
 
@@ -182,7 +182,7 @@ static void once(const uint8_t *data, size_t size)
     }
     w.machine.control.shut_down = 1;
     int64_t asked_ns = w.now_ns;
-    while (w.machine.shut != 3) {
+    while (w.machine.end.stage != END_SILENT) {
         step();
         pass_time(2);
         CHECK(w.now_ns <= asked_ns + 3100 * MS);

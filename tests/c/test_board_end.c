@@ -10,7 +10,7 @@ static void the_end_is_braked_switched_off_and_silent(void)
     step();
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0);
     go_on(100 * MS);
-    CHECK(w.machine.shut == 3 && w.peer.braking == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
+    CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
     uint32_t before = w.sent_count;
     wish(DRIVE_ARMED);
     go_on(200 * MS);
@@ -26,11 +26,11 @@ static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
     int64_t asked_ns = w.now_ns;
     step();
     go_on(340 * MS);
-    CHECK(w.peer.braking == 1 && w.machine.shut == 1);
+    CHECK(w.peer.braking == 1 && w.machine.end.stage == END_RESTING);
     (void)heard_news();
     go_on(20 * MS);
-    CHECK(w.peer.braking == 0 && w.machine.shut >= 2);
-    while (w.machine.shut != 3) {
+    CHECK(w.peer.braking == 0 && w.machine.end.stage >= END_POWER_OFF);
+    while (w.machine.end.stage != END_SILENT) {
         go_on(MS);
     }
     CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.told_ns + w.table.period_ns && heard_news());
@@ -47,7 +47,7 @@ static void the_end_comes_also_where_wheels_turn_and_nothing_goes_out(void)
     w.machine.control.shut_down = 1;
     step();
     go_on(500 * MS);
-    CHECK(w.machine.shut == 3);
+    CHECK(w.machine.end.stage == END_SILENT);
 }
 
 int main(void)

@@ -325,7 +325,7 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
     int64_t asked_ns = w.now_ns;
     w.machine.control.shut_down = 1;
     go_on(500 * MS);
-    CHECK(w.machine.shut == 3);
+    CHECK(w.machine.end.stage == END_SILENT);
     CHECK(told_ns(0, QUICK_STOP) == asked_ns && told_ns(1, QUICK_STOP) == 0);
     CHECK(told_ns(0, DISABLE) >= asked_ns + 350 * MS && told_ns(1, DISABLE) >= asked_ns + 350 * MS);
     forget_sent();

@@ -240,7 +240,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
     w.machine.control.shut_down = 1;
     forget_sent();
     go_on(400 * MS);
-    CHECK(count_sent(CONTROL + 8 * last + CAN_STOP_MAX - 1) == 1 && w.machine.shut == 3);
+    CHECK(count_sent(CONTROL + 8 * last + CAN_STOP_MAX - 1) == 1 && w.machine.end.stage == END_SILENT);
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
         CHECK(count_sent(OFF_WORD + 8 * n + CAN_STOP_MAX - 1) >= 1);
     }
@@ -276,7 +276,7 @@ static void eight_drives_are_all_there_are(void)
     }
     w.machine.control.shut_down = 1;
     step();
-    CHECK(w.machine.shut == 3 && memcmp(behind, w.machine.joint, sizeof behind) == 0);
+    CHECK(w.machine.end.stage == END_SILENT && memcmp(behind, w.machine.joint, sizeof behind) == 0);
 }
 
 /* ------------------------------------------------------------------------------------------------------- cycle */
@@ -410,16 +410,16 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     w.not_taken = OFF_WORD;
     forget_sent();
     go_on(349 * MS);
-    CHECK(w.machine.shut == 1 && count_sent(SPEED) >= 170);
+    CHECK(w.machine.end.stage == END_RESTING && count_sent(SPEED) >= 170);
     go_on(asked_ns + 350 * MS - w.now_ns);
     step();
-    CHECK(w.machine.shut == 2);
+    CHECK(w.machine.end.stage == END_POWER_OFF);
     forget_sent();
     w.machine.news = false;
     go_on(asked_ns + 480 * MS - w.now_ns);
-    CHECK(w.machine.shut == 2 && w.sent_count == 0 && !w.machine.news); /* no set-point switches it on again */
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.news); /* no set-point switches it on again */
     step();
-    CHECK(w.machine.shut == 3 && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
 }
 
 static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with_the_last(void)
@@ -435,11 +435,11 @@ static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with
     w.machine.control.shut_down = 1;
     w.full = true; /* not even the quick stop is taken */
     go_on(360 * MS);
-    CHECK(w.machine.shut == 2);
+    CHECK(w.machine.end.stage == END_POWER_OFF);
     w.full = false;
     forget_sent();
     step();
-    CHECK(w.machine.shut == 3 && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
+    CHECK(w.machine.end.stage == END_SILENT && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 

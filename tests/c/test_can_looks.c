@@ -70,11 +70,11 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     step();
     CHECK(told_ns(2, QUICK_STOP) > 0);
     go_on(100 * MS);
-    CHECK(w.machine.shut == 1 && told_ns(2, DISABLE) == 0);
+    CHECK(w.machine.end.stage == END_RESTING && told_ns(2, DISABLE) == 0);
     say_motion(2, 1.0F, 0.0F);
     w.machine.news = false;
     go_on(12 * MS);
-    CHECK(w.machine.shut == 3 && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
     for (uint32_t i = 0; i < 3; i++) {
         CHECK(told_ns(i, DISABLE) > 0);
     }

@@ -176,12 +176,12 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
     forget_sent();
     w.machine.control.shut_down = 1;
     go_on(250 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && w.machine.shut == 1);
+    CHECK(state_of(0)->state.mode == DRIVE_QUIET && w.machine.end.stage == END_RESTING);
     w.full = false;
     go_on(2 * MS);
     CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);
     go_on(300 * MS);
-    CHECK(w.machine.shut == 3 && told_ns(0, DISABLE) > 0);
+    CHECK(w.machine.end.stage == END_SILENT && told_ns(0, DISABLE) > 0);
 }
 
 int main(void)

@@ -134,7 +134,7 @@ static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(voi
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED); /* the end has its own power-off */
-    while (w.machine.shut != 3) {
+    while (w.machine.end.stage != END_SILENT) {
         go_on();
     }
     CHECK(w.power_offs[0] == 2);

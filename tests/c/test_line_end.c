@@ -18,10 +18,10 @@ static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_
     armed->state.mode = DRIVE_ARMED, ready->state.mode = DRIVE_READY;
     armed->due_ns = ready->due_ns = w.now_ns + 1000 * MS;
     look_at(w.now_ns);
-    CHECK(w.machine.shut == 0 && armed->state.mode == DRIVE_ARMED);
+    CHECK(w.machine.end.stage == END_NOT && armed->state.mode == DRIVE_ARMED);
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
-    CHECK(w.machine.shut == 1 && !w.machine.news && w.machine.broadcasts == 2);
+    CHECK(w.machine.end.stage == END_RESTING && !w.machine.news && w.machine.broadcasts == 2);
     CHECK(armed->state.mode == DRIVE_READY && armed->state.stopping && armed->state.stop == STOP_QUICK);
     CHECK(armed->due_ns == w.now_ns && armed->state.off_by_ns == w.now_ns + REST_NS);
     CHECK(!ready->state.stopping && ready->state.stop == STOP_NOTHING && ready->due_ns == w.now_ns + 1000 * MS);
@@ -39,19 +39,19 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
         last->state.stopping = what == 2;
         w.machine.broadcasts = what == 3 ? 1 : what == 4 ? 2 : 0;
         look_at(w.now_ns);
-        CHECK(w.machine.shut == 1 && last->state.stop == STOP_NOTHING);
+        CHECK(w.machine.end.stage == END_RESTING && last->state.stop == STOP_NOTHING);
         first->state.stopping = last->state.stopping = false;
         first->state.stop = STOP_NOTHING;
         w.machine.broadcasts = 0;
         look_at(w.now_ns + MS);
-        CHECK(w.machine.shut == 2 && first->state.stop == STOP_POWER_OFF && last->state.stop == STOP_POWER_OFF &&
+        CHECK(w.machine.end.stage == END_POWER_OFF && first->state.stop == STOP_POWER_OFF && last->state.stop == STOP_POWER_OFF &&
               !w.machine.news);
         first->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 2 * MS);
-        CHECK(w.machine.shut == 2);
+        CHECK(w.machine.end.stage == END_POWER_OFF);
         last->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 3 * MS);
-        CHECK(w.machine.shut == 3 && w.machine.news);
+        CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
     }
 }
 
@@ -63,14 +63,15 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     int64_t begun_ns = w.now_ns;
     look_at(begun_ns);
     look_at(begun_ns + REST_NS - 1);
-    CHECK(w.machine.shut == 1 && w.machine.drive[0].state.stopping);
+    CHECK(w.machine.end.stage == END_RESTING && w.machine.drive[0].state.stopping);
     look_at(begun_ns + REST_NS);
-    CHECK(w.machine.shut == 2 && !w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_POWER_OFF);
+    CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.drive[0].state.stopping &&
+          w.machine.drive[0].state.stop == STOP_POWER_OFF);
     w.machine.drive[0].stop_told = w.machine.drive[1].stop_told = (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
-    CHECK(w.machine.shut == 2 && !w.machine.news);
+    CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.news);
     look_at(begun_ns + END_NS);
-    CHECK(w.machine.shut == 3 && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
 }
 
 /* One that is not heard may hear: a silent neighbour does not take its time away. */
@@ -83,17 +84,25 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
         int64_t begun_ns = w.now_ns;
         look_at(begun_ns);
         look_at(begun_ns);
-        CHECK(w.machine.shut == 2 && frames > 0);
+        CHECK(w.machine.end.stage == END_POWER_OFF && frames > 0);
         w.machine.drive[0].state.stop = STOP_NOTHING;
         w.machine.drive[1].stop_told = (1U << (frames - 1)) - 1;
         look_at(begun_ns + END_NS);
-        CHECK(w.machine.shut == 2);
+        CHECK(w.machine.end.stage == END_POWER_OFF);
         w.machine.drive[1].stop_told |= told ? 1U << (frames - 1) : 0;
         look_at(begun_ns + UNHEARD_END_NS - 1);
-        CHECK(w.machine.shut == (told ? 3 : 2));
+        CHECK(w.machine.end.stage == (told ? 3 : 2));
         look_at(begun_ns + UNHEARD_END_NS);
-        CHECK(w.machine.shut == 3);
+        CHECK(w.machine.end.stage == END_SILENT);
     }
+}
+
+static void news_is_not_lost_while_the_end_has_none(void)
+{
+    begin_with(2, 0);
+    w.machine.news = true;
+    line_shut_down(&w.machine, w.now_ns);
+    CHECK(w.machine.news && w.machine.end.stage == END_NOT);
 }
 
 /* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */
@@ -106,13 +115,13 @@ static void eight_drives_are_all_there_are(void)
     memcpy(behind, w.machine.joint, sizeof behind);
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
-    CHECK(w.machine.shut == 2 && memcmp(behind, w.machine.joint, sizeof behind) == 0);
+    CHECK(w.machine.end.stage == END_POWER_OFF && memcmp(behind, w.machine.joint, sizeof behind) == 0);
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
         CHECK(w.machine.drive[i].state.stop == STOP_POWER_OFF);
         w.machine.drive[i].state.stop = STOP_NOTHING;
     }
     look_at(w.now_ns);
-    CHECK(w.machine.shut == 3 && memcmp(behind, w.machine.joint, sizeof behind) == 0);
+    CHECK(w.machine.end.stage == END_SILENT && memcmp(behind, w.machine.joint, sizeof behind) == 0);
 }
 
 int main(void)
@@ -121,6 +130,7 @@ int main(void)
     the_power_goes_off_when_every_stop_and_every_broadcast_is_done();
     what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes();
     the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever();
+    news_is_not_lost_while_the_end_has_none();
     eight_drives_are_all_there_are();
     return checks_report("line end");
 }

@@ -53,7 +53,7 @@ static void all_drives_are_switched_off_at_the_end(void)
     babble_for(10 * MS);
     w.machine.control.shut_down = 1;
     babble_for(500 * MS);
-    CHECK(w.machine.shut == 3);
+    CHECK(w.machine.end.stage == END_SILENT);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 && w.machine.drive[i].state.stop == STOP_NOTHING);
     }

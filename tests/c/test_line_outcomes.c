@@ -128,7 +128,7 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
         w.machine.transaction.frame = frame;
         w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* of an older stop */
         w.machine.work = WORK_STOP;
-        w.machine.shut = how == 0 ? 0 : 2;
+        w.machine.end.stage = how == 0 ? 0 : 2;
         w.machine.table.drive[0].tries = 100;
         line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
         CHECK(drive->stop_failures == 1 && drive->stop_place == (how == 1) && drive->stop_done == 0);

@@ -16,7 +16,7 @@ static void one_that_becomes_quiet_forgets_what_it_was_told(void)
             drive->way_told[way] = WAY_FORWARD;
         }
         w.machine.current = how == 1 ? 1 : 0;
-        w.machine.shut = how == 2 ? 2 : how == 1 ? 1 : 0;
+        w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
         line_go_quiet(&w.machine, 0, w.now_ns);
         CHECK(drive->state.mode == DRIVE_QUIET && (drive->state.demoted & DEMOTED_QUIET) != 0 &&
               drive->count.quiet == (how != 3));
@@ -102,7 +102,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
         m->drive[1].state.stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
         m->drive[1].state.mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
-        m->shut = what == 4;
+        m->end.stage = what == 4;
         bool urgent = what >= 1 && what <= 3;
         m->urgent_by_ns = 0;
         m->noisy = false;

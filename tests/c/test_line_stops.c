@@ -7,11 +7,11 @@ static int64_t shut_down(void)
     int64_t asked_ns = w.now_ns;
     w.machine.control.shut_down = 1;
     int64_t last_ns = asked_ns;
-    while (w.machine.shut != 3 && w.now_ns < asked_ns + 2000 * MS) {
+    while (w.machine.end.stage != END_SILENT && w.now_ns < asked_ns + 2000 * MS) {
         last_ns = w.now_ns;
         go_on();
     }
-    CHECK(w.machine.shut == 3);
+    CHECK(w.machine.end.stage == END_SILENT);
     return last_ns - asked_ns;
 }
 
@@ -62,7 +62,7 @@ static void one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it(void)
         while (w.now_ns < asked_ns + cut_ms * MS) {
             go_on();
         }
-        CHECK(w.machine.shut != 3);
+        CHECK(w.machine.end.stage != END_SILENT);
         w.dead = 0;
         (void)shut_down();
         CHECK(w.power_offs[0] >= 2);

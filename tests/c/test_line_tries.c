@@ -131,7 +131,7 @@ static void after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound(vo
 static void shut_down_until(uint32_t shut)
 {
     w.machine.control.shut_down = 1;
-    for (int64_t limit_ns = w.now_ns + 2000 * MS; w.machine.shut != shut;) {
+    for (int64_t limit_ns = w.now_ns + 2000 * MS; w.machine.end.stage != shut;) {
         CHECK(w.now_ns < limit_ns);
         go_on();
     }

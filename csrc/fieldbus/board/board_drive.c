@@ -13,7 +13,7 @@ void board_hold(board_machine *m, const board_write *write, uint32_t count, int6
 }
 
 /* What the rules have decided: into the payload. */
-static void begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
+void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
 {
     m->news |= drive_has_news(&m->state);
     if (stop == STOP_NOTHING) {
@@ -28,19 +28,15 @@ static void begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
 
 void board_power_off(board_machine *m, int64_t now_ns)
 {
-    begin_stop(m, drive_power_off(&m->state), now_ns);
-}
-
-void board_quick_stop(board_machine *m, int64_t now_ns)
-{
-    begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
+    board_begin_stop(m, drive_power_off(&m->state), now_ns);
 }
 
 /* -------------------------------------------------------------------------------------------------- presence */
 static void go_quiet(board_machine *m, int64_t now_ns)
 {
     m->quiet++;
-    board_quick_stop(m, now_ns); /* it may hear us all the same: in every cycle from now on */
+    board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
+                     now_ns); /* it may hear us all the same: in every cycle from now on */
     drive_demote(&m->state, DEMOTED_QUIET, DRIVE_QUIET);
     m->state.stopping = m->state.back = false;
     m->said_bytes = 0;
@@ -73,7 +69,7 @@ static void believe(board_machine *m, bool kept, int64_t now_ns)
         drive_demote(&m->state, DEMOTED_LOST_SETUP, DRIVE_OFF);
         board_power_off(m, now_ns);
     }
-    begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
+    board_begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
 }
 
 void board_heard(board_machine *m, int64_t now_ns)
@@ -86,7 +82,7 @@ void board_heard(board_machine *m, int64_t now_ns)
     if (drive_is_cycled(&m->state) && m->knows_ns >= m->written_ns) {
         believe(m, kept, now_ns);
     }
-    if (m->state.mode == DRIVE_QUIET && !m->state.back && m->shut == 0) {
+    if (m->state.mode == DRIVE_QUIET && !m->state.back && m->end.stage == END_NOT) {
         m->state.back = true;
         board_power_off(m, now_ns);
     }
@@ -106,12 +102,12 @@ static drive_view view_of(const board_machine *m, int64_t now_ns)
 void board_guard(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);
-    begin_stop(m, drive_guard(&m->state, &view), now_ns);
+    board_begin_stop(m, drive_guard(&m->state, &view), now_ns);
     if (drive_is_cycled(&m->state) && now_ns - m->heard_ns > m->table.silence_ns) {
         go_quiet(m, now_ns);
     }
     bool rests = m->knows_ns >= m->written_ns && board_at_rest(m);
-    begin_stop(m, drive_end_stopping(&m->state, rests, now_ns), now_ns);
+    board_begin_stop(m, drive_end_stopping(&m->state, rests, now_ns), now_ns);
 }
 
 /* -------------------------------------------------------------------------------------------------- requests */
@@ -123,7 +119,7 @@ void board_obey_wish(board_machine *m, int64_t now_ns)
     drive_answer answer = drive_obey(&m->state, wish, &view);
     bool is_new = answer.request != REQUEST_NONE;
     m->news |= is_new;
-    begin_stop(m, answer.stop, now_ns);
+    board_begin_stop(m, answer.stop, now_ns);
     bool stands_down = is_new && wish->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_QUIET;
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);

@@ -138,7 +138,7 @@ static void obey_order(board_machine *m, int64_t now_ns)
     if (!m->has_order || m->order_written) {
         return;
     }
-    if (stopped || m->shut != 0) {
+    if (stopped || m->end.stage != END_NOT) {
         m->has_order = false;
         m->orders_dropped++;
         m->news = true;
@@ -181,37 +181,17 @@ static void cycle(board_machine *m, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
-static void shut_down_begin(board_machine *m, int64_t now_ns)
-{
-    m->shut = 1;
-    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
-    m->shut_by_ns = now_ns + SHUT_NS;
-    if (m->state.mode == DRIVE_ARMED) {
-        m->state.mode = DRIVE_READY;
-        board_quick_stop(m, now_ns);
-    }
-}
-
 /* Silent only when the last frame has had the time to leave the port. */
-static void shut_down_go_on(board_machine *m, int64_t now_ns)
-{
-    bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING;
-    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
-        m->shut = 2;
-        board_power_off(m, now_ns);
-    } else if (m->shut == 2 && ((!stopping && now_ns >= m->told_ns + m->table.period_ns) || now_ns >= m->shut_by_ns)) {
-        m->shut = 3;
-        m->news = true;
-    }
-}
-
 static void shut_down(board_machine *m, int64_t now_ns)
 {
-    if (m->control.shut_down != 0 && m->shut == 0) {
-        shut_down_begin(m, now_ns);
+    if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {
+        board_begin_stop(m, end_stop(&m->end, &m->state, now_ns), now_ns);
     }
-    if (m->shut != 0) {
-        shut_down_go_on(m, now_ns);
+    bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING;
+    if (end_takes_power(&m->end, stopping, now_ns)) {
+        board_power_off(m, now_ns);
+    } else {
+        m->news |= end_is_over(&m->end, stopping || now_ns < m->told_ns + m->table.period_ns, 0, now_ns);
     }
 }
 
@@ -224,9 +204,9 @@ static bool has_to_stop(const board_machine *m)
 
 static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 {
-    bool moving = m->state.told_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->shut != 0;
+    bool moving = m->state.told_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->end.stage != END_NOT;
     int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
-    return m->shut < 3 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
+    return m->end.stage < END_SILENT ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
 void board_machine_kick(board_machine *m, int64_t now_ns)
@@ -243,9 +223,9 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
     board_obey_wish(m, now_ns);
     board_guard(m, now_ns);
     shut_down(m, now_ns);
-    if (m->shut < 3 && now_ns >= m->cycle.due_ns) {
+    if (m->end.stage < END_SILENT && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
-    } else if (m->shut < 3 && has_to_stop(m)) {
+    } else if (m->end.stage < END_SILENT && has_to_stop(m)) {
         tell(m, now_ns); /* a stop does not wait for its cycle */
     }
     return next_look_ns(m, now_ns);
@@ -253,7 +233,7 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
 
 void board_machine_report(const board_machine *m, board_report *report)
 {
-    report->shut_down = m->shut == 3;
+    report->shut_down = m->end.stage == END_SILENT;
     report->mode = m->state.mode;
     report->demoted = m->state.demoted;
     report->wish_seen = m->state.wish_seen;

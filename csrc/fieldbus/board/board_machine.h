@@ -15,6 +15,7 @@
 #define MOTORD_BOARD_MACHINE_H
 
 #include "drive_state.h"
+#include "ending.h"
 #include "pace.h"
 #include "rt.h"
 
@@ -54,7 +55,7 @@ typedef struct {
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
-    uint32_t shut;                   /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
+    line_ending end;
     uint32_t feedback_mask;          /* joints whose feedback is new since it was taken */
     imu_sample imu;                  /* the newest */
     bool imu_is_new;                 /* since it was taken */
@@ -71,8 +72,6 @@ typedef struct {
     int64_t heard_ns; /* 0: never */
     int64_t knows_ns;
     int64_t stamp_ns; /* of the newest word */
-    int64_t shut_rest_by_ns;
-    int64_t shut_by_ns;
     cycle_clock cycle;
     uint64_t sent;
     uint64_t no_room;
@@ -122,7 +121,8 @@ void board_imu_read(board_machine *m);
 /* ----------------------------------------------------------------------- board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
 void board_power_off(board_machine *m, int64_t now_ns);
-void board_quick_stop(board_machine *m, int64_t now_ns);
+/* What the rules of drive_state.h have decided. */
+void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns);
 void board_obey_wish(board_machine *m, int64_t now_ns);
 void board_guard(board_machine *m, int64_t now_ns);
 /* A good word has come. */

@@ -110,7 +110,7 @@ void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
 }
 
 /* What the rules have decided: begun here. */
-static void begin_stop(can_machine *m, uint32_t number, drive_stop stop)
+void can_begin_stop(can_machine *m, uint32_t number, drive_stop stop)
 {
     if (stop != STOP_NOTHING) {
         can_stop_now(m, number, stop);
@@ -143,7 +143,7 @@ void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
     m->news |= drive_has_news(&drive->state);
     if (stop != STOP_NOTHING && drive->state.mode == DRIVE_OFF) {
         can_hold_nothing(m, number);
-        begin_stop(m, number, stop);
+        can_begin_stop(m, number, stop);
     } else if (stop != STOP_NOTHING) {
         drive->state.off_due = true;
     }
@@ -175,7 +175,7 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
     drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
     m->news = true;
     can_hold_nothing(m, number);
-    if (m->shut == 0) {
+    if (m->end.stage == END_NOT) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it */
     }
     drive->stops++;
@@ -226,17 +226,17 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive_view view = view_of(m, number, now_ns);
-    begin_stop(m, number, drive_guard(&drive->state, &view));
+    can_begin_stop(m, number, drive_guard(&drive->state, &view));
     look_for(m, number, now_ns);
     bool there = drive->missing == 0;
     if (!there && (drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED)) {
         go_quiet(m, number, now_ns);
-    } else if (there && drive->state.mode == DRIVE_QUIET && !drive->state.back && m->shut == 0) {
+    } else if (there && drive->state.mode == DRIVE_QUIET && !drive->state.back && m->end.stage == END_NOT) {
         drive->state.back = true;
-        begin_stop(m, number, drive_power_off(&drive->state));
+        can_begin_stop(m, number, drive_power_off(&drive->state));
     }
     if (drive->state.stopping) {
-        begin_stop(m, number, drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));
+        can_begin_stop(m, number, drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));
     }
 }
 
@@ -261,7 +261,7 @@ void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
     drive_answer answer = drive_obey(&drive->state, wish, &view);
     bool is_new = answer.request != REQUEST_NONE;
     m->news |= is_new;
-    begin_stop(m, number, answer.stop);
+    can_begin_stop(m, number, answer.stop);
     drive->stops += answer.overtaken;
     drive->stops += is_new && wish->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */
     if (answer.request == REQUEST_SET_UP) {
@@ -303,7 +303,7 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
     }
     if (drive->state.off_due) {
         drive->state.off_due = false;
-        begin_stop(m, number, drive_power_off(&drive->state));
+        can_begin_stop(m, number, drive_power_off(&drive->state));
         can_send_stop(m, number);
     }
     can_tell(m, number, now_ns);

@@ -180,7 +180,7 @@ static void send_orders(can_machine *m, int64_t now_ns)
     for (; done < m->order_count; done++) {
         const can_order *order = &m->order[done];
         bool stopped = order->guarded != 0 && order->stops != m->drive[order->drive].stops;
-        bool late = order->expires_ns <= now_ns || m->shut != 0;
+        bool late = order->expires_ns <= now_ns || m->end.stage != END_NOT;
         if (stopped || late) {
             m->drive[order->drive].orders_dropped++;
         } else if (can_write_out(m, order->drive, &order->write)) {
@@ -195,47 +195,23 @@ static void send_orders(can_machine *m, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
-static void shut_down_begin(can_machine *m, int64_t now_ns)
-{
-    m->shut = 1;
-    m->shut_rest_by_ns = now_ns + SHUT_REST_NS;
-    m->shut_by_ns = now_ns + SHUT_NS;
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        can_drive_state *drive = &m->drive[i];
-        if (drive->state.mode == DRIVE_ARMED) {
-            drive->state.mode = DRIVE_READY;
-            drive->state.stopping = true;
-            drive->state.off_by_ns = m->shut_rest_by_ns;
-            can_stop_now(m, i, STOP_QUICK);
-        }
-    }
-}
-
-static void shut_down_go_on(can_machine *m, int64_t now_ns)
+static void shut_down(can_machine *m, int64_t now_ns)
 {
     bool stopping = false;
+    if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {
+        for (uint32_t i = 0; i < m->table.drive_count; i++) {
+            can_begin_stop(m, i, end_stop(&m->end, &m->drive[i].state, now_ns));
+        }
+    }
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         stopping |= m->drive[i].state.stopping || m->drive[i].state.stop != STOP_NOTHING;
     }
-    if (m->shut == 1 && (!stopping || now_ns >= m->shut_rest_by_ns)) {
-        m->shut = 2;
+    if (end_takes_power(&m->end, stopping, now_ns)) {
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
-            m->drive[i].state.stopping = false;
-            can_stop_now(m, i, STOP_POWER_OFF);
+            can_begin_stop(m, i, drive_power_off(&m->drive[i].state));
         }
-    } else if (m->shut == 2 && (!stopping || now_ns >= m->shut_by_ns)) {
-        m->shut = 3;
-        m->news = true;
-    }
-}
-
-static void shut_down(can_machine *m, int64_t now_ns)
-{
-    if (m->control.shut_down != 0 && m->shut == 0) {
-        shut_down_begin(m, now_ns);
-    }
-    if (m->shut != 0) {
-        shut_down_go_on(m, now_ns);
+    } else {
+        m->news |= end_is_over(&m->end, stopping, 0, now_ns);
     }
 }
 
@@ -284,7 +260,7 @@ static void cycle(can_machine *m, int64_t now_ns)
 
 static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
 {
-    int64_t wake_ns = now_ns + (m->shut == 0 ? LOOK_RESTING_NS : LOOK_MOVING_NS);
+    int64_t wake_ns = now_ns + (m->end.stage == END_NOT ? LOOK_RESTING_NS : LOOK_MOVING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const can_drive_state *drive = &m->drive[i];
         if (drive->state.told_motion || drive->state.stopping || drive->state.mode == DRIVE_ARMED) {
@@ -297,7 +273,7 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     if (m->order_count > 0) {
         wake_ns = earlier(wake_ns, now_ns + LOOK_FULL_NS);
     }
-    return m->shut < 2 ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
+    return m->end.stage < END_POWER_OFF ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
 /* All that are armed, as in a cycle: one that lagged behind the others would turn the robot. Nothing is asked. */
@@ -329,13 +305,13 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
         can_guard(m, i, now_ns);
     }
     shut_down(m, now_ns);
-    if (m->shut < 3) {
+    if (m->end.stage < END_SILENT) {
         send_stops(m, now_ns);
         send_orders(m, now_ns);
     }
-    if (m->shut < 2 && now_ns >= m->cycle.due_ns) {
+    if (m->end.stage < END_POWER_OFF && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
-    } else if (m->shut == 0 && m->early) {
+    } else if (m->end.stage == END_NOT && m->early) {
         tell_early(m, now_ns);
     }
     m->early = false;
@@ -345,7 +321,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
 
 void can_machine_report(const can_machine *m, can_report *report)
 {
-    report->shut_down = m->shut == 3;
+    report->shut_down = m->end.stage == END_SILENT;
     report->cycles = m->cycle.count;
     report->received = m->received;
     report->sent = m->sent;

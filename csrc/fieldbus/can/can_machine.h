@@ -11,6 +11,7 @@
 #define MOTORD_CAN_MACHINE_H
 
 #include "drive_state.h"
+#include "ending.h"
 #include "pace.h"
 #include "rt.h"
 
@@ -86,10 +87,8 @@ typedef struct {
     bool clogged;            /* it has taken nothing in a whole cycle, nor since */
     bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
     int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
-    uint32_t shut;           /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
-    bool news;               /* something that Python wants to hear */
-    int64_t shut_rest_by_ns;
-    int64_t shut_by_ns;
+    line_ending end;
+    bool news; /* something that Python wants to hear */
     cycle_clock cycle;
     bool early; /* the set-points do not wait for the cycle */
     uint64_t received;
@@ -139,6 +138,8 @@ void can_obey_wish(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_guard(can_machine *m, uint32_t drive, int64_t now_ns);
 /* What the newest frame says of its power, against what it should be. */
 void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
+/* What the rules of drive_state.h have decided. */
+void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
 void can_tell(can_machine *m, uint32_t drive, int64_t now_ns);

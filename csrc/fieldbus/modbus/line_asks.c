@@ -36,7 +36,7 @@ void line_answer_ask(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns
 void line_expire_ask(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->ask_count && !m->answered; i++) {
-        if (m->ask[i].expires_ns <= now_ns || m->shut != 0) {
+        if (m->ask[i].expires_ns <= now_ns || m->end.stage != END_NOT) {
             line_answer_ask(m, m->ask[i].id, ANSWER_EXPIRED, now_ns);
             line_drop_ask(m, i);
         }

@@ -31,7 +31,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 }
 
 /* What the rules have decided: begun here. */
-static void begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
+void line_begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
 {
     m->news |= drive_has_news(&m->drive[number].state);
     if (stop == STOP_QUICK) {
@@ -47,7 +47,7 @@ void line_stop_unheard(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     drive->may_turn = true;
-    begin_stop(m, number, drive_quick_stop(&drive->state, 0, now_ns), now_ns);
+    line_begin_stop(m, number, drive_quick_stop(&drive->state, 0, now_ns), now_ns);
     drive->state.mode = DRIVE_OFF;
 }
 
@@ -68,11 +68,11 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     drive_view view = view_of(m, number, now_ns);
-    begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
+    line_begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
     if (drive->state.told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
         drive->due_ns = now_ns; /* a stop does not wait for its turn */
     }
-    begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
+    line_begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
 }
 
 /* -------------------------------------------------------------------------------------------------- requests */
@@ -100,7 +100,7 @@ void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
     drive->arming_until_ns = wish->arming_until_ns;
     drive_answer answer = drive_obey(&drive->state, wish, &view);
     m->news |= answer.request != REQUEST_NONE;
-    begin_stop(m, number, answer.stop, now_ns);
+    line_begin_stop(m, number, answer.stop, now_ns);
     if (answer.request == REQUEST_OFF) {
         drive->stage = STAGE_IDLE;
         m->current = m->current == number ? LINE_DRIVES_MAX : m->current;
@@ -233,12 +233,12 @@ static void end_cycle(line_machine *m, uint32_t number)
     line_publish(m, number);
     if (drive->lost_setup) {
         drive_demote(&drive->state, DEMOTED_LOST_SETUP, DRIVE_OFF);
-        begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
+        line_begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
     }
-    begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
-               drive->cycle_start_ns);
+    line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
+                    drive->cycle_start_ns);
     bool settled = drive->cycle_start_ns >= drive->arming_until_ns;
-    begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled), drive->cycle_start_ns);
+    line_begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled), drive->cycle_start_ns);
 }
 
 bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
@@ -345,7 +345,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
         drive->stop_refused |= is_of_newest_stop(m, number);
         stop_frame_done(m, number); /* it is there and will not: the next frame may do */
-    } else if (m->shut != 0 && is_of_newest_stop(m, number)) {
+    } else if (m->end.stage != END_NOT && is_of_newest_stop(m, number)) {
         drive->stop_told |= 1U << drive->stop_place++;
     }
 }
@@ -358,7 +358,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
     int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
     if (drive->state.mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
-        begin_stop(m, number, drive_quick_stop(&drive->state, DEMOTED_LEFT_ALONE, now_ns), now_ns);
+        line_begin_stop(m, number, drive_quick_stop(&drive->state, DEMOTED_LEFT_ALONE, now_ns), now_ns);
     }
     if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
         drive->failures = 0;

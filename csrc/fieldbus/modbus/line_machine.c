@@ -54,7 +54,7 @@ static int64_t wait_for_ns(const line_machine *m)
 /* Whether another drive waits for its stop, or the line ends. */
 static bool stops_wait(const line_machine *m)
 {
-    bool waits = m->shut != 0;
+    bool waits = m->end.stage != END_NOT;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         waits |= m->drive[i].state.stop != STOP_NOTHING && i != m->worker;
     }
@@ -380,7 +380,7 @@ static void never_silent(line_machine *m, int64_t now_ns)
 static void decide(line_machine *m, int64_t now_ns, line_output *out)
 {
     line_shut_down(m, now_ns);
-    if (m->shut == 3) {
+    if (m->end.stage == END_SILENT) {
         return;
     }
     if (m->work != WORK_NONE) {
@@ -399,7 +399,7 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     }
     if (!silent) {
         take_urgent(m, now_ns, out);
-    } else if (m->shut < 2) {
+    } else if (m->end.stage < END_POWER_OFF) {
         (void)take_cycle(m, now_ns, out);
     } else {
         line_shut_down(m, now_ns); /* all are told: that was it */
@@ -411,16 +411,16 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     if (m->work != WORK_NONE) {
         return m->until_ns;
     }
-    if (m->shut == 3) {
+    if (m->end.stage == END_SILENT) {
         return now_ns + LOOK_RESTING_NS;
     }
-    int64_t wake_ns = now_ns + (m->shut != 0 ? LOOK_MOVING_NS : LOOK_RESTING_NS);
+    int64_t wake_ns = now_ns + (m->end.stage != END_NOT ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
         if (drive->state.told_motion || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->state.mode == DRIVE_QUIET && m->shut < 2) {
+        if (drive->state.mode == DRIVE_QUIET && m->end.stage < END_POWER_OFF) {
             int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }

@@ -17,6 +17,7 @@
 #define MOTORD_LINE_MACHINE_H
 
 #include "drive_state.h"
+#include "ending.h"
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
@@ -132,9 +133,7 @@ typedef struct line_machine {
     bool notified_shut;
     uint32_t broadcasts; /* frames of broadcast_stop still to be sent */
     uint32_t current;    /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
-    uint32_t shut;       /* 0 no, 1 coming to rest, 2 taking the power off, 3 silent */
-    int64_t shut_rest_by_ns;
-    int64_t shut_by_ns;
+    line_ending end;
     int64_t ours_ns;      /* earliest time of the next request on a line where nobody else sends */
     int64_t free_ns;      /* the same, after the newest byte that was heard */
     int64_t silent_ns;    /* when the line was seen silent last */
@@ -213,6 +212,8 @@ bool line_fresh(const line_machine *m, int64_t now_ns);
 void line_obey_wish(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the set-points, its watchdog and its own words demand. */
 void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
+/* What the rules of drive_state.h have decided. */
+void line_begin_stop(line_machine *m, uint32_t drive, drive_stop stop, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
 /* One that was armed before the port was opened. */
 void line_stop_unheard(line_machine *m, uint32_t drive, int64_t now_ns);

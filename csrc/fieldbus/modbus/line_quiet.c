@@ -32,8 +32,7 @@ void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
         drive->count.quiet++;
     }
     drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
-    m->news = true;
-    if (m->shut < 2) {
+    if (m->end.stage < END_POWER_OFF) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
     }
     drive->state.stopping = drive->state.back = false;
@@ -103,7 +102,7 @@ static bool is_urgent(const line_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         urgent |= m->drive[i].state.stop != STOP_NOTHING;
     }
-    return urgent || (m->shut == 0 && line_due_probe(m, true, now_ns) < LINE_DRIVES_MAX);
+    return urgent || (m->end.stage == END_NOT && line_due_probe(m, true, now_ns) < LINE_DRIVES_MAX);
 }
 
 bool line_ends_patience(line_machine *m, int64_t now_ns)

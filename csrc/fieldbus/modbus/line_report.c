@@ -5,7 +5,7 @@
 void line_machine_report(const line_machine *m, line_report *report)
 {
     report->echo = m->echo;
-    report->shut_down = m->shut == 3;
+    report->shut_down = m->end.stage == END_SILENT;
     report->exchanges = m->exchanges;
     report->answers = m->answers;
     report->noise_bytes = m->noise_bytes;
