@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
-from motord_hal.base.clock import now_s
+from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import FaultWatch, Say
@@ -19,10 +19,15 @@ from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Plan, Reading
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.realtime.drive_state import Demoted, DriveRules, Mode, Stop
 from motord_hal.realtime.exchange import Exchange
 
-STOPPING_WITHIN_S = 1.0
-"""After a quick stop the power stays on until the wheel is at rest, so long at most."""
+_STATES = {
+    Mode.OFF: DriveState.UNKNOWN,
+    Mode.READY: DriveState.READY,
+    Mode.ARMED: DriveState.ARMED,
+    Mode.QUIET: DriveState.QUIET,
+}
 
 AnyPlan = TypeVar("AnyPlan", bound=Plan, covariant=True)
 
@@ -42,13 +47,10 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         rest_velocity_rad_s: float,
     ) -> None:
         self.plan = plan
-        self.state = DriveState.UNKNOWN
         self.jobs: deque[Job] = deque()
         self.names = tuple(joint.name for joint in plan.joints)
         self.tries = max(joint.tries for joint in plan.joints)
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
-        self.was_enabled = False
-        """Set-points were enabled since it was armed: the next disable takes its power."""
         self.enabled_count = 0
         """How often set-points had become enabled when it was armed: those of a short while no look
         may see."""
@@ -62,10 +64,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._rest_velocity_rad_s = rest_velocity_rad_s
         self._values: dict[str, int] = {}
         """Register → the newest raw value."""
-        self._epoch = 0
+        self._rules = DriveRules()
         self._said_quiet = False
-        self._still_enabled = 0
-        self._power_off_by_s: float | None = None
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
@@ -89,6 +89,10 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     # ---------------------------------------------------------------------------------- what it is
     @property
+    def state(self) -> DriveState:
+        return _STATES[self._rules.mode]
+
+    @property
     def is_cycled(self) -> bool:
         """Each cycle tells it its set-points."""
         return self.state in PRESENT
@@ -96,18 +100,18 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     @property
     def is_stopping(self) -> bool:
         """A quick stop was told, and the wheel has not been seen at rest since."""
-        return self._power_off_by_s is not None
+        return self._rules.is_stopping
 
     def lose(self, error: HalError) -> None:
         """The medium is gone: nothing is known of the drive."""
         self._forget(error)
-        self.state = DriveState.UNKNOWN
+        self._rules.request(Mode.OFF)
 
     def _forget(self, error: HalError) -> None:
         while self.jobs:
             self.jobs.popleft().fail(error)
         self._values = {}
-        self._power_off_by_s = None
+        self._rules.forget()
 
     def _hint(self) -> str:
         """What else could be the reason for its silence, as its medium shows it."""
@@ -116,7 +120,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     def _becomes_quiet(self, error: HalError) -> bool:
         """Nothing is heard of it. Returns whether that is new, and was said."""
         self._forget(error)
-        self.state = DriveState.QUIET
+        self._rules.unresponsive()
         if self._said_quiet:
             return False
         self._said_quiet = True
@@ -137,27 +141,27 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             current_a=reading.current_a,
             voltage_v=reading.voltage_v,
             temperature_c=reading.temperature_c,
-            epoch=self._epoch,
+            epoch=self._rules.epoch,
             enabled=reading.enabled,
             drive_faults=faults.stopping,
         )
 
-    def _lost_its_power(self) -> None:
-        """It was armed, and says that it is not enabled."""
-        text = f"{self} is not enabled any more: set up again, disarmed"
-        self._say(EventKind.DRIVE_WARNING, self.names, text)
-        self.configure(text)
-
-    def _check_no_power(self, enabled: bool | None) -> None:
-        """Nobody armed it, so it shall not be enabled: a power-off was lost or refused."""
-        if self.state is not DriveState.READY or enabled is False:
-            self._still_enabled = 0
-        elif enabled and not self.jobs and not self.is_stopping:
-            self._still_enabled += 1
-            if self._still_enabled == self.tries:
-                text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
-                self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self._take_power()
+    def _judge_power(self, enabled: bool | None) -> None:
+        """It has said whether it is enabled. Armed and without power: somebody took it. Not armed
+        and with power: a power-off was lost or refused."""
+        before = self._rules.demoted
+        if self._rules.check_power(enabled, self.tries, settled=not self.jobs) is Stop.NOTHING:
+            return
+        if self._rules.mode is Mode.OFF:
+            text = f"{self} is not enabled any more: set up again, disarmed"
+            self._say(EventKind.DRIVE_WARNING, self.names, text)
+            self._submit_power_off()
+            self.configure(text)
+            return
+        if Demoted.STILL_ENABLED in self._rules.demoted & ~before:
+            text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
+            self._say(EventKind.DRIVE_WARNING, self.names, text)
+        self._take_power()
 
     def _rests_at(self, velocity_rad_s: float) -> bool:
         """Of a wheel; NaN is not at rest: the time decides then."""
@@ -165,8 +169,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     def _end_stopping(self, *, at_rest: bool) -> None:
         """The power goes off at the end of a quick stop."""
-        if self._power_off_by_s is not None and (at_rest or now_s() > self._power_off_by_s):
-            self._power_off_by_s = None
+        if self._rules.end_stopping(now_ns(), at_rest=at_rest) is not Stop.NOTHING:
             self._take_power()
 
     def _take_power(self) -> None:
@@ -195,7 +198,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         if (self.is_stopping or self.state in PRESENT) and not pending:
             pending = [Job("disarm", self.plan.profile.disarm, urgent=True)]
         self._forget(NoReply(why))
-        self.state = DriveState.UNKNOWN
+        self._rules.request(Mode.OFF)
         self.jobs.extend(pending)
         self.submit(Job("configure", self._setup))
 
@@ -213,11 +216,13 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self._configured()
         elif job.name == "arm":
             self._armed()
+            if self.state is not DriveState.ARMED:
+                job.fail(HalError(f"{self}: stopped while it was being armed"))
+                return
         job.finish()
 
     def _configured(self) -> None:
-        self.state = DriveState.READY
-        self._epoch += 1
+        self._rules.request(Mode.READY)
         if self._said_quiet:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
@@ -225,14 +230,29 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._said_quiet = False
 
     def _armed(self) -> None:
-        self.state, self.was_enabled = DriveState.ARMED, False
+        self._rules.request(Mode.ARMED, self.enabled_count)
 
     # ------------------------------------------------------------------------------------ stopping
+    async def guard(self, *, fresh: bool, enabled: bool, enabled_count: int) -> None:
+        """Of the newest set-points. What they demand is sent ahead of everything else. Of the
+        line's task. Raises PortError."""
+        stop = self._rules.guard(
+            now_ns(),
+            fresh=fresh,
+            left_alone=self.has_stopped_itself,
+            enabled=enabled,
+            enabled_count=enabled_count,
+        )
+        if stop is Stop.QUICK:
+            await self.quick_stop()
+        elif stop is Stop.POWER_OFF:
+            await self.power_off()
+
     async def quick_stop(self) -> None:
         """Stop now, ahead of everything else; the power goes off when the wheel is at rest. Of the
         line's task. Raises PortError."""
         self._disarmed()
-        self._power_off_by_s = now_s() + STOPPING_WITHIN_S
+        self._rules.quick_stop(now_ns())
         await self._tell_now("quick_stop", self.plan.profile.quick_stop)
 
     async def power_off(self) -> None:
@@ -256,7 +276,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """It is told to have no power, whether it was stopping or not."""
         self._disarmed()
         self._drop_quick_stop()
-        self._power_off_by_s = None
+        self._rules.power_off()
 
     def stand_down(self) -> Job:
         """Zero from now on, power off with the next slot. Of any task."""
@@ -265,8 +285,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     def _disarmed(self) -> None:
         """From now on every set-point of this drive is zero."""
-        if self.state is DriveState.ARMED:
-            self.state = DriveState.READY
+        self._rules.request(Mode.STAND_DOWN)
         self._drop_all("arm", f"{self}: stopped while it was being armed")
 
     def _drop_quick_stop(self) -> None:

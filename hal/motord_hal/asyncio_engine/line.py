@@ -136,12 +136,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         newest = self._exchange.take_setpoints(self.spec.index)
         good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         for drive in armed:
-            if not good or drive.has_stopped_itself:
-                await drive.quick_stop()
-            elif newest.enabled:
-                drive.was_enabled = True
-            elif drive.was_enabled or drive.enabled_count != count:
-                await drive.power_off()
+            await drive.guard(fresh=good, enabled=newest.enabled, enabled_count=count)
 
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive. The power-off is sent whatever the stop ends

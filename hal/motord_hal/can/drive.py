@@ -9,10 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from motord_hal.asyncio_engine.drive import (
-    STOPPING_WITHIN_S,
-    AsyncioDrive,
-)
+from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.base.clock import now_s
 from motord_hal.base.errors import DriveFault, HalError, NoReply, Refused
 from motord_hal.base.retry import Backoff
@@ -21,6 +18,7 @@ from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import Say
+from motord_hal.fieldbus.halt import STOPPING_WITHIN_S
 from motord_hal.fieldbus.job import Job, configure_steps
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Wanted
@@ -120,10 +118,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         enabled = self.plan.enabled(self._values)
         if said is None or self.plan.read_frame_of(said.register) is not frame or enabled is None:
             return
-        if self.state is DriveState.ARMED and not enabled:
-            self._lost_its_power()
-        else:
-            self._check_no_power(enabled)
+        self._judge_power(enabled)
 
     # ------------------------------------------------------------------------- whether it is there
     def _silence_s(self, frame: Frame) -> float:
@@ -278,7 +273,6 @@ class CanDrive(AsyncioDrive[CanPlan]):
         super()._forget(error)
         self._heard_ns.clear()
         self._held.clear()
-        self._still_enabled = 0
 
     def lose(self, error: HalError) -> None:
         """As AsyncioDrive.lose."""

@@ -121,11 +121,9 @@ class Board(AsyncioDrive[DrivePlan]):
         for joint in self.plan.joints:
             enabled, velocity_rad_s = self._publish_joint(joint)
             moving |= not self._rests_at(velocity_rad_s)
-        if self.state is DriveState.ARMED and enabled is False and fresh:
-            self._lost_its_power()
         self._end_stopping(at_rest=not moving)
-        if self.state is DriveState.READY and enabled and fresh and not self.jobs:
-            self._take_power()
+        if fresh:
+            self._judge_power(enabled)
 
     def _publish_joint(self, joint: JointSpec) -> tuple[bool | None, float]:
         reading = self.plan.reading(joint, self._values, {})

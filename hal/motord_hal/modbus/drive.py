@@ -182,10 +182,8 @@ class Drive(AsyncioDrive[DrivePlan]):
             self._put_feedback(joint, reading, self._stamps_ns.get(measured, self._stamp_ns))
             enabled = reading.enabled
             moving |= not self._rests_at(reading.velocity_rad_s)
-        if self.state is DriveState.ARMED and enabled is False:
-            self._lost_its_power()
         self._end_stopping(at_rest=not moving)
-        self._check_no_power(enabled)
+        self._judge_power(enabled)
 
     # ---------------------------------------------------------------------------- the acyclic part
     def opened(self) -> None:

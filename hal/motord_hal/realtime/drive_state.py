@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every drive on the rt engine has, whatever its medium. The rules that use it are in
-csrc/base/drive_state.c."""
+"""What every drive has, whatever its medium and its engine. The rules of when it has to stop are in
+csrc/base/drive_state.c; lines in C and lines in asyncio ask them."""
 
 from __future__ import annotations
 
 import enum
+from typing import Any
 
-from _motord_rt import lib
+from _motord_rt import ffi, lib
 
 
 class Mode(enum.IntEnum):
@@ -27,3 +28,79 @@ class Demoted(enum.IntFlag):
     DISABLED_ITSELF = lib.DEMOTED_DISABLED_ITSELF
     QUIET = lib.DEMOTED_QUIET
     STILL_ENABLED = lib.DEMOTED_STILL_ENABLED
+
+
+class Stop(enum.IntEnum):
+    """What a drive has to be told because a rule says so."""
+
+    NOTHING = lib.STOP_NOTHING
+    QUICK = lib.STOP_QUICK
+    POWER_OFF = lib.STOP_POWER_OFF
+
+
+class DriveRules:
+    """The state of one drive of a line in asyncio, judged by the rules in C. Each method that
+    returns a Stop leaves it to the caller to send that."""
+
+    def __init__(self) -> None:
+        self._state: Any = ffi.new("drive_state *")
+        self._view: Any = ffi.new("drive_view *")
+        self._wish: Any = ffi.new("drive_wish *")
+
+    @property
+    def mode(self) -> Mode:
+        return Mode(self._state.mode)
+
+    @property
+    def epoch(self) -> int:
+        """How often it was set up."""
+        return int(self._state.epoch)
+
+    @property
+    def demoted(self) -> Demoted:
+        return Demoted(self._state.demoted)
+
+    @property
+    def is_stopping(self) -> bool:
+        """A quick stop was begun, and its power has not been taken since."""
+        return bool(self._state.stopping)
+
+    def forget(self) -> None:
+        """Nothing is known of it any more."""
+        self._state.stopping = False
+        self._state.still_enabled = 0
+
+    def request(self, mode: Mode, enabled_count: int = 0) -> None:
+        """As drive_obey in C: what cannot be is not done. `enabled_count` is of the set-points when
+        its arming began; that they are fresh is what `guard` looks at in each cycle."""
+        self._wish.count += 1
+        self._wish.mode = mode
+        self._view.fresh, self._view.enabled_count = True, enabled_count
+        lib.drive_obey(self._state, self._wish, self._view)
+
+    def unresponsive(self) -> None:
+        lib.drive_demote(self._state, Demoted.QUIET, Mode.QUIET)
+
+    def guard(
+        self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int
+    ) -> Stop:
+        """What the newest set-points demand, and a watchdog that has bitten."""
+        view = self._view
+        view.now_ns, view.fresh, view.left_alone = now_ns, fresh, left_alone
+        view.enabled, view.enabled_count = enabled, enabled_count
+        return Stop(lib.drive_guard(self._state, view))
+
+    def quick_stop(self, now_ns: int) -> None:
+        lib.drive_quick_stop(self._state, 0, now_ns)
+
+    def power_off(self) -> None:
+        lib.drive_power_off(self._state)
+
+    def end_stopping(self, now_ns: int, *, at_rest: bool) -> Stop:
+        """Power off at rest, or when it takes too long."""
+        return Stop(lib.drive_end_stopping(self._state, at_rest, now_ns))
+
+    def check_power(self, enabled: bool | None, tries: int, *, settled: bool) -> Stop:
+        """What its own word demands. `settled`: nobody is arming it."""
+        self._state.enabled = 2 if enabled is None else enabled
+        return Stop(lib.drive_check_power(self._state, tries, settled))
