@@ -32,7 +32,6 @@ static void init_drive(line_machine *m, uint32_t number, int64_t now_ns)
     table->turnaround_ns += LINE_HOST_NS;
     drive->deadline_ns = table->turnaround_ns;
     drive->due_ns = now_ns;
-    drive->state.enabled = 2;
     for (uint32_t i = 0; i < table->cyclic_count; i++) {
         note_joints(m, number, &table->cyclic[i]);
     }
