@@ -60,8 +60,9 @@ def joints_of(profile, gear_ratio=1.0):
 
 RT = " rt"
 """At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
-BOTH_ENGINES = ("can", "mcu-frame", "ascii", "roboclaw")
+BOTH_ENGINES = ("can",)
 """Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
+ON_RT = ("ddsm", "mcu-frame", "ascii", "roboclaw")
 
 
 def with_rt(names):
@@ -91,7 +92,7 @@ TEXT = TextSpec(
 
 
 def engine_of(profile, folder):
-    return "rt" if profile.protocol == "ddsm" or folder.name == "rt" else "asyncio"
+    return "rt" if profile.protocol in ON_RT or folder.name == "rt" else "asyncio"
 
 
 def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):

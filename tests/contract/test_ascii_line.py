@@ -56,11 +56,6 @@ class Reader:
         self.link.unlink()
 
 
-@pytest.fixture(params=["asyncio", "rt"])
-def engine(request):
-    return request.param
-
-
 @pytest.fixture
 def peer(tmp_path):
     peer = Reader(tmp_path / "board")
@@ -68,7 +63,7 @@ def peer(tmp_path):
     peer.close()
 
 
-def spec_of(port, engine, setpoints, feedback="", drive="ascii-duty", scale=255.0):
+def spec_of(port, setpoints, feedback="", drive="ascii-duty", scale=255.0):
     profile = find_profile(drive)
     joints = (
         JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
@@ -77,13 +72,13 @@ def spec_of(port, engine, setpoints, feedback="", drive="ascii-duty", scale=255.
     text = TextSpec(setpoints=setpoints, feedback=feedback, scale=scale, wheels=WHEELS, track_m=0.5)
     return LineSpec(
         index=0, name="board", kind="ascii", port=str(port), baudrate=115200, parity="none",
-        stop_bits=1, cycle_hz=100.0, gap_s=None, engine=engine, joints=joints, text=text,
+        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=joints, text=text,
         watchdog_s=0.2,
     )  # fmt: skip
 
 
-async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer, engine):
-    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
+async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await rig.ready()
         await until(lambda: len(peer.lines) > 10)
@@ -96,7 +91,7 @@ async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(pee
 
 async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
     """Of the real-time engine. The cycle is longer than this test waits for anything."""
-    made = spec_of(peer.link, "rt", "{left:d},{right:d}\n")
+    made = spec_of(peer.link, "{left:d},{right:d}\n")
     once = tuple(replace(joint, tries=1) for joint in made.joints)
     async with running(replace(made, joints=once, cycle_hz=0.0125)) as rig:
         await rig.ready()
@@ -113,8 +108,8 @@ async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
         await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
-async def test_a_board_may_be_told_the_base_s_own_speeds(peer, engine):
-    spec = spec_of(peer.link, engine, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
+async def test_a_board_may_be_told_the_base_s_own_speeds(peer):
+    spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
     async with running(spec) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 1.0, 1: 3.0}
@@ -124,9 +119,9 @@ async def test_a_board_may_be_told_the_base_s_own_speeds(peer, engine):
         await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_the_last_line_of_all_is_zero(tmp_path, engine):
+async def test_the_last_line_of_all_is_zero(tmp_path):
     peer = Reader(tmp_path / "board")
-    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await until(lambda: peer.lines[-1:] == [b"128,-255"])
@@ -134,9 +129,9 @@ async def test_the_last_line_of_all_is_zero(tmp_path, engine):
     peer.close()
 
 
-async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer, engine):
+async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
     feedback = "E {left_count} {right_count} {left_rad_s} {voltage_v}\n"
-    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n", feedback)) as rig:
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n", feedback)) as rig:
         left = rig.loop.exchange.take_feedback
 
         def said():
@@ -155,9 +150,9 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer, engi
         assert EventKind.DRIVE_QUIET in rig.kinds()
 
 
-async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer, engine):
+async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer):
     feedback = "{left_count} {gyro_z_rad_s}\n"
-    spec = spec_of(peer.link, engine, "{left:d},{right:d}\n", feedback)
+    spec = spec_of(peer.link, "{left:d},{right:d}\n", feedback)
     async with running(replace(spec, imu=Mounting(up="-z", forward="x"))) as rig:
 
         def said():
@@ -170,9 +165,9 @@ async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer, engine
         assert sample.angular_rad_s[0] != sample.angular_rad_s[0]
 
 
-async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path, engine):
+async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
     peer = Reader(tmp_path / "board")
-    async with running(spec_of(peer.link, engine, "{left:d},{right:d}\n")) as rig:
+    async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
         peer.close()
@@ -180,23 +175,23 @@ async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path, engi
         assert EventKind.LINE_LOST in rig.kinds()
 
 
-async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer, engine):
-    assert await halt_line(spec_of(peer.link, engine, "{left:d},{right:d}\n")) == []
+async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer):
+    assert await halt_line(spec_of(peer.link, "{left:d},{right:d}\n")) == []
     assert len(peer.lines) > 10
     assert set(peer.lines) == {b"0,0"}
 
 
-def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path, engine):
-    spec = spec_of(tmp_path / "x", engine, "{left:d}\n")
+def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
+    spec = spec_of(tmp_path / "x", "{left:d}\n")
     with pytest.raises(ProfileError, match="it must say left, right"):
         open_line(spec, Exchange.private(), print)
 
 
-async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path, engine):
+async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path):
     master, slave = os.openpty()
     tty.setraw(slave)
     padding = "." * 200
-    spec = spec_of(os.ttyname(slave), engine, f"{padding}{{left:d}},{{right:d}}\n")
+    spec = spec_of(os.ttyname(slave), f"{padding}{{left:d}},{{right:d}}\n")
     spec = replace(spec, baudrate=4_000_000, cycle_hz=1000.0)
     try:
         async with running(spec) as rig:

@@ -20,22 +20,14 @@ from motord_hal.fieldbus.ports import (
     LineState,
     Mounting,
 )
-from motord_hal.mcu import board, link
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.realtime.exchange import Exchange
+from motord_hal.rt_engine.boards import drive as board_drive
 from motord_hal.rt_engine.boards import line as board_line
 from motord_hal.serial.port import OpenPort, open_port
 
 COUNTS_PER_RAD = 1320 / math.tau
-
-
-class Board(McuPeer):
-    """And the engine that is to talk to it."""
-
-    def __init__(self, program, link, engine):
-        self.engine = engine
-        super().__init__(program, link)
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +35,10 @@ def program(tmp_path_factory):
     return compiled(tmp_path_factory.mktemp("board"))
 
 
-@pytest.fixture(params=["asyncio", "rt"])
-def board_of(program, tmp_path, request):
+@pytest.fixture
+def board_of(program, tmp_path):
     """Plugs the board in."""
-    return lambda: Board(program, tmp_path / "board", request.param)
+    return lambda: McuPeer(program, tmp_path / "board")
 
 
 @pytest.fixture
@@ -69,7 +61,7 @@ def spec_of(peer, joints=None, **changes):
     values = {
         "index": 0, "name": "board", "kind": "mcu", "port": str(peer.link),
         "baudrate": 115200, "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None,
-        "engine": peer.engine, "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
+        "engine": "auto", "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
     }  # fmt: skip
     return LineSpec(**{**values, **changes})
 
@@ -89,7 +81,7 @@ async def armed_and_turning(rig, peer, rad_s=3.0):
 # ----------------------------------------------------------------------------- set-up and arming
 async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     await rig.ready()
-    assert rig.line.engine == peer.engine
+    assert rig.line.engine == "rt"
     assert rig.line.state is LineState.READY
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
     assert await rig.line.read_register("left", "watchdog") == pytest.approx(0.2)
@@ -97,7 +89,7 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
 
 
 async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(board_of, monkeypatch):
-    monkeypatch.setattr(board, "START_GRACE_S", 0.1)
+    monkeypatch.setattr(board_drive, "START_GRACE_S", 0.1)
     peer = board_of()
     peer.do("m")
     async with running(spec_of(peer)) as rig:
@@ -284,8 +276,7 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
         os.close(master)
         return OpenPort(slave, path=spec.port)
 
-    for module in (link, board_line):
-        monkeypatch.setattr(module, "open_port", pulled_at_first)
+    monkeypatch.setattr(board_line, "open_port", pulled_at_first)
     async with running(spec_of(peer)) as rig:
         await rig.ready()
         assert rig.kinds()[:2] == [EventKind.LINE_LOST, EventKind.LINE_OPEN]
@@ -387,9 +378,9 @@ def test_a_profile_of_another_protocol_is_refused(peer):
         open_line(spec_of(peer, joints_of("zlac8015d")), Exchange.private(), print)
 
 
-def test_the_engine_is_the_thread_in_c_where_nothing_else_is_asked_for(peer):
-    line = open_line(spec_of(peer, engine="auto"), Exchange.private(), print)
-    assert line.engine == "rt"
+def test_there_is_no_engine_but_the_thread_in_c(peer):
+    with pytest.raises(HalError, match='no engine "asyncio" for mcu'):
+        open_line(spec_of(peer, engine="asyncio"), Exchange.private(), print)
 
 
 async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):

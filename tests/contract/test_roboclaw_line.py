@@ -70,12 +70,7 @@ def peer(tmp_path):
     peer.close()
 
 
-@pytest.fixture(params=["asyncio", "rt"])
-def engine(request):
-    return request.param
-
-
-def spec_of(port, engine, drive="roboclaw"):
+def spec_of(port, drive="roboclaw"):
     profile = find_profile(drive)
     joints = tuple(
         JointSpec(index=n, name=name, profile=profile, unit=128, channel=n + 1)
@@ -83,12 +78,12 @@ def spec_of(port, engine, drive="roboclaw"):
     )
     return LineSpec(
         index=0, name="claw", kind="roboclaw", port=str(port), baudrate=115200, parity="none",
-        stop_bits=1, cycle_hz=50.0, gap_s=None, engine=engine, joints=joints, watchdog_s=0.5,
+        stop_bits=1, cycle_hz=50.0, gap_s=None, engine="auto", joints=joints, watchdog_s=0.5,
     )  # fmt: skip
 
 
-async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         assert peer.timeout == 5
         assert peer.sent(READ_TIMEOUT)
@@ -97,8 +92,8 @@ async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(pee
         assert {packet[2:6] for packet in peer.sent(DUTIES)} == {bytes(4)}
 
 
-async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         rig.loop.enabled = True
         await until(lambda: peer.sent(SPEEDS))
@@ -114,8 +109,8 @@ async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer
         assert len(peer.sent(SPEEDS)) == held
 
 
-async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer, engine):
-    spec = spec_of(peer.link, engine)
+async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer):
+    spec = spec_of(peer.link)
     async with running(replace(spec, joints=spec.joints[1:])) as rig:
         await rig.ready()
         await until(lambda: len(peer.sent(DUTIES)) > 10)
@@ -124,8 +119,8 @@ async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer, en
         await until(lambda: peer.sent(SPEEDS))
 
 
-async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         peer.mute = True
         await until(lambda: rig.states() == {DriveState.QUIET})
@@ -134,8 +129,8 @@ async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer, engine):
         assert EventKind.DRIVE_BACK in rig.kinds()
 
 
-async def test_an_answer_that_comes_late_is_nobody_s(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_an_answer_that_comes_late_is_nobody_s(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         seen = rig.line.stats().exchanges
         for _ in range(5):
@@ -148,21 +143,21 @@ async def test_an_answer_that_comes_late_is_nobody_s(peer, engine):
         assert feedback.drive_faults == 0
 
 
-async def test_a_controller_that_a_dead_program_left_turning_is_stopped_and_let_go(peer, engine):
-    problems = await halt_line(spec_of(peer.link, engine))
+async def test_a_controller_that_a_dead_program_left_turning_is_stopped_and_let_go(peer):
+    problems = await halt_line(spec_of(peer.link))
     assert problems == []
     assert peer.sent(SPEEDS)[0][2:10] == bytes(8)
     assert peer.packets[-1][1] == DUTIES
     assert peer.packets[-1][2:6] == bytes(4)
 
 
-def test_a_drive_of_another_protocol_is_refused(tmp_path, engine):
+def test_a_drive_of_another_protocol_is_refused(tmp_path):
     with pytest.raises(ProfileError, match="speaks modbus-rtu"):
-        open_line(spec_of(tmp_path / "x", engine, "zlac8015d"), Exchange.private(), print)
+        open_line(spec_of(tmp_path / "x", "zlac8015d"), Exchange.private(), print)
 
 
-async def test_a_speed_is_not_held_by_a_controller_that_was_stopped(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_a_speed_is_not_held_by_a_controller_that_was_stopped(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
         await until(lambda: any(packet[2:10] != bytes(8) for packet in peer.sent(SPEEDS)))
@@ -177,15 +172,15 @@ async def test_a_speed_is_not_held_by_a_controller_that_was_stopped(peer, engine
         assert peer.sent(SPEEDS)[-1][2:10] == bytes(8)
 
 
-async def test_registers_are_read_in_their_own_width(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_registers_are_read_in_their_own_width(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         assert await rig.line.read_register("left", "communication_timeout") == pytest.approx(0.5)
         assert await rig.line.read_register("right", "main_battery") == 0.0
 
 
-async def test_a_timeout_that_was_lost_is_set_again_disarmed(peer, engine):
-    async with running(spec_of(peer.link, engine)) as rig:
+async def test_a_timeout_that_was_lost_is_set_again_disarmed(peer):
+    async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         peer.timeout = 0  # it had no power for a moment
         await until(lambda: peer.timeout == 5)

@@ -28,12 +28,10 @@ def on_board(folder, *settings, **options):
     return running(folder, *settings, robot=ESP32, **options)
 
 
-@pytest.mark.parametrize("engine", ["rt", "asyncio"])
-def test_when_the_daemon_is_killed_the_board_stops_its_wheels(tmp_path, robot, engine):
-    settings = (f"safety.drive_watchdog_s={WATCHDOG_S}", f'line.board.engine="{engine}"')
-    with on_board(tmp_path, *settings) as stage:
+def test_when_the_daemon_is_killed_the_board_stops_its_wheels(tmp_path, robot):
+    with on_board(tmp_path, f"safety.drive_watchdog_s={WATCHDOG_S}") as stage:
         with moving(stage, robot, SPEED_M_S):
-            assert stage.robot.status()["lines"]["board"]["engine"] == engine
+            assert stage.robot.status()["lines"]["board"]["engine"] == "rt"
             rest_s = seconds_to_rest(stage, stage.daemon.kill)
             assert rest_s < WATCHDOG_S + BRAKE_S + BUSY_S
         wait_until(lambda: not powered(stage), "its power is off", 5.0)

@@ -5,7 +5,6 @@ import json
 import subprocess
 import sys
 
-import pytest
 from daemon_stage import ROOT
 
 ESP32 = (ROOT / "config/robots/esp32.toml").read_text(encoding="utf-8")
@@ -13,14 +12,11 @@ PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
 """A busy machine is no fault."""
 
 
-@pytest.mark.parametrize("engine", ["rt", "asyncio"])
-def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path, engine):
+def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path):
     path = tmp_path / "esp32.toml"
     text = ESP32.replace("[safety]\n", PATIENT).replace("watchdog_s = 0.25", "watchdog_s = 2.0")
     assert PATIENT in text
     text = text.replace("unit = 1\n", "unit = 1\ntries = 10\n")
-    if engine != "rt":  # which it is where nothing is said
-        text = text.replace('kind = "mcu"\n', f'kind = "mcu"\nengine = "{engine}"\n')
     path.write_text(text, encoding="utf-8")
     run = subprocess.run(
         [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "6", "--robot", path],
@@ -32,6 +28,6 @@ def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path, en
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)
     assert result["ok"] is True
-    assert result["engine"] == {"board": engine}
+    assert result["engine"] == {"board": "rt"}
     assert result["odometry"]["distance_m"] > 0.5
     assert result["safety"]["final_state"] == "idle"

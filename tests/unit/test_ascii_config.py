@@ -6,9 +6,6 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.sections.wheels import profile_of
-from motord.config.wiring import line_specs
-from motord_hal.fieldbus.open_line import engine_of
 
 TEXT = (Path(__file__).resolve().parents[2] / "config/robots/arduino-text.toml").read_text("utf-8")
 TEMPLATE = r'template = "{left:d},{right:d}\n"'
@@ -35,7 +32,7 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
         (
             ",{right_count}",
             'e{right_count}"\nengine = "rt" #',
-            'line.board.template: "e" may go on with the number before it: engine "asyncio" only',
+            'line.board.template: "e" may go on with the number before it: put a space',
         ),
     ],
 )
@@ -61,17 +58,8 @@ def test_a_twist_needs_both_sides_on_the_line(tmp_path):
         load_robot(path)
 
 
-@pytest.mark.parametrize(
-    ("template", "engine"), [(TEMPLATE, "rt"), (r'template = "{left:5},{right:5}\n"', "asyncio")]
-)
-def test_a_template_that_c_cannot_say_is_left_to_asyncio_and_that_is_said(
-    tmp_path, template, engine
-):
+def test_a_format_that_cannot_be_written_is_named_with_what_can(tmp_path):
     path = tmp_path / "robot.toml"
-    path.write_text(TEXT.replace(TEMPLATE, template), encoding="utf-8")
-    robot = load_robot(path)
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
-    (spec,) = line_specs(robot, profiles)
-    assert engine_of(spec) == engine
-    said = any('engine "asyncio" only' in warning.text for warning in robot.warnings)
-    assert said == (engine == "asyncio")
+    path.write_text(TEXT.replace(TEMPLATE, r'template = "{left:5},{right:5}\n"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"has no letter d, f or g: write \{left:d\}"):
+        load_robot(path)

@@ -43,12 +43,10 @@ def test_a_board_s_line_reaches_the_hardware_layer(load):
     assert not robot.warnings
 
 
-@pytest.mark.parametrize("engine", ["rt", "asyncio"])
-def test_a_board_s_line_runs_on_the_engine_that_is_asked_for(load, engine):
-    robot = load(engine=('kind = "mcu"', f'kind = "mcu"\nengine = "{engine}"'))
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
-    (spec,) = line_specs(robot, profiles)
-    assert engine_of(spec) == engine
+def test_a_board_s_line_runs_on_the_real_time_engine_alone(load):
+    found = rows(load, engine=('kind = "mcu"', 'kind = "mcu"\nengine = "asyncio"'))
+    (row,) = [row for row in found if row.startswith("line.")]
+    assert 'kind "mcu" runs on "rt": remove this line, or write "auto"' in row
 
 
 def test_a_drive_of_another_protocol_is_refused(load):

@@ -52,15 +52,20 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
     return spec.text, said, heard
 
 
-def why_not_in_c(said: Text, heard: Text | None) -> str:
-    """What of the templates only Python can say or read, as the thread in C cannot; empty:
+def why_not_possible(said: Text, heard: Text | None) -> str:
+    """What of the templates cannot be written or read, and what to write instead; empty:
     nothing."""
     for _, name, form in said.parts:
         if name is not None and form[-1] not in "dfg":
-            return f'the format "{form}" of {{{name}}} has no letter d, f or g'
+            return (
+                f'the format "{form}" of {{{name}}} has no letter d, f or g: write {{{name}:d}}, '
+                f"{{{name}:.3f}} or {{{name}:g}}"
+            )
     after = [literal for literal, _, _ in heard.parts[1:]] if heard else []
     joined = [literal for literal in after if literal[0] in "0123456789.eE"]
-    return f'"{joined[0]}" may go on with the number before it' if joined else ""
+    if not joined:
+        return ""
+    return f'"{joined[0]}" may go on with the number before it: put a space or a comma between them'
 
 
 class TextDialect:

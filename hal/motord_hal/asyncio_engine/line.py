@@ -46,8 +46,6 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     deaf = "no answer"
     """Why drives may not get their last power-off, though the medium is there."""
-    least_pause_s = 0.0
-    """Between two cycles, however late the second one is: the event loop has a turn."""
 
     def __init__(
         self, spec: LineSpec, exchange: Exchange, listener: Listener, period_s: float
@@ -105,7 +103,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     async def _wait_for_cycle(self, due_s: float) -> None:
         """A stop does not wait for the next cycle of a slow line."""
-        await asyncio.sleep(self.least_pause_s)
+        await asyncio.sleep(0)  # however late the next one is: the event loop has a turn
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
             await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
             self._look()
@@ -176,7 +174,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 each.push_async_callback(self._try_to_switch_off, drive, left)
 
     async def _try_to_switch_off(self, drive: AnyDrive, left: list[AnyDrive]) -> None:
-        if await self._switch_off(drive):
+        if await drive.tell_power_off():
             left.remove(drive)
 
     async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:
@@ -187,10 +185,6 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await drive.quick_stop()
         while now_s() < rest_by_s and (turning := [one for one in drives if one.is_stopping]):
             await self._cycle_at_rest(turning)
-
-    async def _switch_off(self, drive: AnyDrive) -> bool:
-        """Once. False: the drive has not got it, or has not said so. Raises PortError."""
-        return await drive.tell_power_off()
 
     # ------------------------------------------------------------------------------ what is asked
     def _setpoints_ns(self) -> int:

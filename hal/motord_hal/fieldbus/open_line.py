@@ -9,7 +9,6 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import cast
 
-from motord_hal.ascii.dialect import texts_of, why_not_in_c
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import Line, LineSpec, Listener
 from motord_hal.realtime.exchange import Exchange
@@ -23,9 +22,6 @@ KINDS = MappingProxyType(
         ("modbus-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("rtu-over-tcp", "asyncio"): "motord_hal.modbus.tcp_line:GatewayLine",
         ("can", "asyncio"): "motord_hal.can.line:CanLine",
-        ("mcu", "asyncio"): "motord_hal.mcu.line:McuLine",
-        ("ascii", "asyncio"): "motord_hal.ascii.line:AsciiLine",
-        ("roboclaw", "asyncio"): "motord_hal.roboclaw.line:RoboclawLine",
         ("modbus-rtu", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
         ("pwm", "rt"): "motord_hal.pwm.line:PwmLine",
         ("ddsm", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
@@ -47,7 +43,7 @@ HALTS = MappingProxyType(
         "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
         "mcu": "motord_hal.mcu.halt:halt_line",
         "ascii": "motord_hal.ascii.halt:halt_line",
-        "roboclaw": "motord_hal.roboclaw.halt:halt_line",
+        "roboclaw": "motord_hal.rt_engine.rs485.halt:halt_line",
         "pwm": "motord_hal.pwm.halt:halt_line",
         "can": "motord_hal.can.halt:halt_line",
     }
@@ -57,13 +53,10 @@ HALTS = MappingProxyType(
 
 def engine_of(spec: LineSpec) -> str:
     """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, of CAN
-    adapters where they are the kernel's, of text where C can say and read it. Raises ProfileError
-    for a wrong template."""
+    adapters where they are the kernel's."""
     if spec.engine != "auto":
         return spec.engine
     if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
-        return "asyncio"
-    if spec.kind == "ascii" and why_not_in_c(*texts_of(spec)[1:]):
         return "asyncio"
     return "rt" if (spec.kind, "rt") in KINDS else "asyncio"
 

@@ -14,6 +14,7 @@ from motord.config.sections.line import (
     DdsmLine,
     GatewayLine,
     McuLine,
+    PortLine,
     SerialLine,
 )
 from motord.config.sections.model import Robot
@@ -23,12 +24,15 @@ from motord_hal.ascii.dialect import (
     check_setpoints,
     feedback_fields,
     setpoint_fields,
-    why_not_in_c,
+    why_not_possible,
 )
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.can.adapters import why_unfit
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
+
+ON_RT_ONLY = (DdsmLine, PortLine)
+"""They always sit on a serial port of this machine."""
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -56,8 +60,8 @@ def _engine(robot: Robot) -> Iterator[Finding]:
                 paths = (("line", name, "engine"), ("line", name, "interface"))
                 text = f'"rt" needs SocketCAN: interface "{line.interface}" runs on "asyncio"'
                 yield Finding(paths, text)
-        elif isinstance(line, DdsmLine) and line.engine == "asyncio":
-            yield Finding(at, 'kind "ddsm" runs on "rt" only')
+        elif isinstance(line, ON_RT_ONLY) and line.engine == "asyncio":
+            yield Finding(at, f'kind "{line.kind}" runs on "rt": remove this line, or write "auto"')
 
 
 def _adapter(robot: Robot) -> Iterator[Finding]:
@@ -109,14 +113,12 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             continue
         yield from _counts(robot, joints, heard.fields if heard else ())
         if text is not None:
-            yield from _text_engine(name, line, text, heard)
+            yield from _text_formats(name, text, heard)
 
 
-def _text_engine(name: str, line: AsciiLine, said: Text, heard: Text | None) -> Iterator[Finding]:
-    why = why_not_in_c(said, heard)
-    if why and line.engine != "asyncio":
-        at = (("line", name, "template"), ("line", name, "feedback"), ("line", name, "engine"))
-        yield Finding(at, f'{why}: engine "asyncio" only', warning=line.engine == "auto")
+def _text_formats(name: str, said: Text, heard: Text | None) -> Iterator[Finding]:
+    if why := why_not_possible(said, heard):
+        yield Finding((("line", name, "template"), ("line", name, "feedback")), why)
 
 
 def _twist(

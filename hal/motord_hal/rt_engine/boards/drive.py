@@ -10,13 +10,14 @@ from motord_hal.base.clock import now_s
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import Say
 from motord_hal.fieldbus.ports import LineSpec
-from motord_hal.mcu import board
 from motord_hal.realtime.board import BoardThread
 from motord_hal.rt_engine.boards.jobs import BoardJobs
 from motord_hal.rt_engine.notifier import News
 from motord_hal.rt_engine.rs485.drive import RtDrive
 
 LOOK_EVERY_S = 0.01
+START_GRACE_S = 2.5
+"""An Arduino restarts when its port is opened, and its boot loader waits for two seconds."""
 
 
 class BoardRtDrive(RtDrive):
@@ -45,11 +46,11 @@ class BoardRtDrive(RtDrive):
 
     async def _present(self) -> None:
         """Until it speaks. One that was restarted by the opening of its port takes its time."""
-        patience_s = now_s() + board.START_GRACE_S
+        patience_s = now_s() + START_GRACE_S
         while not self._board.report().drives[0].heard_ns:
             if now_s() > patience_s:
                 self._failed_setup = True
-                self._is_quiet(f"nothing for {board.START_GRACE_S:g} s")
+                self._is_quiet(f"nothing for {START_GRACE_S:g} s")
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _arming_steps(self) -> tuple[Step, ...]:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from motord_hal.base.clock import now_s
 from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.mcu.board import WAIT_LEAST_S
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.board import BoardSays, BoardThread
 from motord_hal.rt_engine.boards.table import Layout, write
@@ -19,6 +18,8 @@ from motord_hal.rt_engine.rs485.request_queue import Check, always
 SENT_WITHIN_S = 0.5
 """So long a write may wait while the port takes nothing."""
 SEEN_WITHIN_S = 1.0
+WAIT_LEAST_S = 0.25
+"""For a step that waits: a frame there and one back, also where the profile gives it no time."""
 ARM = "arm"
 """Of this job nothing is written any more once the board was told to stop."""
 

@@ -2,8 +2,7 @@
 """From a board and its joints to the table that its thread in C runs: pure; plain values, named as
 in csrc/api_board.h.
 
-Signs, gears and units are those of `motord_hal.modbus.plan`, which the asyncio engine computes with
-at each frame; here they become one factor a number.
+Signs, gears and units are those of `motord_hal.modbus.plan`; here they become one factor a number.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.job import configure_steps, watchdog_time_s
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
-from motord_hal.mcu.board import QUIET_ALLOWANCE_S
 from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_bytes
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.table import FieldKind
@@ -27,6 +25,8 @@ from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
 Plain = dict[str, Any]
 
+QUIET_ALLOWANCE_S = 0.12
+"""On top of the feedback that may be lost: an adapter may be late."""
 _FRAMES, _TEXT = 0, 1
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF

@@ -14,7 +14,7 @@ from motord_hal.ascii.dialect import (
     VELOCITY,
     VOLTAGE,
     texts_of,
-    why_not_in_c,
+    why_not_possible,
 )
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
@@ -40,13 +40,13 @@ _FORMAT = re.compile(
 def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
     """The text of the set-points, from their raw values in this order."""
     _, said, heard = texts_of(spec)
-    if why := why_not_in_c(said, heard):
-        raise ProfileError(f'{spec.name}: {why}: engine "asyncio" only')
+    if why := why_not_possible(said, heard):
+        raise ProfileError(f"{spec.name}: {why}")
     factors = _factors(spec, setpoints)
 
     def number(name: str, form: str) -> Plain:
         found = _FORMAT.fullmatch(form)
-        assert found is not None  # why_not_in_c
+        assert found is not None  # why_not_possible
         precision = found["precision"]
         return {
             "form": _FORMS[found["form"]],
