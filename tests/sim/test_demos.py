@@ -56,6 +56,8 @@ def test_a_shipped_robot_drives_the_course_and_says_what_its_odometry_is_worth(n
     assert result["ok"] is True
     assert result["safety"]["faults"] == []
     assert result["odometry"]["distance_m"] > 0.5
+    if name.startswith("asyncio-"):
+        assert set(result["engine"].values()) == {"asyncio"}
     source = ESTIMATED.get(name, Source.COUNTERS)
     assert result["odometry"]["source"] == source
     assert result["odometry"]["judged"] == (source is Source.COUNTERS)
