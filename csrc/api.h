@@ -174,8 +174,8 @@ typedef struct {
 /* ------------------------------------------------------------------------------------------------ outputs */
 typedef struct {
     double velocity_rad_s; /* 0 unless armed */
-    double duty;           /* -1..1, the same wish through the PWM map; 0 unless armed */
-    double torque_n_m;     /* at the wheel, the same wish through the speed loop; 0 unless armed */
+    double duty;           /* -1..1, the same set-point through the PWM map; 0 unless armed */
+    double torque_n_m;     /* at the wheel, the same set-point through the speed loop; 0 unless armed */
 } joint_setpoint;
 
 typedef struct {

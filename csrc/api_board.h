@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_board.h: the part of the border that boards on a stream need. Read after api_line.h, whose modes, wishes and kinds of
+ * api_board.h: the part of the border that boards on a stream need. Read after api_line.h, whose modes, requests and kinds of
  * fields it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
@@ -107,7 +107,7 @@ typedef struct {
 
 /* As line_control, of the one drive. */
 typedef struct {
-    drive_wish wish;
+    mode_request request;
     uint32_t shut_down;
     uint32_t reserved;
 } board_control;
@@ -121,14 +121,14 @@ typedef struct {
 
 typedef struct {
     line_life life;
-    uint32_t shut_down; /* 1: done */
-    uint32_t mode;      /* drive_mode */
-    uint32_t demoted;   /* DEMOTED_* */
-    uint32_t wish_seen;
+    uint32_t shut_down;     /* 1: done */
+    uint32_t mode;          /* drive_mode */
+    uint32_t fault_reasons; /* FAULT_REASON_* */
+    uint32_t request_seen;
     uint32_t enabled;        /* 1, 0, 2: it has not said */
     uint32_t stopping;       /* a quick stop was told, and the wheels have not been seen at rest since */
     uint32_t told_motion;    /* its newest set-points are not zero */
-    uint32_t stops;          /* how often it was told to stop, by C or by a wish */
+    uint32_t stops;          /* how often it was told to stop, by C or by a request */
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is quiet */

@@ -50,8 +50,8 @@ typedef struct {
 } bridge_config;
 
 typedef struct {
-    uint32_t wish;   /* PWM_OFF, PWM_STOP, PWM_ARMED */
-    uint32_t number; /* another one than before: a new wish. ARMED is obeyed once a number.
+    uint32_t mode;   /* PWM_OFF, PWM_STOP, PWM_ARMED */
+    uint32_t number; /* another one than before: a new request. ARMED is obeyed once a number.
                                  * A number that was passed over may have been a stop: then it takes the power */
 } bridge_control;
 
@@ -59,10 +59,10 @@ typedef struct {
     uint32_t running;
     uint32_t armed;
     uint32_t stopping;
-    uint32_t demoted;     /* of the last arming */
-    uint32_t number;      /* of the wish that was obeyed last */
-    int32_t error;        /* errno that ended the thread */
-    int32_t error_output; /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
+    uint32_t fault_reasons; /* of the last arming */
+    uint32_t number;        /* of the request that was obeyed last */
+    int32_t error;          /* errno that ended the thread */
+    int32_t error_output;   /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
     int32_t rest_error;  /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
@@ -80,7 +80,7 @@ typedef struct {
 typedef struct {
     uint32_t armed;
     uint32_t was_enabled;
-    uint32_t demoted;
+    uint32_t fault_reasons;
     uint32_t number;
     uint32_t phase; /* of pins that pump */
     uint32_t reserved;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_can.h: the part of the border that CAN buses need. Read after api_line.h, whose modes, wishes and kinds of fields
+ * api_can.h: the part of the border that CAN buses need. Read after api_line.h, whose modes, requests and kinds of fields
  * it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
@@ -132,7 +132,7 @@ typedef struct {
 
 /* As line_control. */
 typedef struct {
-    drive_wish drive[CAN_DRIVES_MAX];
+    mode_request drive[CAN_DRIVES_MAX];
     uint32_t shut_down;
     uint32_t listen; /* bit n: Python wants what drive n says */
 } can_control;
@@ -155,14 +155,14 @@ typedef struct {
 } can_received;
 
 typedef struct {
-    uint32_t mode;    /* drive_mode */
-    uint32_t demoted; /* DEMOTED_* */
-    uint32_t wish_seen;
+    uint32_t mode;          /* drive_mode */
+    uint32_t fault_reasons; /* FAULT_REASON_* */
+    uint32_t request_seen;
     uint32_t enabled;     /* 1, 0, 2: it has not said */
     uint32_t stopping;    /* a quick stop was told, and the wheels have not been seen at rest since */
     uint32_t told_motion; /* its newest set-points are not zero */
     uint32_t missing;     /* 1 + number of the input that is not there; 0: none */
-    uint32_t stops;       /* how often it was told to stop, by C or by a wish */
+    uint32_t stops;       /* how often it was told to stop, by C or by a request */
     uint64_t cycles;      /* feedback that was made of it */
     uint64_t received;    /* frames */
     uint64_t quiet;       /* how often it became QUIET */

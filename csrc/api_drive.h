@@ -6,21 +6,21 @@
 typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } drive_stop;
 
 typedef struct {
-    uint32_t mode;          /* drive_mode */
-    uint32_t demoted;       /* DEMOTED_*, since it was set up or armed */
-    uint32_t demoted_known; /* the same, as it was reported */
-    uint32_t wish_seen;     /* number of the newest request */
-    uint32_t enabled;       /* by its own word: 1 yes, 0 no, 2 not known */
-    uint32_t epoch;         /* how often it was set up */
-    uint32_t still_enabled; /* how often in a row it said so without being armed */
-    uint32_t stop;          /* drive_stop that it has not got yet: it goes before all else */
-    bool was_enabled;       /* set-points were enabled since it was armed */
-    bool told_motion;       /* set-points that are not zero were sent, and zero not since */
-    bool stopping;          /* after a quick stop, until its power goes off */
-    bool off_due;           /* its own word calls for a power-off, which goes out with its cycle */
-    bool back;              /* it was unresponsive and answers again: BACK when it has got its power-off */
-    int64_t off_by_ns;      /* stopping: power off then, at rest or not */
-    uint64_t enabled_count; /* of the core's set-points, when it was armed */
+    uint32_t mode;             /* drive_mode */
+    uint32_t fault_reasons;    /* FAULT_REASON_*, since it was set up or armed */
+    uint32_t reported_reasons; /* the same, as it was reported */
+    uint32_t request_seen;     /* number of the newest request */
+    uint32_t enabled;          /* by its own word: 1 yes, 0 no, 2 not known */
+    uint32_t epoch;            /* how often it was set up */
+    uint32_t still_enabled;    /* how often in a row it said so without being armed */
+    uint32_t stop;             /* drive_stop that it has not got yet: it goes before all else */
+    bool was_enabled;          /* set-points were enabled since it was armed */
+    bool told_motion;          /* set-points that are not zero were sent, and zero not since */
+    bool stopping;             /* after a quick stop, until its power goes off */
+    bool off_due;              /* its own word calls for a power-off, which goes out with its cycle */
+    bool back;                 /* it was unresponsive and answers again: BACK when it has got its power-off */
+    int64_t off_by_ns;         /* stopping: power off then, at rest or not */
+    uint64_t enabled_count;    /* of the core's set-points, when it was armed */
 } drive_state;
 
 /* What its line knows in this step. */
@@ -42,8 +42,8 @@ typedef struct {
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
-/* DEMOTED_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
-uint32_t drive_lost(bool fresh, bool left_alone, bool enabled, bool was_enabled);
+/* FAULT_REASON_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
+uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled);
 /* Each returns the stop that its medium has to begin. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view);
 drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);
@@ -52,8 +52,8 @@ drive_stop drive_power_off(drive_state *drive);
 drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns);
 /* It has said whether it is enabled. `settled`: nobody is arming it. DISABLED_ITSELF, or still enabled for so many `tries`. */
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
-drive_answer drive_obey(drive_state *drive, const drive_wish *wish, const drive_view *view);
-void drive_demote(drive_state *drive, uint32_t why, uint32_t mode);
+drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view);
+void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
 /* It was taken back for another reason since it was asked last. */
 bool drive_has_news(drive_state *drive);
 /* It has got its stop. True: it was unresponsive, and is BACK. */

@@ -147,7 +147,7 @@ typedef struct {
 typedef struct {
     uint32_t tries;           /* failures in a row until it counts as quiet: 1.. */
     uint32_t extra_every;     /* cycles between two extra exchanges: 1.. */
-    int64_t period_ns;        /* wished time between two cycles: > 0 */
+    int64_t period_ns;        /* wanted time between two cycles: > 0 */
     int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the profile's bound */
     int64_t reply_timeout_ns; /* fixed deadline; 0: from the measured turn-around (RFC 6298), within the bound */
     int64_t watchdog_ns;      /* the drive stops by itself after such a silence; 0: never */
@@ -192,30 +192,30 @@ typedef enum {
     DRIVE_ARMED = 2,
     DRIVE_QUIET = 3,
     DRIVE_BACK = 4,
-    DRIVE_STAND_DOWN = 5 /* only as a wish: from ARMED to READY, else nothing */
+    DRIVE_STAND_DOWN = 5 /* only as a request: from ARMED to READY, else nothing */
 } drive_mode;
 
-/* Why the line itself took a drive back; OR of all since the last wish was obeyed. */
+/* Why the line itself took a drive back; OR of all since the last request was obeyed. */
 enum {
-    DEMOTED_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
-    DEMOTED_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
-    DEMOTED_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
-    DEMOTED_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
-    DEMOTED_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
-    DEMOTED_QUIET = 1 << 5,
-    DEMOTED_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
+    FAULT_REASON_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
+    FAULT_REASON_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
+    FAULT_REASON_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
+    FAULT_REASON_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
+    FAULT_REASON_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
+    FAULT_REASON_QUIET = 1 << 5,
+    FAULT_REASON_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
 };
 
-/* Python's wish for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
+/* Python's request for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
 typedef struct {
     uint32_t count;
     uint32_t mode;           /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED: from READY
                                    only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is all */
     int64_t arming_until_ns; /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
-} drive_wish;
+} mode_request;
 
 typedef struct {
-    drive_wish drive[LINE_DRIVES_MAX];
+    mode_request drive[LINE_DRIVES_MAX];
     uint32_t shut_down; /* level: quick stop of what is armed, then power off of all, then silence */
     uint32_t reserved;
 } line_control;
@@ -253,14 +253,14 @@ typedef struct {
 } line_answer;
 
 typedef struct {
-    uint32_t mode;         /* drive_mode */
-    uint32_t demoted;      /* DEMOTED_* */
-    uint32_t wish_seen;    /* count of the last wish that was obeyed */
-    uint32_t enabled;      /* 1, 0, 2: it has not said since the last wish */
-    uint32_t stopping;     /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion;  /* it was sent set-points that are not zero, and has not acknowledged zero since */
-    uint32_t failures;     /* in a row */
-    uint32_t last_failure; /* answer_kind */
+    uint32_t mode;          /* drive_mode */
+    uint32_t fault_reasons; /* FAULT_REASON_* */
+    uint32_t request_seen;  /* count of the last request that was obeyed */
+    uint32_t enabled;       /* 1, 0, 2: it has not said since the last request */
+    uint32_t stopping;      /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
+    uint32_t failures;      /* in a row */
+    uint32_t last_failure;  /* answer_kind */
     uint32_t last_exception;
     uint32_t may_turn;   /* armed since it was last set up, also before the port was opened */
     uint32_t stop_waits; /* it has not acknowledged all of its newest stop */

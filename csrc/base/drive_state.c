@@ -3,23 +3,23 @@
 #include "drive_state.h"
 
 /* -------------------------------------------------------------------------------------------------- stopping */
-void drive_demote(drive_state *drive, uint32_t why, uint32_t mode)
+void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode)
 {
     drive->mode = mode;
-    drive->demoted |= why;
+    drive->fault_reasons |= why;
     drive->enabled = 2;
 }
 
 bool drive_has_news(drive_state *drive)
 {
-    bool news = drive->demoted != drive->demoted_known;
-    drive->demoted_known = drive->demoted;
+    bool news = drive->fault_reasons != drive->reported_reasons;
+    drive->reported_reasons = drive->fault_reasons;
     return news;
 }
 
 drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns)
 {
-    drive_demote(drive, why, DRIVE_READY);
+    drive_take_back(drive, why, DRIVE_READY);
     drive->stopping = true;
     drive->off_by_ns = now_ns + DRIVE_STOPPING_NS;
     return STOP_QUICK;
@@ -48,15 +48,15 @@ bool drive_stop_done(drive_state *drive)
 }
 
 /* -------------------------------------------------------------------------------------------------- guarding */
-uint32_t drive_lost(bool fresh, bool left_alone, bool enabled, bool was_enabled)
+uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
 {
     if (!fresh) {
-        return DEMOTED_SETPOINTS_OLD;
+        return FAULT_REASON_SETPOINTS_OLD;
     }
     if (left_alone) {
-        return DEMOTED_LEFT_ALONE;
+        return FAULT_REASON_LEFT_ALONE;
     }
-    return !enabled && was_enabled ? DEMOTED_NOT_ENABLED : 0;
+    return !enabled && was_enabled ? FAULT_REASON_NOT_ENABLED : 0;
 }
 
 /* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any more: no power. */
@@ -66,9 +66,9 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
         return STOP_NOTHING;
     }
     bool was_enabled = drive->was_enabled || drive->enabled_count != view->enabled_count;
-    uint32_t why = drive_lost(view->fresh, view->left_alone, view->enabled, was_enabled);
-    if (why == DEMOTED_NOT_ENABLED) {
-        drive_demote(drive, why, DRIVE_READY);
+    uint32_t why = drive_fault_reason(view->fresh, view->left_alone, view->enabled, was_enabled);
+    if (why == FAULT_REASON_NOT_ENABLED) {
+        drive_take_back(drive, why, DRIVE_READY);
         return drive_power_off(drive);
     }
     drive->was_enabled |= why == 0 && view->enabled;
@@ -78,7 +78,7 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
 {
     if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
-        drive_demote(drive, DEMOTED_DISABLED_ITSELF, DRIVE_OFF);
+        drive_take_back(drive, FAULT_REASON_DISABLED_ITSELF, DRIVE_OFF);
         return drive_power_off(drive);
     }
     if (drive->enabled == 0) {
@@ -89,7 +89,7 @@ drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
         return STOP_NOTHING;
     }
     drive->still_enabled++;
-    drive->demoted |= drive->still_enabled == tries ? DEMOTED_STILL_ENABLED : 0;
+    drive->fault_reasons |= drive->still_enabled == tries ? FAULT_REASON_STILL_ENABLED : 0;
     return drive_power_off(drive);
 }
 
@@ -99,7 +99,7 @@ static void arm(drive_state *drive, const drive_view *view)
     drive->mode = DRIVE_ARMED;
     drive->was_enabled = false;
     drive->enabled_count = view->enabled_count;
-    drive->demoted = drive->still_enabled = 0;
+    drive->fault_reasons = drive->still_enabled = 0;
     drive->enabled = 2;
 }
 
@@ -113,7 +113,7 @@ static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const d
     if (mode == DRIVE_READY && (drive->mode == DRIVE_OFF || drive->mode == DRIVE_BACK)) {
         drive->mode = DRIVE_READY;
         drive->epoch++;
-        drive->demoted = drive->still_enabled = 0;
+        drive->fault_reasons = drive->still_enabled = 0;
         drive->back = false;
         return REQUEST_SET_UP;
     }
@@ -130,16 +130,16 @@ static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const d
 }
 
 /* A stop that is pending stays so, whatever is requested after it. */
-drive_answer drive_obey(drive_state *drive, const drive_wish *wish, const drive_view *view)
+drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view)
 {
     drive_answer answer = {.request = REQUEST_NONE, .stop = STOP_NOTHING};
-    if (wish->count == drive->wish_seen) {
+    if (request->count == drive->request_seen) {
         return answer;
     }
-    answer.overtaken = wish->count - drive->wish_seen > 1;
-    drive->wish_seen = wish->count;
+    answer.overtaken = request->count - drive->request_seen > 1;
+    drive->request_seen = request->count;
     bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_due;
-    if ((answer.overtaken || wish->mode == DRIVE_OFF) && powered) {
+    if ((answer.overtaken || request->mode == DRIVE_OFF) && powered) {
         drive->off_due = false;
         answer.stop = drive_power_off(drive);
     }
@@ -148,6 +148,6 @@ drive_answer drive_obey(drive_state *drive, const drive_wish *wish, const drive_
         drive->enabled = 2;
     }
     bool stops = drive->stopping || drive->stop != STOP_NOTHING || answer.stop != STOP_NOTHING || drive->off_due;
-    answer.request = obey(drive, wish->mode, stops, view);
+    answer.request = obey(drive, request->mode, stops, view);
     return answer;
 }

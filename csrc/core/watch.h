@@ -13,7 +13,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double LEAST_WISH = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
+static const double LEAST_COMMAND = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
 
 /* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
 static inline double age_s(int64_t now_ns, int64_t stamp_ns)
@@ -33,8 +33,8 @@ static inline void take_command(core_goal *goal, const twist_command *command)
     bool finite = isfinite(linear_m_s) && isfinite(angular_rad_s);
     goal->command_linear_m_s = linear_m_s;
     goal->command_angular_rad_s = angular_rad_s;
-    goal->wanted_linear_m_s = finite && fabs(linear_m_s) >= LEAST_WISH ? linear_m_s : 0.0;
-    goal->wanted_angular_rad_s = finite && fabs(angular_rad_s) >= LEAST_WISH ? angular_rad_s : 0.0;
+    goal->wanted_linear_m_s = finite && fabs(linear_m_s) >= LEAST_COMMAND ? linear_m_s : 0.0;
+    goal->wanted_angular_rad_s = finite && fabs(angular_rad_s) >= LEAST_COMMAND ? angular_rad_s : 0.0;
     /* who sends what is no number shall not arm: that is no command of zero */
     goal->zero = finite && goal->wanted_linear_m_s == 0.0 && goal->wanted_angular_rad_s == 0.0;
     goal->command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;

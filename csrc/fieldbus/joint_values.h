@@ -14,8 +14,10 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     if (joint >= from->joint_count || joint >= JOINTS_MAX) {
         return 0.0;
     }
-    const joint_setpoint *wish = &from->joint[joint];
-    double value = kind == SETPOINT_VELOCITY ? wish->velocity_rad_s : kind == SETPOINT_DUTY ? wish->duty : wish->torque_n_m;
+    const joint_setpoint *setpoint = &from->joint[joint];
+    double value = kind == SETPOINT_VELOCITY ? setpoint->velocity_rad_s
+                   : kind == SETPOINT_DUTY   ? setpoint->duty
+                                             : setpoint->torque_n_m;
     return isfinite(value) ? value : 0.0;
 }
 

@@ -27,7 +27,7 @@ typedef struct {
     arbiter arbiter;
     lease_grants grants;
     int64_t used_stamp_ns; /* of the command that was last counted in HISTOGRAM_COMMAND */
-    bool woken;            /* the tick before had a new wish */
+    bool woken;            /* the tick before had a new command */
     bool stopping;         /* the set-points of the last tick were none that move */
     histogram histogram[HISTOGRAM_KINDS];
     core_state core; /* with the snapshot of the last tick */
@@ -69,7 +69,7 @@ typedef struct {
 
 enum { LOOP_STACK_BYTES = 1024 * 1024, LOOP_STACK_PREFAULT_BYTES = 128 * 1024 };
 
-/* A thread with no signals, at the wished policy, or SCHED_OTHER when that is refused. 0 or -errno. */
+/* A thread with no signals, at the requested policy, or SCHED_OTHER when that is refused. 0 or -errno. */
 int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg);
 /* In the thread: name, affinity, timer slack, flush-to-zero, stack. */
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant);

@@ -244,7 +244,7 @@ static void wake_lines(const loop_work *work)
     }
 }
 
-static bool same_wish(const twist_command *one, const twist_command *other)
+static bool same_command(const twist_command *one, const twist_command *other)
 {
     return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns && one->linear_m_s == other->linear_m_s &&
            one->angular_rad_s == other->angular_rad_s;
@@ -277,13 +277,13 @@ static void work_once(loop_work *work, int64_t now_ns)
         journal_after(work->journal, &work->input, dt_s, &work->out, &work->core.snapshot);
     }
     bool stopping = moves_nothing(&work->out);
-    bool new_wish = !same_wish(&work->input.command, &before);
-    /* A new wish, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
+    bool new_command = !same_command(&work->input.command, &before);
+    /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
      * than a drive can be told, so the next tick wakes the lines again. What was refused wakes none. */
-    if (new_wish || work->woken || (stopping && !work->stopping)) {
+    if (new_command || work->woken || (stopping && !work->stopping)) {
         wake_lines(work);
     }
-    work->woken = new_wish;
+    work->woken = new_command;
     work->stopping = stopping;
     work->last_ns = now_ns;
     work->ticks++;

@@ -8,14 +8,15 @@
 #include "fresh.h"
 #include "rt.h"
 
-static void demote(bridge_state *state, uint32_t why, int64_t stop_until_ns)
+static void take_back(bridge_state *state, uint32_t why, int64_t stop_until_ns)
 {
     state->armed = 0;
-    state->demoted |= why;
+    state->fault_reasons |= why;
     state->stop_until_ns = stop_until_ns;
 }
 
-static void obey_wish(bridge_state *state, const bridge_config *config, const bridge_control *control, bool fresh, int64_t now_ns)
+static void obey_request(bridge_state *state, const bridge_config *config, const bridge_control *control, bool fresh,
+                         int64_t now_ns)
 {
     if (control->number == state->number) {
         return;
@@ -23,19 +24,19 @@ static void obey_wish(bridge_state *state, const bridge_config *config, const br
     bool overtaken = control->number - state->number > 1; /* one that was never seen may have been a stop */
     bool powered = state->armed != 0 || state->stop_until_ns != 0;
     state->number = control->number;
-    if (overtaken && powered && control->wish == PWM_ARMED) {
+    if (overtaken && powered && control->mode == PWM_ARMED) {
         state->armed = 0;
-        state->demoted = 0;
+        state->fault_reasons = 0;
         state->stop_until_ns = 0;
-    } else if (control->wish == PWM_ARMED && fresh) {
+    } else if (control->mode == PWM_ARMED && fresh) {
         state->armed = 1;
-        state->was_enabled = state->demoted = 0;
+        state->was_enabled = state->fault_reasons = 0;
         state->enabled_count_armed = state->enabled_count;
         state->stop_until_ns = 0;
-    } else if (control->wish == PWM_ARMED) {
-        demote(state, DEMOTED_SETPOINTS_OLD, 0);
+    } else if (control->mode == PWM_ARMED) {
+        take_back(state, FAULT_REASON_SETPOINTS_OLD, 0);
     } else {
-        bool braking = control->wish == PWM_STOP && state->armed != 0;
+        bool braking = control->mode == PWM_STOP && state->armed != 0;
         state->armed = 0;
         state->stop_until_ns = braking ? now_ns + config->stopping_ns : 0;
     }
@@ -51,9 +52,9 @@ static void look_at_setpoints(bridge_state *state, const bridge_config *config, 
         return;
     }
     bool was_enabled = state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count;
-    uint32_t why = drive_lost(fresh, left_alone, enabled, was_enabled);
+    uint32_t why = drive_fault_reason(fresh, left_alone, enabled, was_enabled);
     if (why != 0) {
-        demote(state, why, why == DEMOTED_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
+        take_back(state, why, why == FAULT_REASON_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
     } else if (enabled) {
         state->was_enabled = 1;
     }
@@ -80,7 +81,7 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
                  int64_t now_ns, double *level)
 {
     bool fresh = fresh_stamp(now_ns, newest->stamp_ns, config->setpoint_timeout_ns);
-    obey_wish(state, config, control, fresh, now_ns);
+    obey_request(state, config, control, fresh, now_ns);
     look_at_setpoints(state, config, newest, fresh, now_ns);
     if (state->stop_until_ns != 0 && now_ns >= state->stop_until_ns) {
         state->stop_until_ns = 0;

@@ -41,7 +41,7 @@ typedef struct {
     control_box_pwm control;
     report_box_pwm report;
     sample_box told[JOINTS_MAX];
-    bridge_control wish;
+    bridge_control request;
     bridge_state state;
     setpoints newest;
     bridge_report out;
@@ -274,7 +274,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     t->out.error = -error;
     t->out.armed = armed;
     t->out.stopping = stopping;
-    t->out.demoted = t->state.demoted;
+    t->out.fault_reasons = t->state.fault_reasons;
     t->out.number = t->state.number;
     t->out.policy = t->grant.policy;
     t->out.scheduler_errno = t->grant.scheduler_errno;
@@ -298,8 +298,8 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     t->newest.stamp_ns = stamp_since(t->newest.stamp_ns, clock_resumed_ns());
-    (void)mailbox_take(&t->control.box, t->control.slot, &t->wish, sizeof t->wish);
-    bridge_step(&t->state, &t->config, &t->wish, &t->newest, now_ns, level);
+    (void)mailbox_take(&t->control.box, t->control.slot, &t->request, sizeof t->request);
+    bridge_step(&t->state, &t->config, &t->request, &t->newest, now_ns, level);
     int wrote = error == 0 ? apply(t, level) : 0;
     error = error != 0 ? error : wrote;
     t->out.cycles++;

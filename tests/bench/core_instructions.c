@@ -4,7 +4,7 @@
  *
  *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS
  *
- * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new wish every 2 s, so that ramps, easing,
+ * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2 s, so that ramps, easing,
  * wheel saturation and curves all take their part. Ramping: every 50 ms, so that no ramp ever ends. Rest: armed, a fresh
  * command of zero.
  */
@@ -66,7 +66,7 @@ static void turn_wheels(const core_config *config, const setpoints *out, core_in
     }
 }
 
-/* leg_ticks: how long a wish lasts; 0: there is none */
+/* leg_ticks: how long a request lasts; 0: there is none */
 static void command(core_input *input, long tick, long leg_ticks)
 {
     input->now_ns += TICK_NS;

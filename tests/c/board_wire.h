@@ -174,10 +174,10 @@ static inline void go_on(int64_t for_ns)
     }
 }
 
-static inline void wish(uint32_t mode)
+static inline void request(uint32_t mode)
 {
-    w.machine.control.wish.count++;
-    w.machine.control.wish.mode = mode;
+    w.machine.control.request.count++;
+    w.machine.control.request.mode = mode;
     step();
 }
 
@@ -197,18 +197,18 @@ static inline void set_up(void)
     go_on(150 * MS);
     order(CONTROL, 1, CONTROL_RESTART_NOTED, 0);
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
-    wish(DRIVE_READY);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.demoted == 0 && w.machine.state.enabled == 2);
+    request(DRIVE_READY);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 && w.machine.state.enabled == 2);
     CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was heard before was another life */
 }
 
 static inline void arm(void)
 {
     set_up();
-    w.machine.control.wish.arming_until_ns = w.now_ns + 1000 * MS;
+    w.machine.control.request.arming_until_ns = w.now_ns + 1000 * MS;
     order(CONTROL, 1, CONTROL_ENABLE, 1);
     CHECK(w.peer.enabled == 1 && w.machine.state.enabled == 1);
-    wish(DRIVE_ARMED);
+    request(DRIVE_ARMED);
     CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.enabled == 2);
 }
 

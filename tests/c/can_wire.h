@@ -150,7 +150,7 @@ static inline void go_on(int64_t for_ns)
     }
 }
 
-static inline void wish(uint32_t drive, uint32_t mode)
+static inline void request(uint32_t drive, uint32_t mode)
 {
     w.machine.control.drive[drive].count++;
     w.machine.control.drive[drive].mode = mode;
@@ -160,10 +160,10 @@ static inline void wish(uint32_t drive, uint32_t mode)
 static inline void arm(uint32_t drive)
 {
     go_on(20 * MS);
-    wish(drive, DRIVE_READY);
+    request(drive, DRIVE_READY);
     go_on(20 * MS);
     w.powered = true;
-    wish(drive, DRIVE_ARMED);
+    request(drive, DRIVE_ARMED);
     CHECK(w.machine.drive[drive].state.mode == DRIVE_ARMED);
 }
 

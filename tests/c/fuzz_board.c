@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_board.c: a board's machine among bytes, wishes and set-points that do what they like. Whatever comes: motion is
+ * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like. Whatever comes: motion is
  * said only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
  * the end comes. */
 #include "board_wire.h"
@@ -80,9 +80,9 @@ static void set_points(uint8_t choice)
     }
 }
 
-static void wishes(uint8_t choice)
+static void requests(uint8_t choice)
 {
-    drive_wish *asked = &w.machine.control.wish;
+    mode_request *asked = &w.machine.control.request;
     asked->count += choice & 1;
     asked->mode = choice / 2 % 6;
     asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
@@ -98,7 +98,7 @@ static void look(void)
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns);
     uint32_t mode = w.machine.state.mode;
-    judge_mode(mode_before, mode, &w.machine.control.wish);
+    judge_mode(mode_before, mode, &w.machine.control.request);
     mode_before = mode;
     CHECK(w.machine.said_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
 }
@@ -145,9 +145,9 @@ static board_table text(void)
 static void begin_armed(void)
 {
     set_points(1 + 8 + 32);
-    w.machine.control.wish = (drive_wish){.count = 1, .mode = DRIVE_READY};
+    w.machine.control.request = (mode_request){.count = 1, .mode = DRIVE_READY};
     look();
-    w.machine.control.wish = (drive_wish){.count = 2, .mode = DRIVE_ARMED};
+    w.machine.control.request = (mode_request){.count = 2, .mode = DRIVE_ARMED};
     look();
     CHECK(w.machine.state.mode == DRIVE_ARMED);
 }
@@ -167,7 +167,7 @@ static void once(const uint8_t *data, size_t size)
         uint8_t choice = next_byte();
         w.full = choice >= 240;
         if (choice & 1) {
-            wishes(next_byte());
+            requests(next_byte());
         }
         if (choice & 2) {
             set_points(next_byte());

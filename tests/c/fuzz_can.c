@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_can.c: a bus's machine among drives, jobs, wishes and set-points that do what they like, on a bus that takes what
+ * fuzz_can.c: a bus's machine among drives, jobs, requests and set-points that do what they like, on a bus that takes what
  * it likes. Whatever comes: motion is said only to who is armed and only while the core wants it, a stop goes out at
  * once or with the first look at which the bus takes it, a job that was overtaken by a stop is not sent, and the end
  * comes. */
@@ -120,12 +120,12 @@ static void put_job(uint32_t drive, uint8_t choice)
 
 static void asyncio_side(uint8_t choice)
 {
-    static const uint32_t wishes[] = {DRIVE_OFF, DRIVE_READY, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED, DRIVE_STAND_DOWN};
+    static const uint32_t requests[] = {DRIVE_OFF, DRIVE_READY, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED, DRIVE_STAND_DOWN};
     uint32_t drive = choice % DRIVES, what = choice / DRIVES;
-    drive_wish *to = &w.machine.control.drive[drive];
+    mode_request *to = &w.machine.control.drive[drive];
     if (what < 30) {
         to->count++;
-        to->mode = wishes[what % 6];
+        to->mode = requests[what % 6];
     } else if (what < 60) {
         put_job(drive, next_byte());
     } else if (what < 70) {
@@ -227,7 +227,7 @@ static void look(void)
     }
 }
 
-static void wish_all(uint32_t mode)
+static void request_all(uint32_t mode)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
         hear_motion(i, 0);
@@ -244,11 +244,11 @@ static void wish_all(uint32_t mode)
 static void get_going(uint8_t how_far)
 {
     if (how_far % 4 > 0) {
-        wish_all(DRIVE_READY);
+        request_all(DRIVE_READY);
     }
     if (how_far % 4 > 1) {
-        wish_all(DRIVE_ARMED);
-        wish_all(DRIVE_ARMED);
+        request_all(DRIVE_ARMED);
+        request_all(DRIVE_ARMED);
         CHECK(told[0] != 0 && told[1] != 0 && told[2] != 0);
     }
 }

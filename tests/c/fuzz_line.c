@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_line.c: a line's machine among drives, wishes and set-points that do what they like. Whatever comes: motion is
+ * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like. Whatever comes: motion is
  * said only to who is armed and only while the core wants it, the silence is kept, no value is taken from another's
  * answer, and the end comes. */
 #include <math.h>
@@ -28,11 +28,11 @@ static void set_points(uint8_t choice)
     }
 }
 
-static void wishes(uint8_t choice)
+static void requests(uint8_t choice)
 {
     uint32_t drive = choice % UNITS, what = choice / 8;
     if (what < DRIVE_QUIET || what == DRIVE_STAND_DOWN) {
-        wish(drive, what);
+        request(drive, what);
     } else if (what == 8) {
         line_ask ask = {.id = choice,
                         .expires_ns = w.now_ns + 40 * MS,
@@ -172,7 +172,7 @@ static void once(const uint8_t *data, size_t size)
     while (tape_left > 4) {
         uint8_t choice = next_byte();
         if (choice & 1) {
-            wishes(next_byte());
+            requests(next_byte());
         }
         if (choice & 2) {
             set_points(next_byte());

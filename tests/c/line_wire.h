@@ -166,7 +166,7 @@ static inline void go_on(void)
     }
 }
 
-static inline void wish(uint32_t drive, uint32_t mode)
+static inline void request(uint32_t drive, uint32_t mode)
 {
     w.machine.control.drive[drive].count++;
     w.machine.control.drive[drive].mode = mode;
@@ -174,9 +174,9 @@ static inline void wish(uint32_t drive, uint32_t mode)
 
 static inline void arm(uint32_t drive)
 {
-    wish(drive, DRIVE_READY);
+    request(drive, DRIVE_READY);
     go_on();
-    wish(drive, DRIVE_ARMED);
+    request(drive, DRIVE_ARMED);
     go_on();
     CHECK(w.machine.drive[drive].state.mode == DRIVE_ARMED);
 }

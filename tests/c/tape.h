@@ -25,8 +25,8 @@ static inline uint8_t next_byte(void)
     return *tape++;
 }
 
-/* READY is reached from OFF or BACK by its wish alone; both wishes may have come since the last look. */
-static inline void judge_mode(uint32_t before, uint32_t now, const drive_wish *asked)
+/* READY is reached from OFF or BACK by its request alone; both requests may have come since the last look. */
+static inline void judge_mode(uint32_t before, uint32_t now, const mode_request *asked)
 {
     if (now != before) {
         CHECK(now != DRIVE_ARMED || (before == DRIVE_READY && asked->mode == DRIVE_ARMED));

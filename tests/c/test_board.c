@@ -10,7 +10,7 @@ static void nothing_but_zero_goes_out_before_arming(void)
     CHECK(w.sent_count >= 19 && w.machine.state.mode == DRIVE_OFF);
     set_up();
     go_on(200 * MS);
-    wish(DRIVE_STAND_DOWN);
+    request(DRIVE_STAND_DOWN);
     go_on(50 * MS);
     CHECK(w.moving_count == 0 && w.peer.enabled == 0 && w.peer.frames_bad == 0);
 }
@@ -61,8 +61,8 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
 {
     begin();
     arm_and_turn();
-    w.machine.control.wish.count++; /* STAND_DOWN or OFF, before the next one took its place */
-    wish(DRIVE_ARMED);
+    w.machine.control.request.count++; /* STAND_DOWN or OFF, before the next one took its place */
+    request(DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0);
     CHECK(told(TARGET, 4, 1) == 0);
@@ -92,7 +92,7 @@ static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void
     begin();
     set_up();
     board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = CONTROL_ENABLE}, .guarded = 1, .stops = w.machine.stops};
-    wish(DRIVE_STAND_DOWN);
+    request(DRIVE_STAND_DOWN);
     CHECK(board_machine_order(&w.machine, &one));
     go_on(50 * MS);
     CHECK(w.machine.orders_dropped == 1 && w.peer.enabled == 0);
@@ -133,7 +133,7 @@ static void a_frame_that_comes_late_is_refused_by_the_board(void)
     uint8_t late[BOARD_WIRE_MAX];
     uint32_t count = w.sent_bytes;
     memcpy(late, w.sent, count);
-    wish(DRIVE_STAND_DOWN);
+    request(DRIVE_STAND_DOWN);
     go_on(30 * MS);
     uint32_t refused = w.peer.frames_bad;
     for (uint32_t i = 0; i < count; i++) {
@@ -150,7 +150,7 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     w.stuck = true;
     w.enabled = 2;
     go_on(125 * MS);
-    CHECK((w.machine.state.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.state.stopping);
     go_on(300 * MS);
     CHECK(w.peer.braking == 1); /* the wheels turn still */
@@ -173,7 +173,7 @@ static void a_wheel_rests_below_the_speed_of_the_table(void)
         w.stuck = true;
         w.enabled = 2;
         go_on(300 * MS);
-        CHECK((w.machine.state.demoted & DEMOTED_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
+        CHECK((w.machine.state.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
               w.machine.state.stopping == strict);
     }
 }
@@ -236,16 +236,16 @@ static void a_stop_may_be_many_writes(void)
     go_on(125 * MS);
     CHECK(told(CONTROL, 1, 0) == CONTROL_BRAKE && told(4, 2, 0) == 11);
     w.enabled = 1;
-    wish(DRIVE_ARMED);
+    request(DRIVE_ARMED);
     CHECK(w.machine.state.mode == DRIVE_READY); /* not while it comes to rest */
 }
 
-static void one_that_is_wished_off_is_off_at_once(void)
+static void one_that_is_requested_off_is_off_at_once(void)
 {
     begin();
     arm_and_turn();
     (void)heard_news();
-    wish(DRIVE_OFF);
+    request(DRIVE_OFF);
     CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && heard_news());
 }
 
@@ -253,12 +253,12 @@ static void armed_again_it_waits_again_for_the_core(void)
 {
     begin();
     arm_and_turn();
-    wish(DRIVE_STAND_DOWN);
+    request(DRIVE_STAND_DOWN);
     go_on(30 * MS);
     w.enabled = 0;
-    w.machine.control.wish.arming_until_ns = w.now_ns + 1000 * MS;
+    w.machine.control.request.arming_until_ns = w.now_ns + 1000 * MS;
     order(CONTROL, 1, CONTROL_ENABLE, 1);
-    wish(DRIVE_ARMED);
+    request(DRIVE_ARMED);
     go_on(100 * MS);
     CHECK(w.machine.state.mode == DRIVE_ARMED && w.peer.enabled == 1);
     w.enabled = 1;
@@ -273,7 +273,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
 {
     begin();
     arm_and_turn();
-    wish(DRIVE_STAND_DOWN);
+    request(DRIVE_STAND_DOWN);
     CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && told(TARGET, 4, 1) == 0);
     begin();
     arm();
@@ -282,7 +282,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     w.now_ns = w.machine.cycle.due_ns;
     step();
     w.now_ns += MS;
-    wish(DRIVE_STAND_DOWN); /* no cycle is due, and nothing is said to turn */
+    request(DRIVE_STAND_DOWN); /* no cycle is due, and nothing is said to turn */
     CHECK(w.peer.enabled == 0);
 }
 
@@ -292,7 +292,7 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     arm_and_turn();
     w.full = true;
     go_on((WATCHDOG_MS + 30) * MS);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.demoted & DEMOTED_LEFT_ALONE) != 0);
+    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.fault_reasons & FAULT_REASON_LEFT_ALONE) != 0);
     CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
     w.full = false;
     w.moving_count = 0;
@@ -325,7 +325,7 @@ static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
     w.deaf = false;
     w.moving_count = 0;
     go_on(60 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_DISABLED_ITSELF) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_DISABLED_ITSELF) != 0);
     CHECK(w.peer.enabled == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
@@ -335,7 +335,8 @@ static void a_restarted_board_has_lost_its_set_up(void)
     arm_and_turn();
     motord_board_init(&w.peer, MOTORS, (uint32_t)(w.now_ns / 1000));
     go_on(250 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_LOST_SETUP) != 0 && w.peer.enabled == 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_LOST_SETUP) != 0 &&
+          w.peer.enabled == 0);
     set_up();
     CHECK(w.machine.state.epoch == 2);
 }
@@ -346,7 +347,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
     set_up();
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
-    CHECK(w.peer.enabled == 0 && (w.machine.state.demoted & DEMOTED_STILL_ENABLED) == 0);
+    CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & FAULT_REASON_STILL_ENABLED) == 0);
     for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
         uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
@@ -356,7 +357,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
         board_machine_hear(&w.machine, frame, count, w.now_ns);
     }
-    CHECK((w.machine.state.demoted & DEMOTED_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & FAULT_REASON_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
 }
 
 /* --------------------------------------------------------------------------------------------------- presence */
@@ -374,8 +375,8 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     w.moving_count = 0;
     go_on(200 * MS);
     CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* told so in every cycle */
-    wish(DRIVE_ARMED);
-    wish(DRIVE_READY);
+    request(DRIVE_ARMED);
+    request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_QUIET);
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
@@ -391,12 +392,12 @@ static void arming_needs_fresh_set_points_and_no_stop_under_way(void)
     set_up();
     w.enabled = 2;
     go_on(150 * MS);
-    wish(DRIVE_ARMED);
+    request(DRIVE_ARMED);
     CHECK(w.machine.state.mode == DRIVE_READY);
     w.enabled = 1;
     w.full = true;
-    wish(DRIVE_STAND_DOWN);
-    wish(DRIVE_ARMED);
+    request(DRIVE_STAND_DOWN);
+    request(DRIVE_ARMED);
     CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.stop != STOP_NOTHING);
 }
 
@@ -419,7 +420,7 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     while (w.machine.state.mode == DRIVE_ARMED) {
         go_on(MS);
     }
-    CHECK(w.machine.state.demoted == DEMOTED_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
+    CHECK(w.machine.state.fault_reasons == FAULT_REASON_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
 }
 
 int main(void)
@@ -440,7 +441,7 @@ int main(void)
     rest_is_only_what_was_said_after_the_stop_was_heard();
     a_core_that_takes_enabled_back_takes_the_power_at_once();
     a_stop_may_be_many_writes();
-    one_that_is_wished_off_is_off_at_once();
+    one_that_is_requested_off_is_off_at_once();
     armed_again_it_waits_again_for_the_core();
     standing_down_takes_the_power_with_the_next_frame();
     a_port_that_takes_nothing_is_a_board_left_alone();

@@ -29,7 +29,7 @@ static void a_board_is_unresponsive_after_its_silence_and_not_before(void)
         uint32_t stops = m->stops;
         board_guard(m, w.now_ns);
         CHECK(m->state.mode == (late ? DRIVE_QUIET : DRIVE_READY) && m->quiet == (uint64_t)late && m->news == (late == 1));
-        CHECK(m->stops == stops + (uint32_t)late && m->state.demoted == (late ? DEMOTED_QUIET : 0U));
+        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? FAULT_REASON_QUIET : 0U));
         CHECK(m->state.stop == (late ? STOP_QUICK : STOP_NOTHING) && !m->state.stopping);
     }
 }
@@ -40,7 +40,8 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
         begin_armed();
         m->told_ns = w.now_ns - w.table.watchdog_ns - late;
         board_guard(m, w.now_ns);
-        CHECK(m->state.mode == (late ? DRIVE_READY : DRIVE_ARMED) && m->state.demoted == (late ? DEMOTED_LEFT_ALONE : 0U));
+        CHECK(m->state.mode == (late ? DRIVE_READY : DRIVE_ARMED) &&
+              m->state.fault_reasons == (late ? FAULT_REASON_LEFT_ALONE : 0U));
         CHECK(m->state.stopping == (late == 1) && m->news == (late == 1));
     }
     for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: it has none */
@@ -86,7 +87,8 @@ static void its_word_counts_when_it_had_heard_what_stays_in_its_payload(void)
         begin_armed();
         m->knows_ns = m->written_ns - before;
         says(STATUS_RESTARTED, WATCHDOG_MS);
-        CHECK(m->state.mode == (before ? DRIVE_ARMED : DRIVE_OFF) && m->state.demoted == (before ? 0U : DEMOTED_LOST_SETUP));
+        CHECK(m->state.mode == (before ? DRIVE_ARMED : DRIVE_OFF) &&
+              m->state.fault_reasons == (before ? 0U : FAULT_REASON_LOST_SETUP));
         CHECK(m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
     }
 }
@@ -95,7 +97,7 @@ static void power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nob
 {
     for (int early = 0; early < 2; early++) {
         begin_ready();
-        m->control.wish.arming_until_ns = w.now_ns + early;
+        m->control.request.arming_until_ns = w.now_ns + early;
         says(STATUS_ENABLED, WATCHDOG_MS);
         CHECK(m->state.stop == (early ? STOP_NOTHING : STOP_POWER_OFF) && m->state.still_enabled == (early ? 0U : 1U));
     }
@@ -105,8 +107,8 @@ static void arming_begins_its_watchdog_anew(void)
 {
     begin_ready();
     m->told_ns = 1;
-    m->control.wish = (drive_wish){.count = 1, .mode = DRIVE_ARMED};
-    board_obey_wish(m, w.now_ns);
+    m->control.request = (mode_request){.count = 1, .mode = DRIVE_ARMED};
+    board_obey_request(m, w.now_ns);
     CHECK(m->state.mode == DRIVE_ARMED && m->told_ns == w.now_ns);
     board_guard(m, w.now_ns);
     CHECK(m->state.mode == DRIVE_ARMED);

@@ -12,7 +12,7 @@ static void the_end_is_braked_switched_off_and_silent(void)
     go_on(100 * MS);
     CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
     uint32_t before = w.sent_count;
-    wish(DRIVE_ARMED);
+    request(DRIVE_ARMED);
     go_on(200 * MS);
     CHECK(w.sent_count == before && w.machine.state.mode == DRIVE_READY);
 }

@@ -57,14 +57,14 @@ static void write_out(uint32_t byte, uint32_t bytes, int64_t raw)
 
 static void a_line_is_set_up_armed_and_stopped(void)
 {
-    board_control control = {.wish = {.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}};
+    board_control control = {.request = {.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}};
     write_out(CONTROL, 1, CONTROL_RESTART_NOTED);
     write_out(WATCHDOG, 2, WATCHDOG_MS);
     board_put_control(0, &control);
     (void)wait_for(DRIVE_READY);
     write_out(CONTROL, 1, CONTROL_ENABLE);
-    control.wish.count = 2;
-    control.wish.mode = DRIVE_ARMED;
+    control.request.count = 2;
+    control.request.mode = DRIVE_ARMED;
     board_put_control(0, &control);
     board_report report = wait_for(DRIVE_ARMED);
     uint64_t received = report.received;

@@ -89,7 +89,7 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
     board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.demoted & DEMOTED_LOST_SETUP) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_LOST_SETUP) != 0);
 }
 
 /* ------------------------------------------------------------------------------------------------------- text */
@@ -133,8 +133,8 @@ static void text_without_feedback_lives_on_its_port(void)
     begin_with(text_table(false));
     go_on(50 * MS);
     CHECK(newest_line_is("0,0\n") && w.machine.heard_ns > 0);
-    wish(DRIVE_READY);
-    wish(DRIVE_ARMED);
+    request(DRIVE_READY);
+    request(DRIVE_ARMED);
     go_on(50 * MS);
     CHECK(w.machine.state.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
     CHECK(w.machine.feedback_mask == 3 && isnan(w.machine.joint[0].feedback.velocity_rad_s));
@@ -155,7 +155,7 @@ static void hear(const char *text)
 static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
 {
     begin_with(text_table(true));
-    wish(DRIVE_READY);
+    request(DRIVE_READY);
     hear("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 && w.machine.bad_frames == 0);
     for (uint32_t i = 0; i < 100; i++) {

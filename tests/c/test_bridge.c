@@ -78,7 +78,7 @@ static double level_at(bridge_state *state, const bridge_control *control, doubl
 static void only_armed_enabled_and_fresh_set_points_move(void)
 {
     bridge_state state = {0};
-    bridge_control off = {0}, arm = {.wish = PWM_ARMED, .number = 1};
+    bridge_control off = {0}, arm = {.mode = PWM_ARMED, .number = 1};
     CHECK(level_at(&state, &off, 0.5, 1, 0, START_NS) == 0.0);
     CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + MS) == 0.0);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 2 * MS) == 0.5);
@@ -86,14 +86,14 @@ static void only_armed_enabled_and_fresh_set_points_move(void)
     CHECK(level_at(&state, &arm, 7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, -7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, (double)NAN, 1, 0, START_NS + 4 * MS) == 0.0);
-    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.demoted == DEMOTED_NOT_ENABLED);
+    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.fault_reasons == FAULT_REASON_NOT_ENABLED);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.0);
 }
 
 static void what_is_old_or_late_brakes_and_then_lets_go(void)
 {
     bridge_state state = {0};
-    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    bridge_control arm = {.mode = PWM_ARMED, .number = 1};
     CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS) == 0.0 && state.armed == 0);
     arm.number++;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.5);
@@ -101,8 +101,8 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 302 * MS) == 0.0 && state.stop_until_ns == 0);
     arm.number++;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 303 * MS) == 0.5);
-    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.demoted == DEMOTED_LEFT_ALONE);
-    bridge_control stop = {.wish = PWM_STOP, .number = 9};
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.fault_reasons == FAULT_REASON_LEFT_ALONE);
+    bridge_control stop = {.mode = PWM_STOP, .number = 9};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 501 * MS) == 0.0 && state.stop_until_ns == 0);
     arm.number = 10;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 502 * MS) == 0.5);
@@ -114,15 +114,15 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
 static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
 {
     bridge_state state = {0};
-    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    bridge_control arm = {.mode = PWM_ARMED, .number = 1};
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS) == 0.5);
     arm.number = 3;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.0 && state.armed == 0);
-    CHECK(state.number == 3 && state.demoted == 0 && state.stop_until_ns == 0);
+    CHECK(state.number == 3 && state.fault_reasons == 0 && state.stop_until_ns == 0);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 2 * MS) == 0.0);
     arm.number = 4;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 3 * MS) == 0.5);
-    bridge_control stop = {.wish = PWM_STOP, .number = 5};
+    bridge_control stop = {.mode = PWM_STOP, .number = 5};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 4 * MS) == 0.0 && state.stop_until_ns != 0);
     arm.number = 7; /* it brakes, and a power-off may have been overtaken */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 && state.armed == 0 && state.stop_until_ns == 0);
@@ -135,7 +135,7 @@ static void a_pump_changes_with_every_cycle_that_may_move_and_with_no_other(void
     bridge_config config = config_of(3);
     config.output[1].pumps = 1;
     bridge_state state = {0};
-    bridge_control arm = {.wish = PWM_ARMED, .number = 1};
+    bridge_control arm = {.mode = PWM_ARMED, .number = 1};
     double level[PWM_OUTPUTS_MAX], before = 0.0;
     for (int i = 0; i < 10; i++) {
         setpoints newest = duty_of(0.0, 1, START_NS + i * MS);
@@ -216,10 +216,10 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     CHECK(pwm_line_stop(1) == -ESRCH && pwm_line_read_report(1, &report) == -ESRCH);
     CHECK(pwm_line_start(1, &config) == 0 && pwm_line_start(1, &config) == -EBUSY);
     CHECK(comes_true(fd, 0, 0.5));
-    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
+    pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = 1});
     CHECK(comes_true(fd, 25000, 0.5));
     CHECK(comes_true(fd, 0, 0.0));
-    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 2});
+    pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = 2});
     CHECK(comes_true(fd, 25000, 0.5));
     CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
     CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 && report.cycles > 0);
@@ -278,7 +278,7 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     exchange_init((exchange *)exchange_memory);
     CHECK(pwm_line_start(1, &config) == 0);
     CHECK(comes_true(fd, 0, duty));
-    pwm_line_put_control(1, &(bridge_control){.wish = PWM_ARMED, .number = 1});
+    pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = 1});
     CHECK(comes_true(fd, 25000, duty));
     CHECK(((bits_set_to & WAY_BIT) != 0) == (duty > 0.0));
     CHECK(dup2(pipe_ends[1], fd) == fd); /* from now on its writes fail, with ESPIPE */

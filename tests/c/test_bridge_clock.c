@@ -60,12 +60,12 @@ static void set_points_from_before_a_suspend_take_the_power(void)
     exchange_init(&shared);
     CHECK(exchange_put_setpoints(&shared, 0, &newest) == 0);
     CHECK(pwm_line_start(0, &config) == 0);
-    pwm_line_put_control(0, &(bridge_control){.wish = PWM_ARMED, .number = 1});
+    pwm_line_put_control(0, &(bridge_control){.mode = PWM_ARMED, .number = 1});
     wait_until_armed(1, &report);
     CHECK(duty_in(fd) == 25000);
     slept_s = 3600;
     wait_until_armed(0, &report);
-    CHECK((report.demoted & DEMOTED_SETPOINTS_OLD) != 0 && duty_in(fd) == 0);
+    CHECK((report.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && duty_in(fd) == 0);
     CHECK(clock_now_ns() - newest.stamp_ns < config.setpoint_timeout_ns);
     CHECK(pwm_line_stop(0) == 0 && close(fd) == 0);
 }

@@ -62,9 +62,9 @@ static const double *steps_on(bench *b, int64_t after_ns)
     return b->level;
 }
 
-static const double *asks(bench *b, uint32_t wish)
+static const double *asks(bench *b, uint32_t request)
 {
-    b->control.wish = wish;
+    b->control.mode = request;
     b->control.number++;
     return steps_on(b, MS);
 }
@@ -110,28 +110,28 @@ static void a_joint_that_the_set_points_do_not_have_rests(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
 }
 
-static void each_reason_of_a_demotion_stays_until_it_is_armed_again(void)
+static void each_reason_stays_until_it_is_armed_again(void)
 {
     bench b = begun();
     asks(&b, PWM_ARMED);
     steps_on(&b, 100 * MS); /* as long as set-points count */
-    CHECK(b.state.armed == 1 && b.state.demoted == 0);
+    CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
     steps_on(&b, 100 * MS + 1);
-    CHECK(b.state.demoted == DEMOTED_LEFT_ALONE && b.level[0] == 0.2);
+    CHECK(b.state.fault_reasons == FAULT_REASON_LEFT_ALONE && b.level[0] == 0.2);
     b.age_ns = 100 * MS + 1;
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 0 && b.state.demoted == (DEMOTED_LEFT_ALONE | DEMOTED_SETPOINTS_OLD));
+    CHECK(b.state.armed == 0 && b.state.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_SETPOINTS_OLD));
     CHECK(b.state.stop_until_ns == 0 && b.level[0] == 0.1);
     b.age_ns = 100 * MS;
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 1 && b.state.demoted == 0);
+    CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
     b.age_ns = 100 * MS + 1;
     steps_on(&b, MS);
-    CHECK(b.state.demoted == DEMOTED_SETPOINTS_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
+    CHECK(b.state.fault_reasons == FAULT_REASON_SETPOINTS_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
     b.age_ns = 0;
     b.control.number++;
     asks(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
-    CHECK(b.state.armed == 0 && b.state.demoted == 0 && b.state.stop_until_ns == 0 && b.level[0] == 0.1);
+    CHECK(b.state.armed == 0 && b.state.fault_reasons == 0 && b.state.stop_until_ns == 0 && b.level[0] == 0.1);
 }
 
 static void one_that_is_armed_while_it_brakes_does_not_brake_any_more(void)
@@ -156,14 +156,14 @@ static void one_that_was_enabled_and_is_no_more_has_no_power(void)
     CHECK(b.state.armed == 1);
     b.state.enabled_count = 6;
     steps_on(&b, MS);
-    CHECK(b.state.demoted == DEMOTED_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
+    CHECK(b.state.fault_reasons == FAULT_REASON_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
     asks(&b, PWM_ARMED);
     b.newest.enabled = 1;
     steps_on(&b, MS);
     CHECK(b.state.armed == 1 && is(b.level[0], 0.3 + 0.25 * 0.5));
     b.newest.enabled = 0;
     steps_on(&b, MS);
-    CHECK(b.state.demoted == DEMOTED_NOT_ENABLED && b.state.armed == 0);
+    CHECK(b.state.fault_reasons == FAULT_REASON_NOT_ENABLED && b.state.armed == 0);
 }
 
 static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
@@ -265,7 +265,7 @@ int main(void)
 {
     each_mode_has_its_level();
     a_joint_that_the_set_points_do_not_have_rests();
-    each_reason_of_a_demotion_stays_until_it_is_armed_again();
+    each_reason_stays_until_it_is_armed_again();
     one_that_is_armed_while_it_brakes_does_not_brake_any_more();
     one_that_was_enabled_and_is_no_more_has_no_power();
     a_level_is_rounded_to_whole_nanoseconds_of_the_period();

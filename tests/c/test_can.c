@@ -83,7 +83,7 @@ static void nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up(vo
     begin_with(2);
     go_on(100 * MS);
     CHECK(w.sent_count == 0);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(100 * MS);
     CHECK(count_sent(SPEED) >= 9 && count_sent(SPEED + 1) == 0);
     for (uint32_t i = 0; i < w.sent_count; i++) {
@@ -129,7 +129,7 @@ static void an_order_of_a_job_that_was_stopped_is_not_sent(void)
                        .guarded = 1,
                        .stops = w.machine.drive[0].stops};
     CHECK(can_machine_order(&w.machine, &order));
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     CHECK(count_sent(CONTROL) == 0 && w.machine.order_count == 0);
     order.stops = w.machine.drive[0].stops;
     CHECK(can_machine_order(&w.machine, &order));
@@ -201,7 +201,7 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     go_on(150 * MS);
     int64_t stopped_ns = told_ns(0, QUICK_STOP);
     CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && told_ns(0, DISABLE) == 0);
-    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
     w.said_rad_s = 0.0;
     go_on(30 * MS);
     CHECK(told_ns(0, DISABLE) > stopped_ns);
@@ -232,7 +232,7 @@ static void enabled_that_is_taken_back_is_power_off_at_once(void)
     w.enabled = 0;
     step();
     CHECK(w.sent[0].data[0] == DISABLE && speed_in(&w.sent[0]) == 0);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.demoted == DEMOTED_NOT_ENABLED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.fault_reasons == FAULT_REASON_NOT_ENABLED);
 }
 
 static void a_stop_that_the_bus_did_not_take_is_told_again(void)
@@ -272,7 +272,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     say_state(0, 8);
     say_motion(0, 1.0F, 1.0F);
     step();
-    CHECK(w.machine.drive[0].state.demoted == DEMOTED_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
+    CHECK(w.machine.drive[0].state.fault_reasons == FAULT_REASON_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
 static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
@@ -282,7 +282,7 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     go_on(50 * MS);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.demoted == DEMOTED_DISABLED_ITSELF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.fault_reasons == FAULT_REASON_DISABLED_ITSELF);
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
@@ -290,10 +290,10 @@ static void a_drive_that_stays_enabled_is_told_off_once_a_cycle(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.powered = true;
     go_on(50 * MS);
-    CHECK((w.machine.drive[0].state.demoted & DEMOTED_STILL_ENABLED) != 0);
+    CHECK((w.machine.drive[0].state.fault_reasons & FAULT_REASON_STILL_ENABLED) != 0);
     forget_sent();
     for (uint32_t i = 0; i < 1000; i++) {
         say_state(0, 8);
@@ -307,12 +307,12 @@ static void a_drive_that_is_being_armed_may_say_that_it_is_enabled(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.machine.control.drive[0].arming_until_ns = w.now_ns + 500 * MS;
     w.powered = true;
     forget_sent();
     go_on(100 * MS);
-    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].state.demoted == 0);
+    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].state.fault_reasons == 0);
 }
 
 static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(void)
@@ -354,9 +354,9 @@ static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
     w.powered = false;
     go_on(50 * MS);
     CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && newest_of(0)->data[0] == DISABLE);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].state.mode == DRIVE_BACK);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(50 * MS);
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.joint[0].feedback.epoch == 2);
     CHECK(speed_in(newest_of(0)) == 0);

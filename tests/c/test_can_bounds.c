@@ -29,11 +29,11 @@ static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(v
     step_with_stamp(w.now_ns + 10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(w.now_ns + 10 * MS + 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
     begin_with(1);
     arm_by_hand();
     step_with_stamp(w.now_ns - 100 * MS - 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
 }
 
 static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
@@ -45,7 +45,7 @@ static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
     step_with_stamp(1);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(0);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
 }
 
 static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
@@ -95,18 +95,18 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     go_on(30 * MS);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
     go_on(60 * MS); /* and it goes on saying that it has power */
-    CHECK(state_of(0)->state.demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED));
+    CHECK(state_of(0)->state.fault_reasons == (FAULT_REASON_NOT_ENABLED | FAULT_REASON_STILL_ENABLED));
     become_quiet();
-    CHECK(state_of(0)->state.demoted == (DEMOTED_NOT_ENABLED | DEMOTED_STILL_ENABLED | DEMOTED_QUIET));
+    CHECK(state_of(0)->state.fault_reasons == (FAULT_REASON_NOT_ENABLED | FAULT_REASON_STILL_ENABLED | FAULT_REASON_QUIET));
 }
 
 static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.machine.control.drive[0].arming_until_ns = w.now_ns + 1;
     say_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 0);
@@ -119,7 +119,7 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
     table_of(0)->disarm[0] = (can_write){.packet = packet_of(OFF_WORD, 1)};
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     forget_sent();
     w.machine.control.drive[0].arming_until_ns = w.machine.cycle.due_ns + 1;
     w.now_ns = w.machine.cycle.due_ns;
@@ -251,7 +251,7 @@ static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
     table_of(0)->probe[0] = packet_of(PROBE, 0);
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.silent = true;
     while (state_of(0)->state.mode != DRIVE_QUIET) {
         go_on(MS);
@@ -276,8 +276,8 @@ static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
     for (uint32_t i = 0; i < 2; i++) {
         table_of(0)->watchdog_ns = watchdogs_ns[i];
         restart();
-        wish(0, DRIVE_READY);
-        wish(0, DRIVE_ARMED);
+        request(0, DRIVE_READY);
+        request(0, DRIVE_ARMED);
         CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns += watchdogs_ns[i];
         w.machine.cycle.due_ns = w.now_ns + MS;
@@ -285,7 +285,7 @@ static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
         CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns++;
         step();
-        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_LEFT_ALONE);
+        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_LEFT_ALONE);
     }
 }
 
@@ -294,7 +294,7 @@ static void frames_that_the_bus_does_not_take_are_counted(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.full = true;
     uint64_t before = w.machine.tx_full, cycles = w.machine.cycle.count;
     go_on(100 * MS);
@@ -307,7 +307,7 @@ static void standing_down_is_a_stop_that_ends_jobs(void)
     begin_with(1);
     arm(0);
     uint32_t stops = state_of(0)->stops;
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     CHECK(state_of(0)->stops == stops + 1 && state_of(0)->state.mode == DRIVE_READY);
 }
 
@@ -315,11 +315,11 @@ static void a_request_that_was_never_seen_may_have_been_a_stop(void)
 {
     begin_with(1);
     arm(0);
-    wish(0, DRIVE_READY); /* it is more than that already */
+    request(0, DRIVE_READY); /* it is more than that already */
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     uint32_t stops = state_of(0)->stops;
     w.machine.control.drive[0].count++;
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->stops == stops + 2 && state_of(0)->state.enabled == 2);
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
@@ -328,12 +328,12 @@ static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     say_state(0, 8);
     CHECK(state_of(0)->state.off_due);
-    wish(0, DRIVE_OFF);
-    wish(0, DRIVE_READY);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_OFF);
+    request(0, DRIVE_READY);
+    request(0, DRIVE_ARMED);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
 }
 
@@ -343,15 +343,15 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
     w.enabled = 0;
     w.machine.enabled_count = 5;
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(20 * MS);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     w.powered = true;
     go_on(50 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     w.machine.enabled_count = 6; /* it was enabled, and is no more */
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
 }
 
 static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
@@ -368,7 +368,7 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
         go_on(20 * MS);
         w.now_ns = w.machine.cycle.due_ns - MS;
         forget_sent();
-        wish(0, DRIVE_READY);
+        request(0, DRIVE_READY);
         for (uint32_t i = 0; i < 10; i++) {
             w.now_ns = w.machine.cycle.due_ns;
             say_state(0, 1);
@@ -383,12 +383,12 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
             }
         }
         CHECK(turn == 5);
-        wish(0, DRIVE_OFF);
+        request(0, DRIVE_OFF);
     }
     drive->slow_count = 1;
     restart();
     forget_sent();
-    wish(0, DRIVE_READY); /* the first cycle is due */
+    request(0, DRIVE_READY); /* the first cycle is due */
     CHECK(count_sent(SLOW) == 1 && count_sent(SLOW + 1) == 0);
 }
 
@@ -413,7 +413,7 @@ static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
     drive->input[1] = (can_input){.fast = 1, .field_count = 1};
     drive->input[1].field[0] = (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}};
     restart();
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     say_motion(0, 1.0F, 0.0F);
     int64_t sampled_ns = w.now_ns;
     w.now_ns += 7 * MS;
@@ -428,7 +428,7 @@ static void all_joints_of_a_drive_are_forgotten_with_it(void)
     go_on(20 * MS);
     say_motion(2, 1.0F, 3.0F);
     CHECK(w.machine.joint[2].feedback.velocity_rad_s == 3.0);
-    wish(2, DRIVE_READY);
+    request(2, DRIVE_READY);
     CHECK(isnan(w.machine.joint[2].feedback.velocity_rad_s) && w.machine.joint[2].feedback.count == 0);
 }
 

@@ -78,7 +78,7 @@ static void the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alon
         .field_count = 1, .field[0] = {.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}}};
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(50 * MS);
     uint64_t cycles = state_of(0)->cycles;
     CHECK(cycles >= 4 && w.machine.feedback_mask == 1);
@@ -99,7 +99,7 @@ static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
     table_of(0)->match[1].input = 1;
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.silent = true;
     say_motion(0, 1.0F, 0.0F);
     say_state(0, 8);
@@ -108,7 +108,7 @@ static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
         w.now_ns += 6 * MS;
         say_motion(0, 1.0F, 0.0F);
     }
-    CHECK(state_of(0)->state.still_enabled == 1 && state_of(0)->state.demoted == 0);
+    CHECK(state_of(0)->state.still_enabled == 1 && state_of(0)->state.fault_reasons == 0);
     say_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 2);
 }
@@ -454,7 +454,7 @@ static void the_report_tells_fault_words_and_stops_that_wait(void)
     say_state(1, 5);
     w.machine.joint[0].fault_word = 3;
     w.full = true;
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     can_report report = {0};
     can_machine_report(&w.machine, &report);
     CHECK(report.fault_word[JOINTS_MAX - 1] == 5 && report.fault_word[0] == 3 && report.fault_word[1] == 0);

@@ -26,7 +26,7 @@ static void one_that_is_told_all_the_time_is_never_left_alone(void)
     begin_with(1);
     arm(0);
     go_on(3000 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0 && w.machine.tx_full == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0 && w.machine.tx_full == 0);
     CHECK(w.machine.sent == w.sent_count && w.sent_count >= 290);
 }
 
@@ -39,7 +39,7 @@ static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
     go_on(480 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
     go_on(50 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_LEFT_ALONE);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_LEFT_ALONE);
 }
 
 static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
@@ -64,9 +64,9 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     w.powered = false;
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
-    CHECK(state_of(0)->state.demoted == DEMOTED_DISABLED_ITSELF);
-    wish(0, DRIVE_READY);
-    CHECK(state_of(0)->state.demoted == 0);
+    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_DISABLED_ITSELF);
+    request(0, DRIVE_READY);
+    CHECK(state_of(0)->state.fault_reasons == 0);
     arm(0);
     hold(1, 0x5A);
     forget_sent();
@@ -135,7 +135,7 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     forget_sent();
     (void)took_news();
     say_state(0, 8);
@@ -143,9 +143,9 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
     say_state(0, 1); /* the count begins anew */
     say_state(0, 8);
     say_state(0, 8);
-    CHECK(state_of(0)->state.demoted == 0 && !took_news());
+    CHECK(state_of(0)->state.fault_reasons == 0 && !took_news());
     say_state(0, 8);
-    CHECK(state_of(0)->state.demoted == DEMOTED_STILL_ENABLED && took_news());
+    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_STILL_ENABLED && took_news());
     say_state(0, 8);
     CHECK(!took_news() && count_sent(SPEED) == 0); /* frames that come send nothing */
     uint32_t stops = state_of(0)->stops;
@@ -165,7 +165,7 @@ static void begin_with_one_that_cannot_say(void)
     drive->disarm[0] = (can_write){.packet = packet_of(CONTROL, 1)};
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
 }
 
 static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed(void)
@@ -179,7 +179,7 @@ static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_arm
     go_on(160 * MS);
     CHECK(w.sent_count == 0);
     w.machine.control.drive[0].arming_until_ns = 0;
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     forget_sent();
     go_on(200 * MS);
     CHECK(count_sent(CONTROL) == 0 && count_sent(SPEED) >= 19);
@@ -200,9 +200,9 @@ static void time_without_set_points_before_arming_is_not_being_left_alone(void)
 {
     begin_with_one_that_cannot_say();
     go_on(2000 * MS);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on(50 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
 static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
@@ -227,7 +227,7 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
 static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing(void)
 {
     begin_with_one_that_cannot_say();
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(state_of(0)->state.told_motion);
     w.enabled = 0;
@@ -242,24 +242,24 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
 {
     begin_with_one_that_cannot_say();
     forget_sent();
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.velocity_rad_s = 0.0; /* armed, and told to stand still */
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on(30 * MS);
     forget_sent();
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
-    wish(0, DRIVE_READY);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_READY);
+    request(0, DRIVE_ARMED);
     w.said_rad_s = 1.0;
     go_on(20 * MS);
     w.enabled = 2; /* a quick stop that waits for rest */
     go_on(120 * MS);
     CHECK(state_of(0)->state.stopping && !state_of(0)->state.told_motion);
     forget_sent();
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
 }
 
@@ -268,20 +268,20 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(20 * MS);
     CHECK(state_of(0)->state.enabled == 0);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     CHECK(state_of(0)->state.enabled == 2);
     w.powered = true;
     go_on(20 * MS);
     CHECK(state_of(0)->state.enabled == 1);
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     CHECK(state_of(0)->state.enabled == 2);
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(20 * MS);
     CHECK(state_of(0)->state.enabled == 1);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on(20 * MS);
     w.enabled = 0;
     w.full = true;
@@ -298,9 +298,9 @@ static void after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told(vo
 {
     begin_with(1);
     arm_and_go();
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     w.machine.feedback_mask = 0;
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.now_ns += 6 * MS;
     say_motion(0, 1.0F, 0.0F);
     CHECK(w.machine.feedback_mask == 0);
@@ -313,9 +313,9 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     begin_with(1);
     arm_and_go();
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     w.enabled = 0;
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on(100 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && speed_in(newest_of(0)) == 0);
     w.enabled = 1;
@@ -323,10 +323,10 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     CHECK(speed_in(newest_of(0)) == 100);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.demoted == DEMOTED_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
     w.enabled = 1;
-    wish(0, DRIVE_ARMED);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.demoted == 0);
+    request(0, DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
 /* ------------------------------------------------------------------------------------- what asyncio is told of */
@@ -335,11 +335,11 @@ static void asyncio_hears_of_each_change(void)
     begin_with(1);
     go_on(20 * MS);
     (void)took_news();
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     CHECK(took_news());
     go_on(20 * MS);
     CHECK(!took_news());
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     w.powered = true;
     CHECK(took_news());
     go_on(30 * MS);

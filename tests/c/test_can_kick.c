@@ -96,7 +96,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
 static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
 {
     begin_with(1);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     w.now_ns = w.machine.cycle.due_ns;
     step();
     w.now_ns += MS;

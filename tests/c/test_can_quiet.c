@@ -18,7 +18,7 @@ static void begin_with_questions(void)
     drive->probe[0] = packet_of(PROBE, 0);
     restart();
     go_on(20 * MS);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
 }
 
 static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
@@ -51,7 +51,7 @@ static void a_quiet_drive_is_asked_less_and_less_often(void)
         }
         w.silent = false;
         go_on(50 * MS);
-        wish(0, DRIVE_READY);
+        request(0, DRIVE_READY);
         CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->quiet == again + 1);
     }
 }
@@ -122,7 +122,7 @@ static void one_that_was_switched_off_while_it_came_back_stays_off(void)
     w.full = true;
     go_on(30 * MS);
     CHECK(state_of(0)->state.back);
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     w.full = false;
     go_on(30 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
@@ -132,7 +132,7 @@ static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(v
 {
     begin_with(1);
     w.silent = true;
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     go_on(190 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_READY);
     go_on(30 * MS);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_can_steps: one drive of a bus by itself: what each wish and each look sets, keeps and forgets. */
+ * test_can_steps: one drive of a bus by itself: what each request and each look sets, keeps and forgets. */
 #include "can_wire.h"
 
 static can_drive_state *drive;
@@ -21,10 +21,10 @@ static void obey(uint32_t mode, uint32_t unseen)
     w.machine.control.drive[0].count += 1 + unseen;
     w.machine.control.drive[0].mode = mode;
     w.machine.news = false;
-    can_obey_wish(&w.machine, 0, w.now_ns);
+    can_obey_request(&w.machine, 0, w.now_ns);
     CHECK(w.machine.news);
     w.machine.news = false;
-    can_obey_wish(&w.machine, 0, w.now_ns); /* the same again is no wish */
+    can_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
     CHECK(!w.machine.news);
 }
 
@@ -34,14 +34,14 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
         for (uint32_t from = 0; from < 2; from++) {
             begin_drive();
             drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
-            drive->state.epoch = 4, drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->slow_cycles = 5;
+            drive->state.epoch = 4, drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->slow_cycles = 5;
             drive->state.back = drive->may_turn = true;
             drive->state.told_motion = powered == 1;
             drive->state.stopping = powered == 2;
             drive->state.enabled = 1;
             w.now_ns += 7 * MS;
             obey(DRIVE_READY, 0);
-            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && drive->state.demoted == 0 &&
+            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && drive->state.fault_reasons == 0 &&
                   drive->state.still_enabled == 0);
             CHECK(!drive->state.back && drive->may_turn == (powered != 0) && drive->slow_cycles == 0 &&
                   drive->told_ns == w.now_ns);
@@ -61,7 +61,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
         drive->state.was_enabled = true;
         drive->state.enabled_count = 3, w.machine.enabled_count = 8;
-        drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
+        drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
         w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
         drive->state.stopping = against == 2;
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
@@ -71,14 +71,14 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.demoted == 0 &&
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0 &&
                   drive->state.still_enabled == 0);
             CHECK(drive->state.enabled == 2 && drive->told_ns == w.now_ns);
         }
     }
 }
 
-/* Four ways to have power: armed, stopping, told a motion, said to be enabled. Unseen wishes may have been a stop. */
+/* Four ways to have power: armed, stopping, told a motion, said to be enabled. Unseen requests may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};
@@ -128,7 +128,7 @@ static void guarded(uint32_t why, uint32_t stop)
     }
     w.machine.joint[0].feedback.velocity_rad_s = 1.0;
     can_guard(&w.machine, 0, w.now_ns);
-    CHECK(drive->state.demoted == why && drive->state.stop == stop &&
+    CHECK(drive->state.fault_reasons == why && drive->state.stop == stop &&
           drive->state.mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
     CHECK(drive->state.stopping == (stop == STOP_QUICK));
     CHECK(stop != STOP_QUICK || drive->state.off_by_ns == w.now_ns + 1000 * MS);
@@ -147,7 +147,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     w.now_ns += 100 * MS;
     guarded(0, STOP_NOTHING);
     w.now_ns += 1;
-    guarded(DEMOTED_SETPOINTS_OLD, STOP_QUICK);
+    guarded(FAULT_REASON_SETPOINTS_OLD, STOP_QUICK);
 }
 
 static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_stopped(void)
@@ -159,7 +159,7 @@ static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_
         guarded(0, STOP_NOTHING);
         w.now_ns += 1;
         w.machine.table.drive[0].watchdog_ns = how == 1 ? 0 : how == 2 ? 1 : 500 * MS;
-        guarded(how == 1 ? 0 : (uint32_t)DEMOTED_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
+        guarded(how == 1 ? 0 : (uint32_t)FAULT_REASON_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
     }
 }
 
@@ -173,11 +173,11 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
-    guarded(DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
     begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
-    guarded(DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
 }
 
 int main(void)

@@ -20,7 +20,7 @@ static void standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_
     arm(0);
     go_on(30 * MS);
     forget_sent();
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
     w.machine.control.drive[0].arming_until_ns = INT64_MAX; /* its power is Python's to take: nothing more is said */
     go_on(50 * MS);
@@ -30,8 +30,8 @@ static void standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_
 static void switching_off_one_that_has_not_heard_its_zero_takes_its_power(void)
 {
     drive_off_on_a_full_bus();
-    wish(0, DRIVE_STAND_DOWN);
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_OFF);
     w.full = false;
     go_on(2 * MS);
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
@@ -40,9 +40,9 @@ static void switching_off_one_that_has_not_heard_its_zero_takes_its_power(void)
 static void a_stop_that_waits_outlives_a_new_set_up(void)
 {
     drive_off_on_a_full_bus();
-    wish(0, DRIVE_OFF);
-    wish(0, DRIVE_READY);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_OFF);
+    request(0, DRIVE_READY);
+    request(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY); /* not before it has been stopped */
     w.full = false;
     go_on(2 * MS);
@@ -54,7 +54,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     drive_off_on_a_full_bus();
     w.full = false;
     w.machine.control.drive[0].count++; /* STAND_DOWN or OFF, before the next one took its place */
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY);
     go_on(2 * MS);
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
@@ -75,8 +75,8 @@ static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(v
 static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop(void)
 {
     drive_off_on_a_full_bus();
-    wish(0, DRIVE_OFF);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_OFF);
+    request(0, DRIVE_READY);
     w.silent = true;
     go_on(330 * MS);
     CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
@@ -105,7 +105,7 @@ static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_he
     forget_sent();
     go_on(2500 * MS);
     CHECK(count_sent(SPEED) == 0); /* heard: its set-up is Python's */
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     restart();
     forget_sent();
     go_on(100 * MS);

@@ -39,7 +39,7 @@ static can_report wait_for(uint32_t mode)
 static void a_line_is_set_up_armed_ordered_and_stopped(void)
 {
     can_control control = {.listen = 1};
-    control.drive[0] = (drive_wish){.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX};
+    control.drive[0] = (mode_request){.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX};
     can_put_control(0, &control);
     (void)wait_for(DRIVE_READY);
     control.drive[0].count = 2;

@@ -149,7 +149,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT; /* wheel 1: no count */
     table_of(0)->input[4].field[0] = field_of(0, FIELD_VELOCITY, 0, 32);
     restart();
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     int64_t count_ns = w.now_ns;
     say_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
@@ -165,7 +165,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     CHECK(feedback_of(0)->enabled == 1 && feedback_of(1)->enabled == 1);
     table_of(0)->input[2].field[1].meaning.kind = FIELD_VOLTAGE; /* wheel 1: no speed either */
     restart();
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     say_motion(0, 1.0F, 0.0F);
     say_second(0, 0);
     w.now_ns += MS;
@@ -182,7 +182,7 @@ static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_be
     say_state(0, 8);
     say_motion(0, 1.0F, 0.0F);
     say_second(0, 1);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     CHECK(state_of(0)->state.enabled == 2);
     w.machine.feedback_mask = 0;
     w.now_ns += MS; /* sooner than the spacing of wheel 0's frames */

@@ -37,19 +37,20 @@ static void each_request_leads_where_the_table_says(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int r = 0; r < REQUESTS; r++) {
-            drive_state drive = {.mode = MODE[m], .wish_seen = 3, .demoted = 8, .still_enabled = 2, .enabled = 1, .epoch = 4};
+            drive_state drive = {
+                .mode = MODE[m], .request_seen = 3, .fault_reasons = 8, .still_enabled = 2, .enabled = 1, .epoch = 4};
             drive_view view = good_view();
-            drive_wish wish = {.count = 4, .mode = REQUEST[r]};
-            drive_answer answer = drive_obey(&drive, &wish, &view);
+            mode_request request = {.count = 4, .mode = REQUEST[r]};
+            drive_answer answer = drive_obey(&drive, &request, &view);
             drive_request event = event_of(MODE[m], REQUEST[r]);
             bool begins = event == REQUEST_SET_UP || event == REQUEST_ARM;
-            CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken && drive.wish_seen == 4);
+            CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken && drive.request_seen == 4);
             CHECK(answer.stop == (MODE[m] == DRIVE_ARMED && REQUEST[r] == DRIVE_OFF ? STOP_POWER_OFF : STOP_NOTHING));
-            CHECK(drive.demoted == (begins ? 0 : 8) && drive.still_enabled == (begins ? 0 : 2));
+            CHECK(drive.fault_reasons == (begins ? 0 : 8) && drive.still_enabled == (begins ? 0 : 2));
             CHECK(drive.epoch == (event == REQUEST_SET_UP ? 5 : 4));
             CHECK(drive.enabled == (event == REQUEST_ARM || event == REQUEST_STAND_DOWN ? 2 : 1));
             CHECK(drive.enabled_count == (event == REQUEST_ARM ? 7 : 0));
-            answer = drive_obey(&drive, &wish, &view);
+            answer = drive_obey(&drive, &request, &view);
             CHECK(answer.request == REQUEST_NONE && answer.stop == STOP_NOTHING && !answer.overtaken);
         }
     }
@@ -60,13 +61,13 @@ static void nothing_is_armed_while_anything_is_against_it(void)
     for (int against = 0; against < 7; against++) {
         drive_state drive = {.mode = DRIVE_READY, .was_enabled = true};
         drive_view view = good_view();
-        drive_wish wish = {.count = 1, .mode = DRIVE_ARMED};
+        mode_request request = {.count = 1, .mode = DRIVE_ARMED};
         view.fresh = against != 1;
         view.shut_down = against == 2;
         drive.stopping = against == 3;
         drive.stop = against == 4 ? STOP_QUICK : against == 5 ? STOP_POWER_OFF : STOP_NOTHING;
         drive.off_due = against == 6;
-        drive_answer answer = drive_obey(&drive, &wish, &view);
+        drive_answer answer = drive_obey(&drive, &request, &view);
         CHECK(drive.mode == (against == 0 ? DRIVE_ARMED : DRIVE_READY));
         CHECK(answer.request == (against == 0 ? REQUEST_ARM : REQUEST_SEEN));
         CHECK(drive.was_enabled == (against != 0));
@@ -79,13 +80,13 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
     for (int m = 0; m < MODES; m++) {
         for (int r = 0; r < REQUESTS; r++) {
             for (int power = 0; power < 4; power++) {
-                drive_state drive = {.mode = MODE[m], .wish_seen = UINT32_MAX, .back = true};
+                drive_state drive = {.mode = MODE[m], .request_seen = UINT32_MAX, .back = true};
                 drive.stopping = power == 1;
                 drive.told_motion = power == 2;
                 drive.off_due = power == 3;
                 drive_view view = good_view();
-                drive_wish wish = {.count = 1, .mode = REQUEST[r]};
-                drive_answer answer = drive_obey(&drive, &wish, &view);
+                mode_request request = {.count = 1, .mode = REQUEST[r]};
+                drive_answer answer = drive_obey(&drive, &request, &view);
                 bool powered = power > 0 || MODE[m] == DRIVE_ARMED;
                 CHECK(answer.overtaken && answer.stop == (powered ? STOP_POWER_OFF : STOP_NOTHING));
                 CHECK(!drive.stopping && !drive.off_due);
@@ -108,12 +109,12 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
         drive_view view = {.now_ns = NOW_NS, .fresh = fresh, .left_alone = alone, .enabled = enabled, .enabled_count = 7};
         drive_stop stop = drive_guard(&drive, &view);
         uint32_t why = !armed                         ? 0
-                       : !fresh                       ? DEMOTED_SETPOINTS_OLD
-                       : alone                        ? DEMOTED_LEFT_ALONE
-                       : !enabled && (was || between) ? DEMOTED_NOT_ENABLED
+                       : !fresh                       ? FAULT_REASON_SETPOINTS_OLD
+                       : alone                        ? FAULT_REASON_LEFT_ALONE
+                       : !enabled && (was || between) ? FAULT_REASON_NOT_ENABLED
                                                       : 0;
-        bool quick = why == DEMOTED_SETPOINTS_OLD || why == DEMOTED_LEFT_ALONE;
-        CHECK(drive.demoted == why && stop == (quick ? STOP_QUICK : why != 0 ? STOP_POWER_OFF : STOP_NOTHING));
+        bool quick = why == FAULT_REASON_SETPOINTS_OLD || why == FAULT_REASON_LEFT_ALONE;
+        CHECK(drive.fault_reasons == why && stop == (quick ? STOP_QUICK : why != 0 ? STOP_POWER_OFF : STOP_NOTHING));
         CHECK(drive.mode == (armed && why == 0 ? DRIVE_ARMED : DRIVE_READY) && drive.enabled == (why != 0 ? 2 : 1));
         CHECK(drive.stopping == quick && drive.off_by_ns == (quick ? NOW_NS + 1000000000 : 0));
         CHECK(drive.was_enabled == (was || (armed && why == 0 && enabled)));
@@ -146,14 +147,14 @@ static void its_own_word_takes_its_power_where_nobody_has_armed_it(void)
             bool nobody = MODE[m] == DRIVE_READY && word == 1 && settled && !stopping && !pending;
             CHECK(stop == (itself || nobody ? STOP_POWER_OFF : STOP_NOTHING));
             CHECK(drive.mode == (itself ? DRIVE_OFF : MODE[m]));
-            CHECK(drive.demoted == (itself ? DEMOTED_DISABLED_ITSELF : nobody ? DEMOTED_STILL_ENABLED : 0U));
+            CHECK(drive.fault_reasons == (itself ? FAULT_REASON_DISABLED_ITSELF : nobody ? FAULT_REASON_STILL_ENABLED : 0U));
             CHECK(drive.still_enabled == (nobody ? 2U : word == 0 && !itself ? 0U : 1U));
         }
     }
     drive_state drive = {.mode = DRIVE_READY, .enabled = 1, .still_enabled = 0};
-    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.demoted == 0 && drive.still_enabled == 1);
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 && drive.still_enabled == 1);
     drive.enabled = 1, drive.still_enabled = 2;
-    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.demoted == 0 && drive.still_enabled == 3);
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 && drive.still_enabled == 3);
 }
 
 static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
@@ -171,10 +172,10 @@ static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
 static void reasons_gather(void)
 {
     drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
-    drive_demote(&drive, DEMOTED_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive.demoted == DEMOTED_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
-    drive_demote(&drive, DEMOTED_QUIET, DRIVE_QUIET);
-    CHECK(drive.demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive.mode == DRIVE_QUIET);
+    drive_take_back(&drive, FAULT_REASON_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive.fault_reasons == FAULT_REASON_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
+    drive_take_back(&drive, FAULT_REASON_QUIET, DRIVE_QUIET);
+    CHECK(drive.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_QUIET) && drive.mode == DRIVE_QUIET);
     CHECK(!drive_is_cycled(&drive));
 }
 

@@ -171,13 +171,14 @@ static void the_end_of_a_cycle_judges_what_the_drive_said(void)
     begin_ways(0.0);
     drive->lost_setup = true;
     ends();
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.demoted == DEMOTED_LOST_SETUP && drive->state.stop == STOP_POWER_OFF);
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == FAULT_REASON_LOST_SETUP &&
+          drive->state.stop == STOP_POWER_OFF);
     begin_ways(0.0);
     ends();
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
     drive->state.enabled = 0;
     ends();
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.demoted == DEMOTED_DISABLED_ITSELF &&
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == FAULT_REASON_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
     for (uint32_t how = 0; how < 3; how++) {
         begin_ways(0.0);
@@ -202,12 +203,12 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
         drive->state.still_enabled = how == 6 ? 2 : 1; /* of three tries */
-        drive->state.demoted = drive->state.demoted_known = DEMOTED_LEFT_ALONE;
+        drive->state.fault_reasons = drive->state.reported_reasons = FAULT_REASON_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
         CHECK(drive->state.stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
         CHECK(drive->state.still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
-        CHECK(drive->state.demoted == (DEMOTED_LEFT_ALONE | (how == 6 ? (uint32_t)DEMOTED_STILL_ENABLED : 0)));
+        CHECK(drive->state.fault_reasons == (FAULT_REASON_LEFT_ALONE | (how == 6 ? (uint32_t)FAULT_REASON_STILL_ENABLED : 0)));
         CHECK(w.machine.news == (how == 6));
     }
     drive->state.stop = STOP_NOTHING, drive->state.mode = DRIVE_READY;

@@ -40,14 +40,14 @@ static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
     }
 }
 
-static void reasons_of_a_demotion_gather(void)
+static void reasons_gather(void)
 {
     line_drive_state *drive = begin_armed();
     drive->state.enabled = 1;
-    drive_demote(&drive->state, DEMOTED_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive->state.demoted == DEMOTED_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
-    drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
-    CHECK(drive->state.demoted == (DEMOTED_LEFT_ALONE | DEMOTED_QUIET) && drive->state.mode == DRIVE_QUIET);
+    drive_take_back(&drive->state, FAULT_REASON_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive->state.fault_reasons == FAULT_REASON_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
+    drive_take_back(&drive->state, FAULT_REASON_QUIET, DRIVE_QUIET);
+    CHECK(drive->state.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_QUIET) && drive->state.mode == DRIVE_QUIET);
 }
 
 static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
@@ -55,7 +55,7 @@ static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_o
     line_drive_state *drive = begin_drive();
     w.machine.table.broadcast_stop_count = 2;
     line_stop_unheard(&w.machine, 0, w.now_ns);
-    CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.demoted == 0 && drive->state.stopping);
+    CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == 0 && drive->state.stopping);
     CHECK(drive->state.stop == STOP_QUICK && drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
     CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].state.stop == STOP_NOTHING);
 }
@@ -71,7 +71,7 @@ static void a_reply_takes_the_time_of_its_bytes(void)
 static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
 {
     line_guard(&w.machine, 0, w.now_ns);
-    CHECK(drive->state.demoted == why && drive->state.stop == stop &&
+    CHECK(drive->state.fault_reasons == why && drive->state.stop == stop &&
           drive->state.mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
     CHECK(drive->state.stopping == (stop == STOP_QUICK));
     CHECK(stop != STOP_QUICK || (drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
@@ -84,7 +84,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(drive, 0, STOP_NOTHING);
     CHECK(line_fresh(&w.machine, w.now_ns) && !line_fresh(&w.machine, w.now_ns + 1));
     w.now_ns += 1;
-    guarded(drive, DEMOTED_SETPOINTS_OLD, STOP_QUICK);
+    guarded(drive, FAULT_REASON_SETPOINTS_OLD, STOP_QUICK);
 }
 
 /* What is under way with it may be its answer; what is under way with another is not. */
@@ -100,7 +100,7 @@ static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stoppe
         w.machine.work = how == 0 || how == 3 ? WORK_NONE : WORK_CYCLE;
         w.machine.worker = how == 1 || how == 3 ? 0 : 1;
         bool alone = how == 0 || how == 2 || how == 3;
-        guarded(drive, alone ? DEMOTED_LEFT_ALONE : 0, alone ? STOP_QUICK : STOP_NOTHING);
+        guarded(drive, alone ? FAULT_REASON_LEFT_ALONE : 0, alone ? STOP_QUICK : STOP_NOTHING);
     }
 }
 
@@ -114,11 +114,11 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(drive, 0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
-    guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(drive, FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
     drive = begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
-    guarded(drive, DEMOTED_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(drive, FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
 }
 
 static void a_stop_does_not_wait_for_its_turn(void)
@@ -152,10 +152,10 @@ static void obey(uint32_t mode, uint32_t unseen)
     w.machine.control.drive[0].count += 1 + unseen;
     w.machine.control.drive[0].mode = mode;
     w.machine.news = false;
-    line_obey_wish(&w.machine, 0, w.now_ns);
+    line_obey_request(&w.machine, 0, w.now_ns);
     CHECK(w.machine.news);
     w.machine.news = false;
-    line_obey_wish(&w.machine, 0, w.now_ns); /* the same again is no wish */
+    line_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
     CHECK(!w.machine.news);
 }
 
@@ -166,7 +166,7 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             line_drive_state *drive = begin_drive();
             drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
             drive->state.epoch = 4;
-            drive->state.demoted = 0xff, drive->failures = 5, drive->state.still_enabled = 6;
+            drive->state.fault_reasons = 0xff, drive->failures = 5, drive->state.still_enabled = 6;
             drive->may_turn = drive->state.told_motion = drive->state.back = true;
             drive->state.stop = pending == 1 ? STOP_QUICK : STOP_NOTHING;
             drive->state.stopping = pending == 2;
@@ -178,7 +178,7 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             w.machine.joint[0].feedback.velocity_rad_s = 5.0;
             obey(DRIVE_READY, 0);
             CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && !drive->state.back);
-            CHECK(drive->state.demoted == 0 && drive->failures == 0 && drive->state.still_enabled == 0);
+            CHECK(drive->state.fault_reasons == 0 && drive->failures == 0 && drive->state.still_enabled == 0);
             CHECK(drive->may_turn == (pending != 0) && drive->state.told_motion == (pending != 0));
             CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->state.stopping == (pending == 2));
             CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
@@ -198,7 +198,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.mode = against == 6 ? DRIVE_OFF : DRIVE_READY;
         drive->state.was_enabled = true;
         drive->state.enabled_count = 3, w.machine.enabled_count = 8;
-        drive->state.demoted = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
+        drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
         memset(drive->told, 0x11, sizeof drive->told);
         w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
         drive->state.stopping = against == 2;
@@ -208,14 +208,14 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.demoted == 0);
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0);
             CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 && drive->told[1][1] == 0 &&
                   drive->told[0][0] == 0);
         }
     }
 }
 
-/* Three ways to have power: armed, stopping, told a motion. Unseen wishes may have been a stop. */
+/* Three ways to have power: armed, stopping, told a motion. Unseen requests may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     for (uint32_t has = 0; has < 4; has++) {
@@ -304,7 +304,7 @@ static void news_of_one_is_not_lost_where_another_has_none(void)
     line_frame frame;
     line_drive_state *drive = begin_drive();
     w.machine.news = true;
-    line_obey_wish(&w.machine, 0, w.now_ns);
+    line_obey_request(&w.machine, 0, w.now_ns);
     CHECK(w.machine.news);
     drive->state.stop = STOP_POWER_OFF;
     drive->stop_done = UINT32_MAX;
@@ -315,7 +315,7 @@ int main(void)
 {
     after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
     a_stop_begins_with_its_first_frame_whatever_was_under_way();
-    reasons_of_a_demotion_gather();
+    reasons_gather();
     one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();
     a_reply_takes_the_time_of_its_bytes();
     an_armed_drive_is_stopped_when_set_points_grow_old();

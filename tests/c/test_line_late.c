@@ -164,9 +164,9 @@ static void set_up_again_when_it_is_back(uint32_t number)
     uint32_t mode = w.machine.drive[number].state.mode;
     if (mode == DRIVE_OFF || mode == DRIVE_BACK) {
         last_stamp_ns = 0;
-        wish(number, DRIVE_READY);
+        request(number, DRIVE_READY);
     } else if (mode == DRIVE_READY && w.machine.drive[number].state.stop == STOP_NOTHING) {
-        wish(number, DRIVE_ARMED);
+        request(number, DRIVE_ARMED);
     }
 }
 

@@ -31,7 +31,7 @@ static void a_power_off_goes_out(void)
 {
     begin_turning(2);
     babble_for(10 * MS);
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     babble_for(2 * FRAME_NS + 30 * MS);
     CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING); /* its answers are found among the noise */
@@ -65,7 +65,7 @@ static void a_stop_waits_for_silence_as_long_as_that_may_still_come(void)
     babble_for(10 * MS);
     w.babbles = false;
     int64_t heard_ns = w.now_ns;
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     while (w.power_offs[0] == 0) {
         go_on();
     }
@@ -101,7 +101,7 @@ static void its_drives_become_quiet_and_are_told_to_stop(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     babble_for(100 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.demoted == DEMOTED_QUIET);
+        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.fault_reasons == FAULT_REASON_QUIET);
         CHECK(w.machine.drive[i].count.bad_reply >= 3);
     }
     babble_for(3000 * MS);

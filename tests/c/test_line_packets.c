@@ -84,12 +84,12 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
 {
     begin_packets(1);
     w.machine.newest.enabled = 1;
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     for (uint32_t i = 0; i < 50; i++) {
         look(true, 0);
         CHECK(sent_bytes <= 2 || (sent_bytes == 6 && sent[1] == DUTIES && rtu_read(sent + 2, FORM_I16) == 0));
     }
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     look_until_told(SPEEDS);
     CHECK(rtu_read(sent + 2, FORM_I16) == 100);
     w.machine.control.shut_down = 1;
@@ -104,8 +104,8 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
 static void a_late_answer_is_nobody_s(void)
 {
     begin_packets(2);
-    wish(0, DRIVE_READY);
-    wish(1, DRIVE_READY);
+    request(0, DRIVE_READY);
+    request(1, DRIVE_READY);
     for (uint32_t i = 0; i < 20; i++) {
         look(true, 0);
     }

@@ -72,7 +72,7 @@ static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_question
         CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
         CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
     }
-    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.demoted == DEMOTED_QUIET);
+    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.fault_reasons == FAULT_REASON_QUIET);
 }
 
 static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)
@@ -92,7 +92,7 @@ static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_second
 static void one_that_does_not_turn_is_only_asked(void)
 {
     begin_with(1, 0);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }
@@ -112,7 +112,7 @@ static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_th
         w.table.drive[0].extra_count = extras;
         w.table.drive[0].extra[0].frame = frame_of(1, READ, EXTRA, 1);
         restart();
-        wish(0, DRIVE_READY);
+        request(0, DRIVE_READY);
         for (uint32_t i = 0; i < 20; i++) {
             go_on();
         }
@@ -130,7 +130,7 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
     begin_with(1, 0);
     w.table.drive[0].probe = 1;
     restart();
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }

@@ -35,7 +35,7 @@ static void a_line_tells_what_it_counts(void)
 static void fill(line_drive_state *drive, uint32_t n)
 {
     drive->count = (drive_report){.cycles = n + 20, .exchanges = n + 21, .quiet = n + 22, .heard_ns = n + 23};
-    drive->state = (drive_state){.mode = n + 1, .demoted = n + 2, .wish_seen = n + 3, .enabled = n + 4};
+    drive->state = (drive_state){.mode = n + 1, .fault_reasons = n + 2, .request_seen = n + 3, .enabled = n + 4};
     drive->state.stopping = n == 0, drive->state.told_motion = n != 0;
     drive->may_turn = n == 0;
     drive->failures = n + 5, drive->last_failure = n + 6, drive->last_exception = n + 7;
@@ -51,7 +51,7 @@ static void each_drive_is_told_by_itself(void)
     look();
     for (uint32_t n = 0; n < LINE_DRIVES_MAX; n++) {
         const drive_report *to = &report.drive[n];
-        CHECK(to->mode == n + 1 && to->demoted == n + 2 && to->wish_seen == n + 3 && to->enabled == n + 4);
+        CHECK(to->mode == n + 1 && to->fault_reasons == n + 2 && to->request_seen == n + 3 && to->enabled == n + 4);
         CHECK(to->stopping == (n == 0) && to->told_motion == (n != 0) && to->may_turn == (n == 0));
         CHECK(to->failures == n + 5 && to->last_failure == n + 6 && to->last_exception == n + 7);
         CHECK(to->turnaround_ns == n + 8 && to->deadline_ns == n + 9 && to->cycle_ns == n + 10);

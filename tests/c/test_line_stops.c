@@ -138,11 +138,11 @@ static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
         go_on();
     }
     CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] == 0);
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* its answer comes later */
     CHECK(w.machine.drive[0].state.stop == STOP_POWER_OFF);
     (void)shut_down();
-    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* for the wish, and for the end */
+    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* for the request, and for the end */
 }
 
 static void open_again(uint32_t may_turn)
@@ -217,12 +217,12 @@ static void a_wheel_that_does_not_stop_loses_its_power_in_time(void)
 static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
 {
     begin_with(1, 2);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     while (w.machine.drive[0].count.cycles < 3) {
         go_on();
     }
     CHECK(w.machine.echo == 1);
-    wish(0, DRIVE_ARMED);
+    request(0, DRIVE_ARMED);
     go_on();
     CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     w.dead = 1;
@@ -247,10 +247,10 @@ static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_powe
         go_on();
     }
     w.dead = 1;
-    wish(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_STAND_DOWN);
     go_on();
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.told_motion);
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     for (uint32_t i = 0; i < 50; i++) {
         go_on();
     }
@@ -276,11 +276,11 @@ static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
 {
     for (uint32_t seen = 0; seen < 2; seen++) {
         begin_turning();
-        wish(0, DRIVE_OFF);
+        request(0, DRIVE_OFF);
         if (seen != 0) {
             look_without_bytes(); /* else the line never sees it: READY has taken its place */
         }
-        wish(0, DRIVE_READY);
+        request(0, DRIVE_READY);
         look_without_bytes();
         CHECK(w.machine.drive[0].may_turn);
         for (uint32_t i = 0; i < 20; i++) {
@@ -294,8 +294,8 @@ static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
 static void one_that_waits_for_its_power_off_is_not_armed(void)
 {
     begin_turning();
-    wish(0, DRIVE_STAND_DOWN);
-    wish(0, DRIVE_ARMED); /* the stop was not seen by itself */
+    request(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_ARMED); /* the stop was not seen by itself */
     look_without_bytes();
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.stop == STOP_POWER_OFF);
     for (uint32_t i = 0; i < 20; i++) {
@@ -310,7 +310,7 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
     arm(0);
     open_again(1);
     w.turning = 1;
-    wish(0, DRIVE_READY); /* while the quick stop waits to be told */
+    request(0, DRIVE_READY); /* while the quick stop waits to be told */
     int64_t opened_ns = w.now_ns;
     while (w.now_ns < opened_ns + 300 * MS) {
         go_on();

@@ -39,17 +39,17 @@ static void begin_with_extras(uint32_t says_enabled)
 static void what_may_wait_is_read_by_turns(void)
 {
     begin_with_extras(1);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     while (sent_count < 9) {
         look(1);
     }
     for (uint32_t i = 0; i < 9; i++) {
         CHECK(sent_address[i] == EXTRA + i % EXTRAS);
     }
-    wish(0, DRIVE_OFF);
+    request(0, DRIVE_OFF);
     look(4);
     sent_count = 0;
-    wish(0, DRIVE_READY); /* set up anew it begins anew */
+    request(0, DRIVE_READY); /* set up anew it begins anew */
     while (sent_count < 2) {
         look(1);
     }
@@ -59,7 +59,7 @@ static void what_may_wait_is_read_by_turns(void)
 static void until_a_drive_has_said_whether_it_is_enabled_only_that_is_read(void)
 {
     begin_with_extras(0);
-    wish(0, DRIVE_READY);
+    request(0, DRIVE_READY);
     while (sent_count < 6) {
         look(1);
     }

@@ -44,7 +44,7 @@ def test_a_bridge_moves_by_this_rule(case):
     config.joint_count = config.output_count = 1
     config.joint[0].sign = 1.0
     config.output[0].slope = (0.0, 0.0, 1.0, 1.0)
-    control = ffi.new("bridge_control *", {"wish": lib.PWM_ARMED, "number": 1})
+    control = ffi.new("bridge_control *", {"mode": lib.PWM_ARMED, "number": 1})
     newest = ffi.new("setpoints *", {"stamp_ns": stamp_ns, "enabled": 1, "joint_count": 1})
     newest.joint[0].duty = 0.5
     level = ffi.new("double[32]")

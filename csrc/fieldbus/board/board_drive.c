@@ -37,7 +37,7 @@ static void go_quiet(board_machine *m, int64_t now_ns)
     m->quiet++;
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
                      now_ns); /* it may hear us all the same: in every cycle from now on */
-    drive_demote(&m->state, DEMOTED_QUIET, DRIVE_QUIET);
+    drive_take_back(&m->state, FAULT_REASON_QUIET, DRIVE_QUIET);
     m->state.stopping = m->state.back = false;
     m->said_bytes = 0;
 }
@@ -64,9 +64,9 @@ void board_told(board_machine *m, int64_t now_ns)
 /* The drive's own words count when it had heard by then what stays in its payload. */
 static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
-    bool settled = now_ns >= m->control.wish.arming_until_ns;
+    bool settled = now_ns >= m->control.request.arming_until_ns;
     if (!kept) {
-        drive_demote(&m->state, DEMOTED_LOST_SETUP, DRIVE_OFF);
+        drive_take_back(&m->state, FAULT_REASON_LOST_SETUP, DRIVE_OFF);
         board_power_off(m, now_ns);
     }
     board_begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
@@ -112,15 +112,15 @@ void board_guard(board_machine *m, int64_t now_ns)
 
 /* -------------------------------------------------------------------------------------------------- requests */
 /* What stays in its payload is what it does: it is told to be off, whatever it was. */
-void board_obey_wish(board_machine *m, int64_t now_ns)
+void board_obey_request(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);
-    const drive_wish *wish = &m->control.wish;
-    drive_answer answer = drive_obey(&m->state, wish, &view);
+    const mode_request *request = &m->control.request;
+    drive_answer answer = drive_obey(&m->state, request, &view);
     bool is_new = answer.request != REQUEST_NONE;
     m->news |= is_new;
     board_begin_stop(m, answer.stop, now_ns);
-    bool stands_down = is_new && wish->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_QUIET;
+    bool stands_down = is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_QUIET;
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);
     } else if (answer.request == REQUEST_SET_UP) {

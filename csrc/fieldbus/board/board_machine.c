@@ -220,7 +220,7 @@ void board_machine_kick(board_machine *m, int64_t now_ns)
 
 int64_t board_machine_step(board_machine *m, int64_t now_ns)
 {
-    board_obey_wish(m, now_ns);
+    board_obey_request(m, now_ns);
     board_guard(m, now_ns);
     shut_down(m, now_ns);
     if (m->end.stage < END_SILENT && now_ns >= m->cycle.due_ns) {
@@ -235,8 +235,8 @@ void board_machine_report(const board_machine *m, board_report *report)
 {
     report->shut_down = m->end.stage == END_SILENT;
     report->mode = m->state.mode;
-    report->demoted = m->state.demoted;
-    report->wish_seen = m->state.wish_seen;
+    report->fault_reasons = m->state.fault_reasons;
+    report->request_seen = m->state.request_seen;
     report->enabled = m->state.enabled;
     report->stopping = m->state.stopping;
     report->told_motion = m->state.told_motion;

@@ -123,7 +123,7 @@ void board_hold(board_machine *m, const board_write *write, uint32_t count, int6
 void board_power_off(board_machine *m, int64_t now_ns);
 /* What the rules of drive_state.h have decided. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns);
-void board_obey_wish(board_machine *m, int64_t now_ns);
+void board_obey_request(board_machine *m, int64_t now_ns);
 void board_guard(board_machine *m, int64_t now_ns);
 /* A good word has come. */
 void board_heard(board_machine *m, int64_t now_ns);

@@ -172,7 +172,7 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive->quiet++;
-    drive_demote(&drive->state, DEMOTED_QUIET, DRIVE_QUIET);
+    drive_take_back(&drive->state, FAULT_REASON_QUIET, DRIVE_QUIET);
     m->news = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
@@ -253,17 +253,17 @@ static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-void can_obey_wish(can_machine *m, uint32_t number, int64_t now_ns)
+void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive_view view = view_of(m, number, now_ns);
-    const drive_wish *wish = &m->control.drive[number];
-    drive_answer answer = drive_obey(&drive->state, wish, &view);
+    const mode_request *request = &m->control.drive[number];
+    drive_answer answer = drive_obey(&drive->state, request, &view);
     bool is_new = answer.request != REQUEST_NONE;
     m->news |= is_new;
     can_begin_stop(m, number, answer.stop);
     drive->stops += answer.overtaken;
-    drive->stops += is_new && wish->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */
+    drive->stops += is_new && request->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */
     if (answer.request == REQUEST_SET_UP) {
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {

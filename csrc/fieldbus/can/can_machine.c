@@ -301,7 +301,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
 {
     look_at_queue(m, now_ns);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        can_obey_wish(m, i, now_ns);
+        can_obey_request(m, i, now_ns);
         can_guard(m, i, now_ns);
     }
     shut_down(m, now_ns);
@@ -336,8 +336,8 @@ void can_machine_report(const can_machine *m, can_report *report)
         const can_drive_state *drive = &m->drive[i];
         report->drive[i] = (can_drive_report){
             .mode = drive->state.mode,
-            .demoted = drive->state.demoted,
-            .wish_seen = drive->state.wish_seen,
+            .fault_reasons = drive->state.fault_reasons,
+            .request_seen = drive->state.request_seen,
             .enabled = drive->state.enabled,
             .stopping = drive->state.stopping,
             .told_motion = drive->state.told_motion,

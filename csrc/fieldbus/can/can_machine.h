@@ -134,7 +134,7 @@ bool can_at_rest(const can_machine *m, uint32_t drive);
 bool can_send(can_machine *m, const can_packet *packet);
 bool can_write_out(can_machine *m, uint32_t drive, const can_write *write);
 void can_hold_nothing(can_machine *m, uint32_t drive);
-void can_obey_wish(can_machine *m, uint32_t drive, int64_t now_ns);
+void can_obey_request(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_guard(can_machine *m, uint32_t drive, int64_t now_ns);
 /* What the newest frame says of its power, against what it should be. */
 void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);

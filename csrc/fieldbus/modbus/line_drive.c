@@ -92,13 +92,13 @@ static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
     line_forget(m, number);
 }
 
-void line_obey_wish(line_machine *m, uint32_t number, int64_t now_ns)
+void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    const drive_wish *wish = &m->control.drive[number];
+    const mode_request *request = &m->control.drive[number];
     drive_view view = view_of(m, number, now_ns);
-    drive->arming_until_ns = wish->arming_until_ns;
-    drive_answer answer = drive_obey(&drive->state, wish, &view);
+    drive->arming_until_ns = request->arming_until_ns;
+    drive_answer answer = drive_obey(&drive->state, request, &view);
     m->news |= answer.request != REQUEST_NONE;
     line_begin_stop(m, number, answer.stop, now_ns);
     if (answer.request == REQUEST_OFF) {
@@ -232,7 +232,7 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->count.cycles++;
     line_publish(m, number);
     if (drive->lost_setup) {
-        drive_demote(&drive->state, DEMOTED_LOST_SETUP, DRIVE_OFF);
+        drive_take_back(&drive->state, FAULT_REASON_LOST_SETUP, DRIVE_OFF);
         line_begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
@@ -268,7 +268,7 @@ static void way_acknowledged(line_drive_state *drive, const line_machine *m, uin
     uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)WAY_REST : line_way_wanted(m, number, drive->place);
     const line_frame *sent = way_frame(m, number, drive->place, wanted);
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
-        wanted = WAY_UNKNOWN; /* the wish has changed while it was on its way */
+        wanted = WAY_UNKNOWN; /* the set-point has changed while it was sent */
     }
     drive->way_told[drive->place] = wanted;
     if (wanted == WAY_FORWARD || wanted == WAY_REVERSE) {
@@ -358,7 +358,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
     int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
     if (drive->state.mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
-        line_begin_stop(m, number, drive_quick_stop(&drive->state, DEMOTED_LEFT_ALONE, now_ns), now_ns);
+        line_begin_stop(m, number, drive_quick_stop(&drive->state, FAULT_REASON_LEFT_ALONE, now_ns), now_ns);
     }
     if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
         drive->failures = 0;

@@ -445,7 +445,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
     m->round_trip_ns = 0;
     hear(m, now_ns, bytes, count);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        line_obey_wish(m, i, now_ns);
+        line_obey_request(m, i, now_ns);
         line_guard(m, i, now_ns);
     }
     if (!m->answered) {

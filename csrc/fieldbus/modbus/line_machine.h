@@ -209,7 +209,7 @@ bool line_at_rest(const line_machine *m, uint32_t drive);
 
 /* ------------------------------------------------------------------------ line_drive.c */
 bool line_fresh(const line_machine *m, int64_t now_ns);
-void line_obey_wish(line_machine *m, uint32_t drive, int64_t now_ns);
+void line_obey_request(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the set-points, its watchdog and its own words demand. */
 void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the rules of drive_state.h have decided. */

@@ -18,8 +18,8 @@ void line_machine_report(const line_machine *m, line_report *report)
         drive_report *to = &report->drive[i];
         *to = drive->count;
         to->mode = drive->state.mode;
-        to->demoted = drive->state.demoted;
-        to->wish_seen = drive->state.wish_seen;
+        to->fault_reasons = drive->state.fault_reasons;
+        to->request_seen = drive->state.request_seen;
         to->enabled = drive->state.enabled;
         to->stopping = drive->state.stopping;
         to->told_motion = drive->state.told_motion;

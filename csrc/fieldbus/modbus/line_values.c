@@ -9,7 +9,7 @@
 
 static const setpoints *source(const line_machine *m, uint32_t drive)
 {
-    /* where magnitude and way go out one by one, both have to be of the same wish */
+    /* where magnitude and way go out one by one, both have to be of the same set-point */
     return m->table.drive[drive].way_count > 0 ? &m->drive[drive].frozen : &m->newest;
 }
 

@@ -19,7 +19,7 @@ from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Plan, Reading
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
-from motord_hal.realtime.drive_state import Demoted, DriveRules, Mode, Stop
+from motord_hal.realtime.drive_state import DriveRules, FaultReason, Mode, Stop
 from motord_hal.realtime.exchange import Exchange
 
 _STATES = {
@@ -149,7 +149,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     def _judge_power(self, enabled: bool | None) -> None:
         """It has said whether it is enabled. Armed and without power: somebody took it. Not armed
         and with power: a power-off was lost or refused."""
-        before = self._rules.demoted
+        before = self._rules.fault_reasons
         if self._rules.check_power(enabled, self.tries, settled=not self.jobs) is Stop.NOTHING:
             return
         if self._rules.mode is Mode.OFF:
@@ -158,7 +158,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self._submit_power_off()
             self.configure(text)
             return
-        if Demoted.STILL_ENABLED in self._rules.demoted & ~before:
+        if FaultReason.STILL_ENABLED in self._rules.fault_reasons & ~before:
             text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
             self._say(EventKind.DRIVE_WARNING, self.names, text)
         self._take_power()

@@ -109,8 +109,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             self._look()
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
-        wishes = self._wanted(drive).values()
-        return drive.is_cycled and drive.told_motion and all(wish == REST for wish in wishes)
+        wanted = self._wanted(drive).values()
+        return drive.is_cycled and drive.told_motion and all(one == REST for one in wanted)
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:

@@ -70,7 +70,7 @@ class JointSpec:
     unit: int
     channel: int = 1
     cycle_hz: float | None = None
-    """Wished rate of this joint's drive; None: the line's."""
+    """Wanted rate of this joint's drive; None: the line's."""
     gear_ratio: float = 1.0
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
@@ -211,7 +211,7 @@ class LineSpec:
     """"none" | "even" | "odd"."""
     stop_bits: int
     cycle_hz: float
-    """Wished cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
+    """Wanted cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
     gap_s: float | None
     """Silent interval between frames; None: by `gap`."""
     engine: str

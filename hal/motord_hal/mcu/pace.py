@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often frames go over a stream line: as the robot file wishes, and no more than its wire."""
+"""How often frames go over a stream line: as the robot file says, and no more than its wire."""
 
 from __future__ import annotations
 

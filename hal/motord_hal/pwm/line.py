@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor bridges on pins of this machine. A thread in C writes the pins and obeys the set-points;
-here pins are opened, wishes handed on, and what changes is said."""
+here pins are opened, requests handed on, and what changes is said."""
 
 from __future__ import annotations
 
@@ -23,9 +23,15 @@ from motord_hal.fieldbus.ports import (
     Listener,
 )
 from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
-from motord_hal.realtime.drive_state import Demoted
+from motord_hal.realtime.drive_state import FaultReason
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.realtime.pwm import BridgeConfig, BridgeJoint, BridgeReport, BridgeThread, Wish
+from motord_hal.realtime.pwm import (
+    BridgeConfig,
+    BridgeJoint,
+    BridgeMode,
+    BridgeReport,
+    BridgeThread,
+)
 
 STOPPING_S = 0.3
 """A quick stop brakes for so long, then the power goes off."""
@@ -183,9 +189,11 @@ class PwmLine(LineTask):
         return names[output] if 0 <= output < len(names) else "the GPIO lines"
 
     def _note(self, report: BridgeReport) -> None:
-        if report.demoted and not report.armed and self._was_armed:
+        if report.fault_reasons and not report.armed and self._was_armed:
             self._was_armed = False
-            why = ", ".join(str(flag.name).lower().replace("_", " ") for flag in report.demoted)
+            why = ", ".join(
+                str(flag.name).lower().replace("_", " ") for flag in report.fault_reasons
+            )
             text = f"{', '.join(self._names)}: stopped: set-points {why}"
             self._say_all(EventKind.DRIVE_WARNING, text)
         masks = self._pins.fault_masks if self._pins else []
@@ -214,7 +222,7 @@ class PwmLine(LineTask):
 
     async def _shut_down(self) -> None:
         """Brake, then no power; the thread's last words are those in any case."""
-        self._thread.wish(Wish.STOP)
+        self._thread.request_mode(BridgeMode.STOP)
         until_s = now_s() + STOPPING_S + OBEYED_WITHIN_S / 10
         await asyncio.sleep(2 / self.spec.cycle_hz)
         while now_s() < until_s:
@@ -231,24 +239,24 @@ class PwmLine(LineTask):
                 raise DriveFault(f"{name} reports {', '.join(words)}")
         armed = False
         try:
-            report = await self._obeyed(Wish.ARMED)
+            report = await self._obeyed(BridgeMode.ARMED)
             armed = report.armed
         finally:
             self._was_armed = armed
             if not armed:
-                self._thread.wish(Wish.OFF)
+                self._thread.request_mode(BridgeMode.OFF)
         if not armed:  # the thread alone reads set-points: their mailbox has one reader
-            old = report.demoted & Demoted.SETPOINTS_OLD
+            old = report.fault_reasons & FaultReason.SETPOINTS_OLD
             why = "no fresh set-points: is the loop running?" if old else "stopped: arm it again"
             raise HalError(f"{self.spec.name}: {why}")
 
     async def disarm(self) -> None:
         """As ports.Line.disarm. From the call on, no pin gives power."""
         self._check_open()
-        await self._obeyed(Wish.OFF)
+        await self._obeyed(BridgeMode.OFF)
 
-    async def _obeyed(self, wish: Wish) -> BridgeReport:
-        number = self._thread.wish(wish)
+    async def _obeyed(self, request: BridgeMode) -> BridgeReport:
+        number = self._thread.request_mode(request)
         try:
             async with within(OBEYED_WITHIN_S):
                 while (report := self._thread.report()).number != number:

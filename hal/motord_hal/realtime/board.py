@@ -14,7 +14,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import RoundTrips
-from motord_hal.realtime.drive_state import Demoted, Mode
+from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.thread import (
     LineLife,
@@ -32,8 +32,8 @@ class BoardSays:
     """The board, as its thread sees it."""
 
     mode: Mode
-    demoted: Demoted
-    wish_seen: int
+    fault_reasons: FaultReason
+    request_seen: int
     stopping: bool
     cycles: int
     """Feedback that the core was given."""
@@ -96,9 +96,9 @@ class BoardThread(ThreadDoor):
         check_code(lib.board_start(self._line, raw_config, raw), "the line cannot be started")
         self._ordered = 0
 
-    def _wish_of(self, drive: int) -> Any:
+    def _request_of(self, drive: int) -> Any:
         del drive
-        return self._control.wish
+        return self._control.request
 
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
@@ -143,8 +143,8 @@ class BoardThread(ThreadDoor):
 def _says(raw: Any) -> BoardSays:
     return BoardSays(
         mode=Mode(raw.mode),
-        demoted=Demoted(raw.demoted),
-        wish_seen=raw.wish_seen,
+        fault_reasons=FaultReason(raw.fault_reasons),
+        request_seen=raw.request_seen,
         stopping=raw.stopping != 0,
         cycles=raw.published,
         stops=raw.stops,

@@ -13,7 +13,7 @@ from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.realtime.drive_state import Demoted, Mode
+from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.thread import (
     LineLife,
@@ -33,8 +33,8 @@ EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 @dataclass(frozen=True, slots=True)
 class CanDriveReport:
     mode: Mode
-    demoted: Demoted
-    wish_seen: int
+    fault_reasons: FaultReason
+    request_seen: int
     stopping: bool
     missing: int
     stops: int
@@ -159,8 +159,8 @@ class CanThread(ThreadDoor):
 def _drive_report(raw: Any) -> CanDriveReport:
     return CanDriveReport(
         mode=Mode(raw.mode),
-        demoted=Demoted(raw.demoted),
-        wish_seen=raw.wish_seen,
+        fault_reasons=FaultReason(raw.fault_reasons),
+        request_seen=raw.request_seen,
         stopping=raw.stopping != 0,
         missing=raw.missing,
         stops=raw.stops,

@@ -17,17 +17,17 @@ class Mode(enum.IntEnum):
     QUIET = lib.DRIVE_QUIET
     BACK = lib.DRIVE_BACK
     STAND_DOWN = lib.DRIVE_STAND_DOWN
-    """Only as a wish."""
+    """Only as a request."""
 
 
-class Demoted(enum.IntFlag):
-    SETPOINTS_OLD = lib.DEMOTED_SETPOINTS_OLD
-    NOT_ENABLED = lib.DEMOTED_NOT_ENABLED
-    LEFT_ALONE = lib.DEMOTED_LEFT_ALONE
-    LOST_SETUP = lib.DEMOTED_LOST_SETUP
-    DISABLED_ITSELF = lib.DEMOTED_DISABLED_ITSELF
-    QUIET = lib.DEMOTED_QUIET
-    STILL_ENABLED = lib.DEMOTED_STILL_ENABLED
+class FaultReason(enum.IntFlag):
+    SETPOINTS_OLD = lib.FAULT_REASON_SETPOINTS_OLD
+    NOT_ENABLED = lib.FAULT_REASON_NOT_ENABLED
+    LEFT_ALONE = lib.FAULT_REASON_LEFT_ALONE
+    LOST_SETUP = lib.FAULT_REASON_LOST_SETUP
+    DISABLED_ITSELF = lib.FAULT_REASON_DISABLED_ITSELF
+    QUIET = lib.FAULT_REASON_QUIET
+    STILL_ENABLED = lib.FAULT_REASON_STILL_ENABLED
 
 
 class Stop(enum.IntEnum):
@@ -45,7 +45,7 @@ class DriveRules:
     def __init__(self) -> None:
         self._state: Any = ffi.new("drive_state *")
         self._view: Any = ffi.new("drive_view *")
-        self._wish: Any = ffi.new("drive_wish *")
+        self._request: Any = ffi.new("mode_request *")
 
     @property
     def mode(self) -> Mode:
@@ -57,8 +57,8 @@ class DriveRules:
         return int(self._state.epoch)
 
     @property
-    def demoted(self) -> Demoted:
-        return Demoted(self._state.demoted)
+    def fault_reasons(self) -> FaultReason:
+        return FaultReason(self._state.fault_reasons)
 
     @property
     def is_stopping(self) -> bool:
@@ -73,13 +73,13 @@ class DriveRules:
     def request(self, mode: Mode, enabled_count: int = 0) -> None:
         """As drive_obey in C: what cannot be is not done. `enabled_count` is of the set-points when
         its arming began; that they are fresh is what `guard` looks at in each cycle."""
-        self._wish.count += 1
-        self._wish.mode = mode
+        self._request.count += 1
+        self._request.mode = mode
         self._view.fresh, self._view.enabled_count = True, enabled_count
-        lib.drive_obey(self._state, self._wish, self._view)
+        lib.drive_obey(self._state, self._request, self._view)
 
     def unresponsive(self) -> None:
-        lib.drive_demote(self._state, Demoted.QUIET, Mode.QUIET)
+        lib.drive_take_back(self._state, FaultReason.QUIET, Mode.QUIET)
 
     def guard(
         self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int

@@ -36,7 +36,7 @@ def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
-    """What one wheel is to do: its speed, and the same wish as a duty in -1..1, and as a torque
+    """What one wheel is to do: its speed, and the same as a duty in -1..1, and as a torque
     where its drive takes one."""
 
     velocity_rad_s: float

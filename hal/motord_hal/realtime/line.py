@@ -16,7 +16,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import LineSpec, RoundTrips
-from motord_hal.realtime.drive_state import Demoted, Mode
+from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.table import LineFrame, LineTable
 from motord_hal.realtime.thread import (
@@ -102,10 +102,10 @@ class Answer:
 @dataclass(frozen=True, slots=True)
 class DriveReport:
     mode: Mode
-    demoted: Demoted
-    wish_seen: int
+    fault_reasons: FaultReason
+    request_seen: int
     enabled: bool | None
-    """None: it cannot say, or has not said since the last wish."""
+    """None: it cannot say, or has not said since the last request."""
     stopping: bool
     told_motion: bool
     may_turn: bool
@@ -220,8 +220,8 @@ class LineThread(ThreadDoor):
 def _drive_report(raw: Any) -> DriveReport:
     return DriveReport(
         mode=Mode(raw.mode),
-        demoted=Demoted(raw.demoted),
-        wish_seen=raw.wish_seen,
+        fault_reasons=FaultReason(raw.fault_reasons),
+        request_seen=raw.request_seen,
         enabled=None if raw.enabled > 1 else raw.enabled == 1,
         stopping=raw.stopping != 0,
         told_motion=raw.told_motion != 0,

@@ -14,7 +14,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 from motord_hal.base.errors import HalError
-from motord_hal.realtime.drive_state import Demoted
+from motord_hal.realtime.drive_state import FaultReason
 from motord_hal.realtime.exchange import Exchange
 
 OUTPUTS_MAX: int = lib.PWM_OUTPUTS_MAX
@@ -22,13 +22,13 @@ MODES = ("coast", "brake", "forward", "reverse")
 """In the order of the C side."""
 
 
-class Wish(enum.IntEnum):
+class BridgeMode(enum.IntEnum):
     OFF = lib.PWM_OFF
     STOP = lib.PWM_STOP
     ARMED = lib.PWM_ARMED
 
 
-_NEVER = Demoted(0)
+_NEVER = FaultReason(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +100,7 @@ class BridgeReport:
     running: bool = False
     armed: bool = False
     stopping: bool = False
-    demoted: Demoted = _NEVER
+    fault_reasons: FaultReason = _NEVER
     number: int = 0
     error: int = 0
     error_output: int = -1
@@ -137,11 +137,11 @@ class BridgeThread:
         """The pins rest afterwards. Nothing happens when it does not run."""
         lib.pwm_line_stop(self._line)
 
-    def wish(self, wish: Wish) -> int:
+    def request_mode(self, request: BridgeMode) -> int:
         """Tell it; the number with which the report says that it was obeyed."""
         self._number += 1
         lib.pwm_line_put_control(
-            self._line, ffi.new("bridge_control *", {"wish": int(wish), "number": self._number})
+            self._line, ffi.new("bridge_control *", {"mode": int(request), "number": self._number})
         )
         return self._number
 
@@ -159,7 +159,7 @@ class BridgeThread:
             running=raw.running != 0,
             armed=raw.armed != 0,
             stopping=raw.stopping != 0,
-            demoted=Demoted(raw.demoted),
+            fault_reasons=FaultReason(raw.fault_reasons),
             number=raw.number,
             error=raw.error,
             error_output=raw.error_output,

@@ -95,21 +95,21 @@ class ThreadDoor:
         if code != -errno.ESRCH:
             check_code(code, "the line cannot be stopped")
 
-    def wish(self, drive: int, mode: int) -> int:
-        """Ask for a Mode; returns the wish's count, which the report shows when it was seen."""
-        raw = self._wish_of(drive)
+    def request_mode(self, drive: int, mode: int) -> int:
+        """Ask for a Mode; returns the request's count, which the report shows when it was seen."""
+        raw = self._request_of(drive)
         raw.count += 1
         raw.mode = mode
         self._put_control()
         return int(raw.count)
 
-    def wished(self, drive: int) -> int:
-        """The count of the newest wish."""
-        return int(self._wish_of(drive).count)
+    def requested(self, drive: int) -> int:
+        """The count of the newest request."""
+        return int(self._request_of(drive).count)
 
     def allow_arming(self, drive: int, until_ns: int) -> None:
         """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
-        self._wish_of(drive).arming_until_ns = until_ns
+        self._request_of(drive).arming_until_ns = until_ns
         self._put_control()
 
     def shut_down(self) -> None:
@@ -117,7 +117,7 @@ class ThreadDoor:
         self._control.shut_down = 1
         self._put_control()
 
-    def _wish_of(self, drive: int) -> Any:
+    def _request_of(self, drive: int) -> Any:
         return self._control.drive[drive]
 
     def _put_control(self) -> None:

@@ -108,12 +108,12 @@ class BoardJobs:
             check()
 
     async def _stops(self) -> int:
-        """How often C has stopped the board, all wishes so far included. Raises HalError."""
-        wished = self._thread.wished(0)
+        """How often C has stopped the board, all requests so far included. Raises HalError."""
+        requested = self._thread.requested(0)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:
             said = self._says()
-            if said.wish_seen == wished:
+            if said.request_seen == requested:
                 return said.stops
             await asyncio.sleep(self._period_s)
         raise HalError(f"{self._name}: the line's thread does not answer")

@@ -111,12 +111,12 @@ class CanJobs:
         raise NoReply(f"{self._name}: {name}: a frame was not sent: stopped, or the bus is full")
 
     async def _stops(self) -> int:
-        """How often C has stopped the drive, all wishes so far included. Raises HalError."""
-        wished = self._thread.wished(self._index)
+        """How often C has stopped the drive, all requests so far included. Raises HalError."""
+        requested = self._thread.requested(self._index)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:
             said = self._said()
-            if said.wish_seen == wished:
+            if said.request_seen == requested:
                 return said.stops
             await asyncio.sleep(self._cycle_s)
         raise HalError(f"{self._name}: the bus's thread does not answer")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One drive of a real-time line: it is set up, armed and disarmed here, and watched.
 
-Its cycle and what takes it back to rest are C's (csrc/api_line.h). Here are only wishes, which C
+Its cycle and what takes it back to rest are C's (csrc/api_line.h). Here are only requests, which C
 obeys where it is safe, and sequences of requests.
 """
 
@@ -20,7 +20,7 @@ from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.fieldbus.faults import FaultWatch, Say
 from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
-from motord_hal.realtime.drive_state import Demoted, Mode
+from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.line import AnswerKind, DriveReport, LineThread
 from motord_hal.rt_engine.notifier import News
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
@@ -29,7 +29,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0
 OBEYED_WITHIN_S = 1.0
-"""C obeys or refuses a wish within milliseconds; asyncio may hear of it later."""
+"""C obeys or refuses a request within milliseconds; asyncio may hear of it later."""
 
 _STATES = MappingProxyType(
     {
@@ -42,9 +42,9 @@ _STATES = MappingProxyType(
 )
 _WARNINGS = MappingProxyType(
     {
-        Demoted.LOST_SETUP: "has lost its set-up: set up again, disarmed",
-        Demoted.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
-        Demoted.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
+        FaultReason.LOST_SETUP: "has lost its set-up: set up again, disarmed",
+        FaultReason.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
+        FaultReason.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
     }
 )
 
@@ -55,9 +55,9 @@ class DriveSays(Protocol):
     @property
     def mode(self) -> Mode: ...
     @property
-    def demoted(self) -> Demoted: ...
+    def fault_reasons(self) -> FaultReason: ...
     @property
-    def wish_seen(self) -> int: ...
+    def request_seen(self) -> int: ...
     @property
     def stopping(self) -> bool: ...
     @property
@@ -85,10 +85,10 @@ class Jobs(Protocol):
     ) -> None: ...
 
 
-class Wishes(Protocol):
+class ModeRequests(Protocol):
     """The way to what C does with a drive."""
 
-    def wish(self, drive: int, mode: Mode) -> int: ...
+    def request_mode(self, drive: int, mode: Mode) -> int: ...
     def allow_arming(self, drive: int, until_ns: int) -> None: ...
 
 
@@ -96,7 +96,7 @@ class RtDrive(abc.ABC):
     """Number `index` of the line's table."""
 
     def __init__(
-        self, index: int, jobs: Jobs, watchdog_s: float, thread: Wishes, news: News, say: Say
+        self, index: int, jobs: Jobs, watchdog_s: float, thread: ModeRequests, news: News, say: Say
     ) -> None:
         self._jobs = jobs
         self.names = tuple(joint.name for joint in jobs.joints)
@@ -113,7 +113,7 @@ class RtDrive(abc.ABC):
         self.stops = 0
         """How often it was told to stand down: an arming that began before is over."""
         self._standing_down = 0
-        """The wish by which it was told so last."""
+        """The request by which it was told so last."""
         self._powering_off: asyncio.Future[None] | None = None
 
     def __str__(self) -> str:
@@ -165,7 +165,7 @@ class RtDrive(abc.ABC):
     def update(self, report: DriveSays, fault_words: Sequence[int]) -> None:
         """Note what C reports, and say what is new."""
         before = self.mode
-        said = Demoted(0) if self._report is None else self._report.demoted
+        said = FaultReason(0) if self._report is None else self._report.fault_reasons
         self._report = report
         if report.cycles:  # else its fault words have not been read
             for joint in self._jobs.joints:
@@ -174,7 +174,7 @@ class RtDrive(abc.ABC):
             self._is_ready()
         elif report.mode in (Mode.QUIET, Mode.BACK):
             self._is_quiet(self._why_quiet(report))
-        for bit in report.demoted & ~said:
+        for bit in report.fault_reasons & ~said:
             if bit in _WARNINGS:
                 self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
 
@@ -194,14 +194,14 @@ class RtDrive(abc.ABC):
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
-        """Whenever C holds it for not set up: set it up, and wish it ready. For ever."""
+        """Whenever C holds it for not set up: set it up, and request it ready. For ever."""
         while True:
             await self._news.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             try:
                 await self._present()
                 self._failed_setup = False
                 await self._jobs.run("configure", self._setup)
-                await self._obeyed(self._thread.wish(self._index, Mode.READY))
+                await self._obeyed(self._thread.request_mode(self._index, Mode.READY))
                 continue
             except PortError:
                 pass  # the line has seen it, too, and ends this task
@@ -233,12 +233,12 @@ class RtDrive(abc.ABC):
             future.set_exception(error)
             future.exception()  # nobody may be waiting for it
 
-    async def _obeyed(self, wish: int) -> None:
+    async def _obeyed(self, request: int) -> None:
         """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
         try:
             async with within(OBEYED_WITHIN_S):
                 await self._news.until(
-                    lambda: self._report is not None and self._report.wish_seen >= wish
+                    lambda: self._report is not None and self._report.request_seen >= request
                 )
         except TimeoutError:
             raise HalError(f"{self}: the line's thread does not answer") from None
@@ -248,7 +248,7 @@ class RtDrive(abc.ABC):
         """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
         for it shields it."""
         self.stops += 1
-        self._standing_down = self._thread.wish(self._index, Mode.STAND_DOWN)
+        self._standing_down = self._thread.request_mode(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)
         if self._powering_off is None:
             self._powering_off = asyncio.get_running_loop().create_future()
@@ -275,7 +275,7 @@ class RtDrive(abc.ABC):
     async def go(self, began: int) -> None:
         """The second half: from now on it is told the core's set-points. Raises HalError."""
         self._check_arming(began, Mode.READY)
-        await self._obeyed(self._thread.wish(self._index, Mode.ARMED))
+        await self._obeyed(self._thread.request_mode(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
         self._check_arming(began, Mode.ARMED)
