@@ -123,7 +123,7 @@ typedef struct {
     line_life life;
     uint32_t shut_down;     /* 1: done */
     uint32_t mode;          /* drive_mode */
-    uint32_t fault_reasons; /* FAULT_REASON_* */
+    uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
     uint32_t enabled;        /* 1, 0, 2: it has not said */
     uint32_t stopping;       /* a quick stop was told, and the wheels have not been seen at rest since */

@@ -47,11 +47,11 @@ typedef struct {
     int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as often as they like */
     int64_t barred_until_ns;   /* its owner was held when another lease of his ended: until then he is held here, too,
                                    when his next command begins with motion. Only a later time is a new bar */
-} lease_grant;
+} lease_permission;
 
 typedef struct {
-    lease_grant lease[LEASES_MAX];
-} lease_grants;
+    lease_permission lease[LEASES_MAX];
+} lease_permissions;
 
 typedef enum {
     REFUSED_FORM = 0, /* length, magic, version, kind */
@@ -93,7 +93,7 @@ typedef struct {
 } command_report;
 
 typedef struct {
-    lease_grants grants;
+    lease_permissions permissions;
     const core_config *base;   /* whose joints are commanded; none: no command of joints is obeyed */
     const base_limits *limits; /* in force now, beside those of `base`; none: those of `base` alone */
     uint64_t comers;           /* leases that have come alive so far */
@@ -105,7 +105,7 @@ typedef struct {
 /* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is used. */
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits);
 /* New leases begin, those that are not named any more end; the others go on. */
-void arbiter_grant(arbiter *a, const lease_grants *grants);
+void arbiter_grant(arbiter *a, const lease_permissions *permissions);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
 /* Once a tick, after what came was submitted: who commands, and what. */
@@ -118,8 +118,8 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s);
 
 /* Mailboxes of the exchange, as those of api.h. */
-void exchange_put_grants(exchange *x, const lease_grants *grants); /* asyncio → loop */
-int exchange_take_grants(exchange *x, lease_grants *out);
+void exchange_put_permissions(exchange *x, const lease_permissions *permissions); /* asyncio → loop */
+int exchange_take_permissions(exchange *x, lease_permissions *out);
 void exchange_put_commands(exchange *x, const command_report *report); /* loop → asyncio */
 int exchange_take_commands(exchange *x, command_report *out);
 

@@ -7,7 +7,7 @@ typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } drive_stop
 
 typedef struct {
     uint32_t mode;             /* drive_mode */
-    uint32_t fault_reasons;    /* FAULT_REASON_*, since it was set up or armed */
+    uint32_t fault_reasons;    /* DRIVE_FAULT_*, since it was set up or armed */
     uint32_t reported_reasons; /* the same, as it was reported */
     uint32_t request_seen;     /* number of the newest request */
     uint32_t enabled;          /* by its own word: 1 yes, 0 no, 2 not known */
@@ -42,7 +42,7 @@ typedef struct {
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
-/* FAULT_REASON_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
+/* DRIVE_FAULT_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
 uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled);
 /* Each returns the stop that its medium has to begin. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view);
@@ -55,6 +55,6 @@ drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
 drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view);
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
 /* It was taken back for another reason since it was asked last. */
-bool drive_has_news(drive_state *drive);
+bool drive_is_changed(drive_state *drive);
 /* It has got its stop. True: it was unresponsive, and is BACK. */
 bool drive_stop_done(drive_state *drive);

@@ -197,13 +197,13 @@ typedef enum {
 
 /* Why the line itself took a drive back; OR of all since the last request was obeyed. */
 enum {
-    FAULT_REASON_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
-    FAULT_REASON_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
-    FAULT_REASON_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
-    FAULT_REASON_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
-    FAULT_REASON_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
-    FAULT_REASON_QUIET = 1 << 5,
-    FAULT_REASON_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
+    DRIVE_FAULT_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
+    DRIVE_FAULT_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
+    DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
+    DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
+    DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
+    DRIVE_FAULT_QUIET = 1 << 5,
+    DRIVE_FAULT_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
 };
 
 /* Python's request for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
@@ -254,7 +254,7 @@ typedef struct {
 
 typedef struct {
     uint32_t mode;          /* drive_mode */
-    uint32_t fault_reasons; /* FAULT_REASON_* */
+    uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;  /* count of the last request that was obeyed */
     uint32_t enabled;       /* 1, 0, 2: it has not said since the last request */
     uint32_t stopping;      /* a quick stop was told, and the wheels have not been seen at rest since */

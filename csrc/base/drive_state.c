@@ -10,11 +10,11 @@ void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode)
     drive->enabled = 2;
 }
 
-bool drive_has_news(drive_state *drive)
+bool drive_is_changed(drive_state *drive)
 {
-    bool news = drive->fault_reasons != drive->reported_reasons;
+    bool changed = drive->fault_reasons != drive->reported_reasons;
     drive->reported_reasons = drive->fault_reasons;
-    return news;
+    return changed;
 }
 
 drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns)
@@ -51,12 +51,12 @@ bool drive_stop_done(drive_state *drive)
 uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
 {
     if (!fresh) {
-        return FAULT_REASON_SETPOINTS_OLD;
+        return DRIVE_FAULT_SETPOINTS_OLD;
     }
     if (left_alone) {
-        return FAULT_REASON_LEFT_ALONE;
+        return DRIVE_FAULT_LEFT_ALONE;
     }
-    return !enabled && was_enabled ? FAULT_REASON_NOT_ENABLED : 0;
+    return !enabled && was_enabled ? DRIVE_FAULT_NOT_ENABLED : 0;
 }
 
 /* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any more: no power. */
@@ -67,7 +67,7 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
     }
     bool was_enabled = drive->was_enabled || drive->enabled_count != view->enabled_count;
     uint32_t why = drive_fault_reason(view->fresh, view->left_alone, view->enabled, was_enabled);
-    if (why == FAULT_REASON_NOT_ENABLED) {
+    if (why == DRIVE_FAULT_NOT_ENABLED) {
         drive_take_back(drive, why, DRIVE_READY);
         return drive_power_off(drive);
     }
@@ -78,7 +78,7 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
 {
     if (drive->mode == DRIVE_ARMED && drive->enabled == 0) {
-        drive_take_back(drive, FAULT_REASON_DISABLED_ITSELF, DRIVE_OFF);
+        drive_take_back(drive, DRIVE_FAULT_DISABLED_ITSELF, DRIVE_OFF);
         return drive_power_off(drive);
     }
     if (drive->enabled == 0) {
@@ -89,7 +89,7 @@ drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
         return STOP_NOTHING;
     }
     drive->still_enabled++;
-    drive->fault_reasons |= drive->still_enabled == tries ? FAULT_REASON_STILL_ENABLED : 0;
+    drive->fault_reasons |= drive->still_enabled == tries ? DRIVE_FAULT_STILL_ENABLED : 0;
     return drive_power_off(drive);
 }
 

@@ -42,7 +42,7 @@ static inline bool cycle_clock_early(cycle_clock *c, int64_t period_ns, int64_t 
 
 /* The next cycle is due now, but not before the gap after the newest one. What stops a motion is never too much: each stop
  * follows a motion, which is counted. */
-static inline void cycle_clock_hurry(cycle_clock *c, int64_t period_ns, int64_t gap_ns, bool stops, int64_t now_ns)
+static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns, bool stops, int64_t now_ns)
 {
     int64_t soon_ns = c->start_ns > 0 ? later(now_ns, c->start_ns + gap_ns) : now_ns;
     if (soon_ns < c->due_ns && (stops || cycle_clock_early(c, period_ns, now_ns))) {

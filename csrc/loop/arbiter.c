@@ -44,21 +44,21 @@ static bool wants_motion(const lease_state *lease)
     return lease->linear_m_s != 0.0 || lease->angular_rad_s != 0.0;
 }
 
-void arbiter_grant(arbiter *a, const lease_grants *grants)
+void arbiter_grant(arbiter *a, const lease_permissions *permissions)
 {
     lease_state kept[LEASES_MAX];
     memset(kept, 0, sizeof kept);
     for (uint32_t i = 0; i < LEASES_MAX; i++) {
-        kept[i].number = grants->lease[i].number;
-        kept[i].priority = grants->lease[i].priority;
+        kept[i].number = permissions->lease[i].number;
+        kept[i].priority = permissions->lease[i].priority;
         for (uint32_t before = 0; before < LEASES_MAX && kept[i].number != 0; before++) {
             if (a->report.lease[before].number == kept[i].number) {
                 kept[i] = a->report.lease[before];
-                kept[i].priority = grants->lease[i].priority;
+                kept[i].priority = permissions->lease[i].priority;
             }
         }
     }
-    a->grants = *grants;
+    a->permissions = *permissions;
     memcpy(a->report.lease, kept, sizeof kept);
 }
 
@@ -76,7 +76,7 @@ static uint32_t find(const arbiter *a, const uint8_t *token)
 {
     uint32_t found = LEASES_MAX;
     for (uint32_t i = 0; i < LEASES_MAX; i++) {
-        if (a->grants.lease[i].number != 0 && same_token(token, a->grants.lease[i].token)) {
+        if (a->permissions.lease[i].number != 0 && same_token(token, a->permissions.lease[i].token)) {
             found = i;
         }
     }
@@ -90,7 +90,7 @@ static int refuse(arbiter *a, command_refusal why)
 }
 
 /* How long it lives, 0: it cannot. */
-static int64_t lifetime_ns(const lease_grant *grant, const command_datagram *command)
+static int64_t lifetime_ns(const lease_permission *grant, const command_datagram *command)
 {
     int64_t asked_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
     if (asked_ns == 0) {
@@ -106,7 +106,7 @@ static bool is_new(const lease_state *lease, uint64_t sequence)
 }
 
 /* The generic cell rate algorithm, ITU-T I.371: as many as are due, and some of them early. */
-static bool too_often(const lease_grant *grant, lease_state *lease, int64_t now_ns)
+static bool too_often(const lease_permission *grant, lease_state *lease, int64_t now_ns)
 {
     if (grant->interval_least_ns == 0) {
         return false;
@@ -150,7 +150,7 @@ static bool in_range(const arbiter *a, const command_datagram *command)
 /* `possible`: the base can do it, if it is finite. */
 static int take(arbiter *a, uint32_t place, const command_datagram *command, bool possible, int64_t now_ns, bool may_move)
 {
-    const lease_grant *grant = &a->grants.lease[place];
+    const lease_permission *grant = &a->permissions.lease[place];
     lease_state *lease = &a->report.lease[place];
     int64_t life_ns = lifetime_ns(grant, command);
     if (!is_new(lease, command->sequence)) {

@@ -12,7 +12,7 @@ size_t exchange_bytes(void)
 void exchange_init(exchange *x)
 {
     memset(x, 0, sizeof *x);
-    mailbox_init(&x->grants.box);
+    mailbox_init(&x->permissions.box);
     mailbox_init(&x->commands.box);
     mailbox_init(&x->control.box);
     mailbox_init(&x->imu.box);
@@ -25,14 +25,14 @@ void exchange_init(exchange *x)
     }
 }
 
-void exchange_put_grants(exchange *x, const lease_grants *grants)
+void exchange_put_permissions(exchange *x, const lease_permissions *permissions)
 {
-    mailbox_put(&x->grants.box, x->grants.slot, grants, sizeof *grants);
+    mailbox_put(&x->permissions.box, x->permissions.slot, permissions, sizeof *permissions);
 }
 
-int exchange_take_grants(exchange *x, lease_grants *out)
+int exchange_take_permissions(exchange *x, lease_permissions *out)
 {
-    return mailbox_take(&x->grants.box, x->grants.slot, out, sizeof *out);
+    return mailbox_take(&x->permissions.box, x->permissions.slot, out, sizeof *out);
 }
 
 void exchange_put_commands(exchange *x, const command_report *report)

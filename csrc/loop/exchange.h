@@ -8,8 +8,8 @@
 
 typedef struct {
     mailbox box;
-    lease_grants slot[MAILBOX_SLOTS];
-} grants_box;
+    lease_permissions slot[MAILBOX_SLOTS];
+} permissions_box;
 
 typedef struct {
     mailbox box;
@@ -37,7 +37,7 @@ typedef struct {
 } setpoints_box;
 
 struct exchange {
-    grants_box grants;
+    permissions_box permissions;
     commands_box commands;
     control_box control;
     feedback_box feedback[JOINTS_MAX];

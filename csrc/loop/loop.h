@@ -25,7 +25,7 @@ typedef struct {
     bool stop_news; /* a stop request came in this tick */
     guard guard;
     arbiter arbiter;
-    lease_grants grants;
+    lease_permissions permissions;
     int64_t used_stamp_ns; /* of the command that was last counted in HISTOGRAM_COMMAND */
     bool woken;            /* the tick before had a new command */
     bool stopping;         /* the set-points of the last tick were none that move */

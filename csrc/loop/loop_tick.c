@@ -121,9 +121,9 @@ static bool may_move(const loop_work *work)
 
 static void take_commands(loop_work *work, int64_t now_ns)
 {
-    bool granted = exchange_take_grants(&work->exchange, &work->grants) == 1;
+    bool granted = exchange_take_permissions(&work->exchange, &work->permissions) == 1;
     if (granted) {
-        arbiter_grant(&work->arbiter, &work->grants);
+        arbiter_grant(&work->arbiter, &work->permissions);
     }
     uint32_t before = work->arbiter.report.commander;
     bool could_move = work->arbiter.report.may_move != 0;

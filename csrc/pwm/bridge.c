@@ -34,7 +34,7 @@ static void obey_request(bridge_state *state, const bridge_config *config, const
         state->enabled_count_armed = state->enabled_count;
         state->stop_until_ns = 0;
     } else if (control->mode == PWM_ARMED) {
-        take_back(state, FAULT_REASON_SETPOINTS_OLD, 0);
+        take_back(state, DRIVE_FAULT_SETPOINTS_OLD, 0);
     } else {
         bool braking = control->mode == PWM_STOP && state->armed != 0;
         state->armed = 0;
@@ -54,7 +54,7 @@ static void look_at_setpoints(bridge_state *state, const bridge_config *config, 
     bool was_enabled = state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count;
     uint32_t why = drive_fault_reason(fresh, left_alone, enabled, was_enabled);
     if (why != 0) {
-        take_back(state, why, why == FAULT_REASON_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
+        take_back(state, why, why == DRIVE_FAULT_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
     } else if (enabled) {
         state->was_enabled = 1;
     }

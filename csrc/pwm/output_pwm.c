@@ -268,8 +268,8 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
 static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, uint64_t inputs_before)
 {
     bool armed = t->state.armed != 0, stopping = t->state.stop_until_ns != 0;
-    bool news = armed != (t->out.armed != 0) || stopping != (t->out.stopping != 0) || !running ||
-                t->out.number != t->state.number || t->out.active_inputs != inputs_before;
+    bool notify = armed != (t->out.armed != 0) || stopping != (t->out.stopping != 0) || !running ||
+                  t->out.number != t->state.number || t->out.active_inputs != inputs_before;
     t->out.running = running;
     t->out.error = -error;
     t->out.armed = armed;
@@ -278,12 +278,12 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     t->out.number = t->state.number;
     t->out.policy = t->grant.policy;
     t->out.scheduler_errno = t->grant.scheduler_errno;
-    if (news || now_ns - t->reported_ns >= REPORT_EVERY_NS) {
+    if (notify || now_ns - t->reported_ns >= REPORT_EVERY_NS) {
         t->reported_ns = now_ns;
         mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
     }
     const uint64_t one = 1;
-    if (news && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
+    if (notify && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
         return; /* full: it is told already */
     }
 }

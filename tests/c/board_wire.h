@@ -215,9 +215,9 @@ static inline void arm(void)
 /* What Python would hear of by now; it has heard it then. */
 static inline bool heard_news(void)
 {
-    bool news = w.machine.news;
-    w.machine.news = false;
-    return news;
+    bool notify = w.machine.notify;
+    w.machine.notify = false;
+    return notify;
 }
 
 static inline void arm_and_turn(void)

@@ -22,10 +22,10 @@ static const core_config BASE = {.joint_count = 4,
 
 static void granted(arbiter *a)
 {
-    lease_grants grants = {.lease = {{.number = 1, .priority = 10, .lifetime_ns = 300000000}}};
-    memset(grants.lease[0].token, 'a', TOKEN_BYTES);
+    lease_permissions permissions = {.lease = {{.number = 1, .priority = 10, .lifetime_ns = 300000000}}};
+    memset(permissions.lease[0].token, 'a', TOKEN_BYTES);
     arbiter_init(a, &BASE, NULL);
-    arbiter_grant(a, &grants);
+    arbiter_grant(a, &permissions);
 }
 
 /* By the first bytes: as it is, or with more and more of what makes it a command. */

@@ -11,7 +11,7 @@ static const int64_t MS = 1000000, LIFE_NS = 300000000;
 
 typedef struct {
     arbiter arbiter;
-    lease_grants grants;
+    lease_permissions permissions;
     int64_t now_ns;
     bool may_move;
 } bench;
@@ -25,13 +25,13 @@ static void begin(void)
     b.now_ns = 5000 * MS;
     b.may_move = true;
     for (uint32_t i = 0; i < 3; i++) {
-        lease_grant *grant = &b.grants.lease[i];
-        *grant = (lease_grant){.number = i + 1, .priority = 10, .lifetime_ns = LIFE_NS};
+        lease_permission *grant = &b.permissions.lease[i];
+        *grant = (lease_permission){.number = i + 1, .priority = 10, .lifetime_ns = LIFE_NS};
         memset(grant->token, 0x41, TOKEN_BYTES);
         grant->token[TOKEN_BYTES - 1] = (uint8_t)i;
     }
     arbiter_init(&b.arbiter, NULL, NULL);
-    arbiter_grant(&b.arbiter, &b.grants);
+    arbiter_grant(&b.arbiter, &b.permissions);
 }
 
 static command_datagram command_of(uint32_t lease, uint64_t sequence, double linear_m_s)
@@ -42,7 +42,7 @@ static command_datagram command_of(uint32_t lease, uint64_t sequence, double lin
                                 .sequence = sequence,
                                 .stamp_ns = b.now_ns,
                                 .linear_m_s = linear_m_s};
-    memcpy(command.token, b.grants.lease[lease].token, TOKEN_BYTES);
+    memcpy(command.token, b.permissions.lease[lease].token, TOKEN_BYTES);
     return command;
 }
 
@@ -146,7 +146,7 @@ static void a_lease_goes_on_when_others_come_and_go(void)
 {
     begin();
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
-    lease_grants other = {.lease = {[5] = b.grants.lease[0]}};
+    lease_permissions other = {.lease = {[5] = b.permissions.lease[0]}};
     arbiter_grant(&b.arbiter, &other);
     CHECK(obeyed().linear_m_s == 0.1 && b.arbiter.report.commander == 1 && lease_of(5)->sequence == 1);
 }
@@ -160,8 +160,8 @@ static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place
     CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);
     CHECK(obeyed().linear_m_s == 0.2);
     begin();
-    b.grants.lease[0].priority = 20;
-    arbiter_grant(&b.arbiter, &b.grants);
+    b.permissions.lease[0].priority = 20;
+    arbiter_grant(&b.arbiter, &b.permissions);
     CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0); /* the lower one was first, and comes later in the list */
     CHECK(obeyed().linear_m_s == 0.1);
 }
@@ -218,8 +218,8 @@ static void the_interval_between_commands_is_smoothed_over_eight(void)
 static void any_rate_but_zero_is_a_limit(void)
 {
     begin();
-    b.grants.lease[0].interval_least_ns = 1;
-    arbiter_grant(&b.arbiter, &b.grants);
+    b.permissions.lease[0].interval_least_ns = 1;
+    arbiter_grant(&b.arbiter, &b.permissions);
     for (uint64_t sequence = 1; sequence <= 5; sequence++) {
         CHECK(say(0, sequence, 0.1) == 0 && say(1, sequence, 0.1) == 0);
     }
@@ -230,8 +230,8 @@ static void any_rate_but_zero_is_a_limit(void)
 static void begin_barred(int64_t until_ns)
 {
     begin();
-    b.grants.lease[0].barred_until_ns = until_ns;
-    arbiter_grant(&b.arbiter, &b.grants);
+    b.permissions.lease[0].barred_until_ns = until_ns;
+    arbiter_grant(&b.arbiter, &b.permissions);
 }
 
 static void who_was_held_is_held_under_his_next_lease_until_the_bar_is_over(void)
@@ -255,8 +255,8 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
     CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
     b.now_ns += LIFE_NS; /* his command has lapsed */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
-    b.grants.lease[0].barred_until_ns = until_ns + 1;
-    arbiter_grant(&b.arbiter, &b.grants);
+    b.permissions.lease[0].barred_until_ns = until_ns + 1;
+    arbiter_grant(&b.arbiter, &b.permissions);
     b.now_ns += LIFE_NS;
     CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
 }

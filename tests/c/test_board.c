@@ -150,7 +150,7 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     w.stuck = true;
     w.enabled = 2;
     go_on(125 * MS);
-    CHECK((w.machine.state.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.state.stopping);
     go_on(300 * MS);
     CHECK(w.peer.braking == 1); /* the wheels turn still */
@@ -173,7 +173,7 @@ static void a_wheel_rests_below_the_speed_of_the_table(void)
         w.stuck = true;
         w.enabled = 2;
         go_on(300 * MS);
-        CHECK((w.machine.state.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
+        CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
               w.machine.state.stopping == strict);
     }
 }
@@ -292,7 +292,7 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     arm_and_turn();
     w.full = true;
     go_on((WATCHDOG_MS + 30) * MS);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.fault_reasons & FAULT_REASON_LEFT_ALONE) != 0);
+    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0);
     CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
     w.full = false;
     w.moving_count = 0;
@@ -325,7 +325,7 @@ static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
     w.deaf = false;
     w.moving_count = 0;
     go_on(60 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_DISABLED_ITSELF) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_DISABLED_ITSELF) != 0);
     CHECK(w.peer.enabled == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
@@ -335,7 +335,7 @@ static void a_restarted_board_has_lost_its_set_up(void)
     arm_and_turn();
     motord_board_init(&w.peer, MOTORS, (uint32_t)(w.now_ns / 1000));
     go_on(250 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_LOST_SETUP) != 0 &&
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0 &&
           w.peer.enabled == 0);
     set_up();
     CHECK(w.machine.state.epoch == 2);
@@ -347,7 +347,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
     set_up();
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
-    CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & FAULT_REASON_STILL_ENABLED) == 0);
+    CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) == 0);
     for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
         uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
@@ -357,7 +357,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
         board_machine_hear(&w.machine, frame, count, w.now_ns);
     }
-    CHECK((w.machine.state.fault_reasons & FAULT_REASON_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
 }
 
 /* --------------------------------------------------------------------------------------------------- presence */
@@ -420,7 +420,7 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     while (w.machine.state.mode == DRIVE_ARMED) {
         go_on(MS);
     }
-    CHECK(w.machine.state.fault_reasons == FAULT_REASON_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
+    CHECK(w.machine.state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
 }
 
 int main(void)

@@ -11,7 +11,7 @@ static void begin_ready(void)
     m->state.mode = DRIVE_READY;
     m->heard_ns = m->told_ns = m->written_ns = m->knows_ns = w.now_ns;
     m->newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1};
-    m->news = false;
+    m->notify = false;
 }
 
 static void begin_armed(void)
@@ -28,8 +28,8 @@ static void a_board_is_unresponsive_after_its_silence_and_not_before(void)
         m->heard_ns = w.now_ns - w.table.silence_ns - late;
         uint32_t stops = m->stops;
         board_guard(m, w.now_ns);
-        CHECK(m->state.mode == (late ? DRIVE_QUIET : DRIVE_READY) && m->quiet == (uint64_t)late && m->news == (late == 1));
-        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? FAULT_REASON_QUIET : 0U));
+        CHECK(m->state.mode == (late ? DRIVE_QUIET : DRIVE_READY) && m->quiet == (uint64_t)late && m->notify == (late == 1));
+        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? DRIVE_FAULT_QUIET : 0U));
         CHECK(m->state.stop == (late ? STOP_QUICK : STOP_NOTHING) && !m->state.stopping);
     }
 }
@@ -41,8 +41,8 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
         m->told_ns = w.now_ns - w.table.watchdog_ns - late;
         board_guard(m, w.now_ns);
         CHECK(m->state.mode == (late ? DRIVE_READY : DRIVE_ARMED) &&
-              m->state.fault_reasons == (late ? FAULT_REASON_LEFT_ALONE : 0U));
-        CHECK(m->state.stopping == (late == 1) && m->news == (late == 1));
+              m->state.fault_reasons == (late ? DRIVE_FAULT_LEFT_ALONE : 0U));
+        CHECK(m->state.stopping == (late == 1) && m->notify == (late == 1));
     }
     for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: it has none */
         begin_armed();
@@ -88,7 +88,7 @@ static void its_word_counts_when_it_had_heard_what_stays_in_its_payload(void)
         m->knows_ns = m->written_ns - before;
         says(STATUS_RESTARTED, WATCHDOG_MS);
         CHECK(m->state.mode == (before ? DRIVE_ARMED : DRIVE_OFF) &&
-              m->state.fault_reasons == (before ? 0U : FAULT_REASON_LOST_SETUP));
+              m->state.fault_reasons == (before ? 0U : DRIVE_FAULT_LOST_SETUP));
         CHECK(m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
     }
 }
@@ -120,7 +120,7 @@ static void an_order_counts_when_it_has_gone_out(void)
     m->has_order = m->order_written = true;
     m->orders_sent = 7;
     board_told(m, w.now_ns);
-    CHECK(m->orders_sent == 8 && m->news && !m->has_order && !m->order_written);
+    CHECK(m->orders_sent == 8 && m->notify && !m->has_order && !m->order_written);
 }
 
 int main(void)

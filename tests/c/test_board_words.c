@@ -89,7 +89,7 @@ static void what_was_said_before_a_write_was_heard_is_not_believed(void)
     board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & FAULT_REASON_LOST_SETUP) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0);
 }
 
 /* ------------------------------------------------------------------------------------------------------- text */

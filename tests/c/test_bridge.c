@@ -86,7 +86,7 @@ static void only_armed_enabled_and_fresh_set_points_move(void)
     CHECK(level_at(&state, &arm, 7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, -7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, (double)NAN, 1, 0, START_NS + 4 * MS) == 0.0);
-    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.fault_reasons == FAULT_REASON_NOT_ENABLED);
+    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.0);
 }
 
@@ -101,7 +101,7 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 302 * MS) == 0.0 && state.stop_until_ns == 0);
     arm.number++;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 303 * MS) == 0.5);
-    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.fault_reasons == FAULT_REASON_LEFT_ALONE);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
     bridge_control stop = {.mode = PWM_STOP, .number = 9};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 501 * MS) == 0.0 && state.stop_until_ns == 0);
     arm.number = 10;

@@ -65,7 +65,7 @@ static void set_points_from_before_a_suspend_take_the_power(void)
     CHECK(duty_in(fd) == 25000);
     slept_s = 3600;
     wait_until_armed(0, &report);
-    CHECK((report.fault_reasons & FAULT_REASON_SETPOINTS_OLD) != 0 && duty_in(fd) == 0);
+    CHECK((report.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 && duty_in(fd) == 0);
     CHECK(clock_now_ns() - newest.stamp_ns < config.setpoint_timeout_ns);
     CHECK(pwm_line_stop(0) == 0 && close(fd) == 0);
 }

@@ -117,17 +117,17 @@ static void each_reason_stays_until_it_is_armed_again(void)
     steps_on(&b, 100 * MS); /* as long as set-points count */
     CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
     steps_on(&b, 100 * MS + 1);
-    CHECK(b.state.fault_reasons == FAULT_REASON_LEFT_ALONE && b.level[0] == 0.2);
+    CHECK(b.state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && b.level[0] == 0.2);
     b.age_ns = 100 * MS + 1;
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 0 && b.state.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_SETPOINTS_OLD));
+    CHECK(b.state.armed == 0 && b.state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_SETPOINTS_OLD));
     CHECK(b.state.stop_until_ns == 0 && b.level[0] == 0.1);
     b.age_ns = 100 * MS;
     asks(&b, PWM_ARMED);
     CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
     b.age_ns = 100 * MS + 1;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == FAULT_REASON_SETPOINTS_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
+    CHECK(b.state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
     b.age_ns = 0;
     b.control.number++;
     asks(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
@@ -156,14 +156,14 @@ static void one_that_was_enabled_and_is_no_more_has_no_power(void)
     CHECK(b.state.armed == 1);
     b.state.enabled_count = 6;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == FAULT_REASON_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
+    CHECK(b.state.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
     asks(&b, PWM_ARMED);
     b.newest.enabled = 1;
     steps_on(&b, MS);
     CHECK(b.state.armed == 1 && is(b.level[0], 0.3 + 0.25 * 0.5));
     b.newest.enabled = 0;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == FAULT_REASON_NOT_ENABLED && b.state.armed == 0);
+    CHECK(b.state.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.state.armed == 0);
 }
 
 static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)

@@ -201,7 +201,7 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     go_on(150 * MS);
     int64_t stopped_ns = told_ns(0, QUICK_STOP);
     CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && told_ns(0, DISABLE) == 0);
-    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
+    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     w.said_rad_s = 0.0;
     go_on(30 * MS);
     CHECK(told_ns(0, DISABLE) > stopped_ns);
@@ -232,7 +232,7 @@ static void enabled_that_is_taken_back_is_power_off_at_once(void)
     w.enabled = 0;
     step();
     CHECK(w.sent[0].data[0] == DISABLE && speed_in(&w.sent[0]) == 0);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.fault_reasons == FAULT_REASON_NOT_ENABLED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
 static void a_stop_that_the_bus_did_not_take_is_told_again(void)
@@ -272,7 +272,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     say_state(0, 8);
     say_motion(0, 1.0F, 1.0F);
     step();
-    CHECK(w.machine.drive[0].state.fault_reasons == FAULT_REASON_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
+    CHECK(w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
 static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
@@ -282,7 +282,7 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     go_on(50 * MS);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.fault_reasons == FAULT_REASON_DISABLED_ITSELF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF);
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
@@ -293,7 +293,7 @@ static void a_drive_that_stays_enabled_is_told_off_once_a_cycle(void)
     request(0, DRIVE_READY);
     w.powered = true;
     go_on(50 * MS);
-    CHECK((w.machine.drive[0].state.fault_reasons & FAULT_REASON_STILL_ENABLED) != 0);
+    CHECK((w.machine.drive[0].state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0);
     forget_sent();
     for (uint32_t i = 0; i < 1000; i++) {
         say_state(0, 8);

@@ -29,11 +29,11 @@ static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(v
     step_with_stamp(w.now_ns + 10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(w.now_ns + 10 * MS + 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     begin_with(1);
     arm_by_hand();
     step_with_stamp(w.now_ns - 100 * MS - 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
 static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
@@ -45,7 +45,7 @@ static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
     step_with_stamp(1);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(0);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
 static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
@@ -95,11 +95,11 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     go_on(30 * MS);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
+    CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     go_on(60 * MS); /* and it goes on saying that it has power */
-    CHECK(state_of(0)->state.fault_reasons == (FAULT_REASON_NOT_ENABLED | FAULT_REASON_STILL_ENABLED));
+    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
     become_quiet();
-    CHECK(state_of(0)->state.fault_reasons == (FAULT_REASON_NOT_ENABLED | FAULT_REASON_STILL_ENABLED | FAULT_REASON_QUIET));
+    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_QUIET));
 }
 
 static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
@@ -285,7 +285,7 @@ static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
         CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns++;
         step();
-        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_LEFT_ALONE);
+        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
     }
 }
 
@@ -351,7 +351,7 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     w.machine.enabled_count = 6; /* it was enabled, and is no more */
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
 static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)

@@ -415,11 +415,11 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     step();
     CHECK(w.machine.end.stage == END_POWER_OFF);
     forget_sent();
-    w.machine.news = false;
+    w.machine.notify = false;
     go_on(asked_ns + 480 * MS - w.now_ns);
-    CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.news); /* no set-point switches it on again */
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.notify); /* no set-point switches it on again */
     step();
-    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
 static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with_the_last(void)

@@ -73,7 +73,7 @@ static void set_points_from_before_a_suspend_stop_the_drive(void)
     wait_for(DRIVE_ARMED, &report);
     slept_ns += 3600 * 1000 * MS;
     wait_for(DRIVE_READY, &report);
-    CHECK(report.drive[0].fault_reasons == FAULT_REASON_SETPOINTS_OLD);
+    CHECK(report.drive[0].fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     CHECK(clock_now_ns() - newest.stamp_ns < w.table.setpoint_timeout_ns);
 }
 

@@ -6,9 +6,9 @@ enum { SECOND = 0x700 };
 
 static bool took_news(void)
 {
-    bool news = w.machine.news;
-    w.machine.news = false;
-    return news;
+    bool notify = w.machine.notify;
+    w.machine.notify = false;
+    return notify;
 }
 
 static void hold(uint32_t byte, uint8_t value)
@@ -39,7 +39,7 @@ static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
     go_on(480 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
     go_on(50 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_LEFT_ALONE);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
 }
 
 static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
@@ -64,7 +64,7 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     w.powered = false;
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
-    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_DISABLED_ITSELF);
+    CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF);
     request(0, DRIVE_READY);
     CHECK(state_of(0)->state.fault_reasons == 0);
     arm(0);
@@ -145,7 +145,7 @@ static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_on
     say_state(0, 8);
     CHECK(state_of(0)->state.fault_reasons == 0 && !took_news());
     say_state(0, 8);
-    CHECK(state_of(0)->state.fault_reasons == FAULT_REASON_STILL_ENABLED && took_news());
+    CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_STILL_ENABLED && took_news());
     say_state(0, 8);
     CHECK(!took_news() && count_sent(SPEED) == 0); /* frames that come send nothing */
     uint32_t stops = state_of(0)->stops;
@@ -323,7 +323,7 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     CHECK(speed_in(newest_of(0)) == 100);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == FAULT_REASON_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     w.enabled = 1;
     request(0, DRIVE_ARMED);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
@@ -388,9 +388,9 @@ static void each_of_its_frames_may_differ_from_what_it_was_told_and_no_other(voi
 static void news_of_one_is_not_lost_where_another_has_none(void)
 {
     begin_with(1);
-    w.machine.news = true;
+    w.machine.notify = true;
     can_check_power(&w.machine, 0, w.now_ns);
-    CHECK(w.machine.news);
+    CHECK(w.machine.notify);
 }
 
 int main(void)

@@ -45,14 +45,14 @@ static void jobs_wait_in_their_order_and_are_looked_at_often(void)
         CHECK(can_machine_order(&w.machine, &order));
     }
     w.not_taken = CONTROL + 1;
-    w.machine.news = false;
-    CHECK(next_look_ns() == MS && w.sent_count == 1 && w.sent[0].id == CONTROL && w.machine.news);
-    w.machine.news = false;
+    w.machine.notify = false;
+    CHECK(next_look_ns() == MS && w.sent_count == 1 && w.sent[0].id == CONTROL && w.machine.notify);
+    w.machine.notify = false;
     step();
-    CHECK(!w.machine.news && w.machine.order_count == 2);
+    CHECK(!w.machine.notify && w.machine.order_count == 2);
     w.not_taken = 0;
     CHECK(next_look_ns() == 20 * MS && w.sent_count == 3 && w.sent[1].id == CONTROL + 1 && w.sent[2].id == CONTROL + 2);
-    CHECK(w.machine.news && state_of(1)->orders_sent == 1 && w.machine.order_count == 0);
+    CHECK(w.machine.notify && state_of(1)->orders_sent == 1 && w.machine.order_count == 0);
 }
 
 static void the_end_waits_until_the_last_of_them_is_at_rest(void)
@@ -72,9 +72,9 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     go_on(100 * MS);
     CHECK(w.machine.end.stage == END_RESTING && told_ns(2, DISABLE) == 0);
     say_motion(2, 1.0F, 0.0F);
-    w.machine.news = false;
+    w.machine.notify = false;
     go_on(12 * MS);
-    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
     for (uint32_t i = 0; i < 3; i++) {
         CHECK(told_ns(i, DISABLE) > 0);
     }
@@ -84,16 +84,16 @@ static void asyncio_is_told_of_errors_and_of_drives_that_it_listens_to(void)
 {
     begin_with(2);
     const uint8_t error[8] = {0};
-    w.machine.news = false;
-    CHECK(say(CAN_ID_ERROR | 0x40, error, 8) == CAN_DRIVES_MAX && w.machine.news);
-    w.machine.news = false;
+    w.machine.notify = false;
+    CHECK(say(CAN_ID_ERROR | 0x40, error, 8) == CAN_DRIVES_MAX && w.machine.notify);
+    w.machine.notify = false;
     say_state(1, 1);
-    CHECK(!w.machine.news);
+    CHECK(!w.machine.notify);
     w.machine.control.listen = 2;
     say_state(0, 1);
-    CHECK(!w.machine.news);
+    CHECK(!w.machine.notify);
     say_state(1, 1);
-    CHECK(w.machine.news);
+    CHECK(w.machine.notify);
 }
 
 static void the_report_says_what_the_bus_has_done(void)

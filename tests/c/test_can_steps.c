@@ -20,12 +20,12 @@ static void obey(uint32_t mode, uint32_t unseen)
 {
     w.machine.control.drive[0].count += 1 + unseen;
     w.machine.control.drive[0].mode = mode;
-    w.machine.news = false;
+    w.machine.notify = false;
     can_obey_request(&w.machine, 0, w.now_ns);
-    CHECK(w.machine.news);
-    w.machine.news = false;
+    CHECK(w.machine.notify);
+    w.machine.notify = false;
     can_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
-    CHECK(!w.machine.news);
+    CHECK(!w.machine.notify);
 }
 
 static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
@@ -147,7 +147,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     w.now_ns += 100 * MS;
     guarded(0, STOP_NOTHING);
     w.now_ns += 1;
-    guarded(FAULT_REASON_SETPOINTS_OLD, STOP_QUICK);
+    guarded(DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
 static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_stopped(void)
@@ -159,7 +159,7 @@ static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_
         guarded(0, STOP_NOTHING);
         w.now_ns += 1;
         w.machine.table.drive[0].watchdog_ns = how == 1 ? 0 : how == 2 ? 1 : 500 * MS;
-        guarded(how == 1 ? 0 : (uint32_t)FAULT_REASON_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
+        guarded(how == 1 ? 0 : (uint32_t)DRIVE_FAULT_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
     }
 }
 
@@ -173,11 +173,11 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
-    guarded(FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
     begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
-    guarded(FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
 }
 
 int main(void)

@@ -196,22 +196,22 @@ static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_be
 static void a_fault_word_is_news_once_and_stops_unless_it_is_a_warning(void)
 {
     begin_with_two_wheels();
-    w.machine.news = false;
+    w.machine.notify = false;
     say_health(0);
-    CHECK(!w.machine.news && state_of(0)->faults == 0);
+    CHECK(!w.machine.notify && state_of(0)->faults == 0);
     say_health(HARMLESS);
-    CHECK(w.machine.news && feedback_of(1)->drive_faults == 0 && w.machine.joint[1].fault_word == HARMLESS);
+    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 0 && w.machine.joint[1].fault_word == HARMLESS);
     CHECK(state_of(0)->faults == 0);
-    w.machine.news = false;
+    w.machine.notify = false;
     say_health(HARMLESS | 1);
-    CHECK(w.machine.news && feedback_of(1)->drive_faults == 1 && feedback_of(0)->drive_faults == 0);
+    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 1 && feedback_of(0)->drive_faults == 0);
     CHECK(state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1) && state_of(0)->last_fault_joint == 1);
-    w.machine.news = false;
+    w.machine.notify = false;
     say_health(HARMLESS | 1);
-    CHECK(!w.machine.news && state_of(0)->faults == 1);
-    w.machine.news = true; /* of something else */
+    CHECK(!w.machine.notify && state_of(0)->faults == 1);
+    w.machine.notify = true; /* of something else */
     say_health(HARMLESS | 1);
-    CHECK(w.machine.news);
+    CHECK(w.machine.notify);
     say_health(0);
     CHECK(feedback_of(1)->drive_faults == 0 && state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1));
     can_report report = {0};

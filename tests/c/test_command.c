@@ -11,9 +11,9 @@
 
 static const int64_t MS = 1000000, START_NS = 5000000000, LIFE_NS = 300000000;
 
-static lease_grant grant_of(uint8_t letter, uint32_t priority)
+static lease_permission grant_of(uint8_t letter, uint32_t priority)
 {
-    lease_grant grant = {.number = letter, .priority = priority, .lifetime_ns = LIFE_NS};
+    lease_permission grant = {.number = letter, .priority = priority, .lifetime_ns = LIFE_NS};
     memset(grant.token, letter, TOKEN_BYTES);
     return grant;
 }
@@ -44,9 +44,9 @@ static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
 
 static void two_sources(arbiter *a)
 {
-    lease_grants grants = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
+    lease_permissions permissions = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
     arbiter_init(a, NULL, NULL);
-    arbiter_grant(a, &grants);
+    arbiter_grant(a, &permissions);
 }
 
 static void the_highest_commands_and_among_equals_the_first(void)
@@ -89,11 +89,11 @@ static void a_lease_that_is_not_granted_any_more_is_over(void)
     static arbiter a;
     two_sources(&a);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
-    lease_grants grants = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
-    arbiter_grant(&a, &grants); /* b has moved to another place, and goes on */
+    lease_permissions permissions = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
+    arbiter_grant(&a, &permissions); /* b has moved to another place, and goes on */
     CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
-    grants.lease[1] = (lease_grant){.number = 0};
-    arbiter_grant(&a, &grants);
+    permissions.lease[1] = (lease_permission){.number = 0};
+    arbiter_grant(&a, &permissions);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 0);
     CHECK(say(&a, command_of('b', 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
     CHECK(say(&a, command_of(0, 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
@@ -102,10 +102,10 @@ static void a_lease_that_is_not_granted_any_more_is_over(void)
 static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
 {
     static arbiter a;
-    lease_grants grants = {.lease = {grant_of('a', 10)}};
-    grants.lease[0].interval_least_ns = 10 * MS;
+    lease_permissions permissions = {.lease = {grant_of('a', 10)}};
+    permissions.lease[0].interval_least_ns = 10 * MS;
     arbiter_init(&a, NULL, NULL);
-    arbiter_grant(&a, &grants);
+    arbiter_grant(&a, &permissions);
     uint64_t sequence = 1, taken = 0;
     while (say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 0) {
         CHECK(++taken < 100);
@@ -202,9 +202,9 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     static arbiter a;
     static const core_config base = {.limits = LIMITS};
     base_limits now = {.linear.velocity_u_s = 0.1, .angular.velocity_u_s = 0.1};
-    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     arbiter_init(&a, &base, &now);
-    arbiter_grant(&a, &grants);
+    arbiter_grant(&a, &permissions);
     CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0); /* the robot file's limit counts, too */
     CHECK(speed_m_s(&a, START_NS, true) == -10.0);
     CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) == 1 + REFUSED_OUT_OF_RANGE);
@@ -227,10 +227,10 @@ static void wheels_are_a_twist_or_they_are_refused(void)
                                      .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
                                                {.side = 1.0, .wheel_radius_m = 0.1},
                                                {.side = 1.0, .wheel_radius_m = 0.2}}};
-    lease_grants grants = {.lease = {grant_of('a', 10)}};
+    lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     twist_command out;
     arbiter_init(&a, &base, NULL);
-    arbiter_grant(&a, &grants);
+    arbiter_grant(&a, &permissions);
     CHECK(say_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
     arbiter_command(&a, START_NS, true, &out);
     CHECK(fabs(out.linear_m_s - 0.15) < 1e-12 && fabs(out.angular_rad_s - 0.2) < 1e-12);

@@ -109,16 +109,16 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
         drive_view view = {.now_ns = NOW_NS, .fresh = fresh, .left_alone = alone, .enabled = enabled, .enabled_count = 7};
         drive_stop stop = drive_guard(&drive, &view);
         uint32_t why = !armed                         ? 0
-                       : !fresh                       ? FAULT_REASON_SETPOINTS_OLD
-                       : alone                        ? FAULT_REASON_LEFT_ALONE
-                       : !enabled && (was || between) ? FAULT_REASON_NOT_ENABLED
+                       : !fresh                       ? DRIVE_FAULT_SETPOINTS_OLD
+                       : alone                        ? DRIVE_FAULT_LEFT_ALONE
+                       : !enabled && (was || between) ? DRIVE_FAULT_NOT_ENABLED
                                                       : 0;
-        bool quick = why == FAULT_REASON_SETPOINTS_OLD || why == FAULT_REASON_LEFT_ALONE;
+        bool quick = why == DRIVE_FAULT_SETPOINTS_OLD || why == DRIVE_FAULT_LEFT_ALONE;
         CHECK(drive.fault_reasons == why && stop == (quick ? STOP_QUICK : why != 0 ? STOP_POWER_OFF : STOP_NOTHING));
         CHECK(drive.mode == (armed && why == 0 ? DRIVE_ARMED : DRIVE_READY) && drive.enabled == (why != 0 ? 2 : 1));
         CHECK(drive.stopping == quick && drive.off_by_ns == (quick ? NOW_NS + 1000000000 : 0));
         CHECK(drive.was_enabled == (was || (armed && why == 0 && enabled)));
-        CHECK(drive_has_news(&drive) == (why != 0) && !drive_has_news(&drive));
+        CHECK(drive_is_changed(&drive) == (why != 0) && !drive_is_changed(&drive));
     }
 }
 
@@ -147,7 +147,7 @@ static void its_own_word_takes_its_power_where_nobody_has_armed_it(void)
             bool nobody = MODE[m] == DRIVE_READY && word == 1 && settled && !stopping && !pending;
             CHECK(stop == (itself || nobody ? STOP_POWER_OFF : STOP_NOTHING));
             CHECK(drive.mode == (itself ? DRIVE_OFF : MODE[m]));
-            CHECK(drive.fault_reasons == (itself ? FAULT_REASON_DISABLED_ITSELF : nobody ? FAULT_REASON_STILL_ENABLED : 0U));
+            CHECK(drive.fault_reasons == (itself ? DRIVE_FAULT_DISABLED_ITSELF : nobody ? DRIVE_FAULT_STILL_ENABLED : 0U));
             CHECK(drive.still_enabled == (nobody ? 2U : word == 0 && !itself ? 0U : 1U));
         }
     }
@@ -172,10 +172,10 @@ static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
 static void reasons_gather(void)
 {
     drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
-    drive_take_back(&drive, FAULT_REASON_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive.fault_reasons == FAULT_REASON_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
-    drive_take_back(&drive, FAULT_REASON_QUIET, DRIVE_QUIET);
-    CHECK(drive.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_QUIET) && drive.mode == DRIVE_QUIET);
+    drive_take_back(&drive, DRIVE_FAULT_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
+    drive_take_back(&drive, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_QUIET) && drive.mode == DRIVE_QUIET);
     CHECK(!drive_is_cycled(&drive));
 }
 

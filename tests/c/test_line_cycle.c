@@ -156,7 +156,7 @@ static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caugh
 static void ends(void)
 {
     line_frame frame;
-    w.machine.news = false;
+    w.machine.notify = false;
     w.machine.current = 0;
     w.machine.feedback_mask = 0;
     drive->stage = STAGE_EXTRA, drive->place = 1;
@@ -171,14 +171,14 @@ static void the_end_of_a_cycle_judges_what_the_drive_said(void)
     begin_ways(0.0);
     drive->lost_setup = true;
     ends();
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == FAULT_REASON_LOST_SETUP &&
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_LOST_SETUP &&
           drive->state.stop == STOP_POWER_OFF);
     begin_ways(0.0);
     ends();
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
     drive->state.enabled = 0;
     ends();
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == FAULT_REASON_DISABLED_ITSELF &&
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
     for (uint32_t how = 0; how < 3; how++) {
         begin_ways(0.0);
@@ -203,17 +203,17 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
         drive->state.still_enabled = how == 6 ? 2 : 1; /* of three tries */
-        drive->state.fault_reasons = drive->state.reported_reasons = FAULT_REASON_LEFT_ALONE;
+        drive->state.fault_reasons = drive->state.reported_reasons = DRIVE_FAULT_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
         CHECK(drive->state.stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
         CHECK(drive->state.still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
-        CHECK(drive->state.fault_reasons == (FAULT_REASON_LEFT_ALONE | (how == 6 ? (uint32_t)FAULT_REASON_STILL_ENABLED : 0)));
-        CHECK(w.machine.news == (how == 6));
+        CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | (how == 6 ? (uint32_t)DRIVE_FAULT_STILL_ENABLED : 0)));
+        CHECK(w.machine.notify == (how == 6));
     }
     drive->state.stop = STOP_NOTHING, drive->state.mode = DRIVE_READY;
     ends();
-    CHECK(drive->state.still_enabled == 4 && !w.machine.news);
+    CHECK(drive->state.still_enabled == 4 && !w.machine.notify);
     drive->state.enabled = 0;
     ends();
     CHECK(drive->state.still_enabled == 0);

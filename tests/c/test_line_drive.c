@@ -7,7 +7,7 @@ static line_drive_state *begin_drive(void)
     begin_with(2, 0);
     w.machine.newest = (setpoints){
         .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
-    w.machine.news = false;
+    w.machine.notify = false;
     return &w.machine.drive[0];
 }
 
@@ -44,10 +44,10 @@ static void reasons_gather(void)
 {
     line_drive_state *drive = begin_armed();
     drive->state.enabled = 1;
-    drive_take_back(&drive->state, FAULT_REASON_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive->state.fault_reasons == FAULT_REASON_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
-    drive_take_back(&drive->state, FAULT_REASON_QUIET, DRIVE_QUIET);
-    CHECK(drive->state.fault_reasons == (FAULT_REASON_LEFT_ALONE | FAULT_REASON_QUIET) && drive->state.mode == DRIVE_QUIET);
+    drive_take_back(&drive->state, DRIVE_FAULT_LEFT_ALONE, DRIVE_READY);
+    CHECK(drive->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
+    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_QUIET) && drive->state.mode == DRIVE_QUIET);
 }
 
 static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
@@ -84,7 +84,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(drive, 0, STOP_NOTHING);
     CHECK(line_fresh(&w.machine, w.now_ns) && !line_fresh(&w.machine, w.now_ns + 1));
     w.now_ns += 1;
-    guarded(drive, FAULT_REASON_SETPOINTS_OLD, STOP_QUICK);
+    guarded(drive, DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
 /* What is under way with it may be its answer; what is under way with another is not. */
@@ -100,7 +100,7 @@ static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stoppe
         w.machine.work = how == 0 || how == 3 ? WORK_NONE : WORK_CYCLE;
         w.machine.worker = how == 1 || how == 3 ? 0 : 1;
         bool alone = how == 0 || how == 2 || how == 3;
-        guarded(drive, alone ? FAULT_REASON_LEFT_ALONE : 0, alone ? STOP_QUICK : STOP_NOTHING);
+        guarded(drive, alone ? DRIVE_FAULT_LEFT_ALONE : 0, alone ? STOP_QUICK : STOP_NOTHING);
     }
 }
 
@@ -114,11 +114,11 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
     guarded(drive, 0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
     w.machine.newest.enabled = 0;
-    guarded(drive, FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(drive, DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
     drive = begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
-    guarded(drive, FAULT_REASON_NOT_ENABLED, STOP_POWER_OFF);
+    guarded(drive, DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
 }
 
 static void a_stop_does_not_wait_for_its_turn(void)
@@ -151,12 +151,12 @@ static void obey(uint32_t mode, uint32_t unseen)
 {
     w.machine.control.drive[0].count += 1 + unseen;
     w.machine.control.drive[0].mode = mode;
-    w.machine.news = false;
+    w.machine.notify = false;
     line_obey_request(&w.machine, 0, w.now_ns);
-    CHECK(w.machine.news);
-    w.machine.news = false;
+    CHECK(w.machine.notify);
+    w.machine.notify = false;
     line_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
-    CHECK(!w.machine.news);
+    CHECK(!w.machine.notify);
 }
 
 static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
@@ -278,12 +278,12 @@ static void frames_of_a_stop_are_told_until_each_is_done(void)
     drive->stop_done = 3;
     drive->state.enabled = 1;
     CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.stop == STOP_NOTHING && drive->state.enabled == 2 &&
-          !w.machine.news);
+          !w.machine.notify);
     line_stop_now(&w.machine, 0, STOP_QUICK);
     CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP);
     drive->stop_done = 1;
     drive->state.back = true;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.mode == DRIVE_BACK && !drive->state.back && w.machine.news);
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.mode == DRIVE_BACK && !drive->state.back && w.machine.notify);
 }
 
 static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)
@@ -303,12 +303,12 @@ static void news_of_one_is_not_lost_where_another_has_none(void)
 {
     line_frame frame;
     line_drive_state *drive = begin_drive();
-    w.machine.news = true;
+    w.machine.notify = true;
     line_obey_request(&w.machine, 0, w.now_ns);
-    CHECK(w.machine.news);
+    CHECK(w.machine.notify);
     drive->state.stop = STOP_POWER_OFF;
     drive->stop_done = UINT32_MAX;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && w.machine.news && drive->state.stop == STOP_NOTHING);
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && w.machine.notify && drive->state.stop == STOP_NOTHING);
 }
 
 int main(void)

@@ -6,7 +6,7 @@ static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000, UNHEARD_EN
 
 static void look_at(int64_t now_ns)
 {
-    w.machine.news = false;
+    w.machine.notify = false;
     line_shut_down(&w.machine, now_ns);
 }
 
@@ -21,7 +21,7 @@ static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_
     CHECK(w.machine.end.stage == END_NOT && armed->state.mode == DRIVE_ARMED);
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
-    CHECK(w.machine.end.stage == END_RESTING && !w.machine.news && w.machine.broadcasts == 2);
+    CHECK(w.machine.end.stage == END_RESTING && !w.machine.notify && w.machine.broadcasts == 2);
     CHECK(armed->state.mode == DRIVE_READY && armed->state.stopping && armed->state.stop == STOP_QUICK);
     CHECK(armed->due_ns == w.now_ns && armed->state.off_by_ns == w.now_ns + REST_NS);
     CHECK(!ready->state.stopping && ready->state.stop == STOP_NOTHING && ready->due_ns == w.now_ns + 1000 * MS);
@@ -45,13 +45,13 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
         w.machine.broadcasts = 0;
         look_at(w.now_ns + MS);
         CHECK(w.machine.end.stage == END_POWER_OFF && first->state.stop == STOP_POWER_OFF && last->state.stop == STOP_POWER_OFF &&
-              !w.machine.news);
+              !w.machine.notify);
         first->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 2 * MS);
         CHECK(w.machine.end.stage == END_POWER_OFF);
         last->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 3 * MS);
-        CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
+        CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
     }
 }
 
@@ -69,9 +69,9 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
           w.machine.drive[0].state.stop == STOP_POWER_OFF);
     w.machine.drive[0].stop_told = w.machine.drive[1].stop_told = (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
-    CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.news);
+    CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.notify);
     look_at(begun_ns + END_NS);
-    CHECK(w.machine.end.stage == END_SILENT && w.machine.news);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
 /* One that is not heard may hear: a silent neighbour does not take its time away. */
@@ -100,9 +100,9 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
 static void news_is_not_lost_while_the_end_has_none(void)
 {
     begin_with(2, 0);
-    w.machine.news = true;
+    w.machine.notify = true;
     line_shut_down(&w.machine, w.now_ns);
-    CHECK(w.machine.news && w.machine.end.stage == END_NOT);
+    CHECK(w.machine.notify && w.machine.end.stage == END_NOT);
 }
 
 /* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */

@@ -101,7 +101,7 @@ static void its_drives_become_quiet_and_are_told_to_stop(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     babble_for(100 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.fault_reasons == FAULT_REASON_QUIET);
+        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.fault_reasons == DRIVE_FAULT_QUIET);
         CHECK(w.machine.drive[i].count.bad_reply >= 3);
     }
     babble_for(3000 * MS);

@@ -35,7 +35,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : how == 4 ? 1 : 500 * MS;
         answers_with(0);
         bool alone = how == 0 || how == 4;
-        CHECK(drive->state.fault_reasons == (alone ? (uint32_t)FAULT_REASON_LEFT_ALONE : 0) && drive->state.stopping == alone);
+        CHECK(drive->state.fault_reasons == (alone ? (uint32_t)DRIVE_FAULT_LEFT_ALONE : 0) && drive->state.stopping == alone);
         CHECK(drive->failures == 0 && drive->place == !alone); /* its cycle is over then */
     }
 }

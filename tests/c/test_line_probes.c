@@ -18,7 +18,7 @@ static void one_that_becomes_quiet_forgets_what_it_was_told(void)
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
         line_go_quiet(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.mode == DRIVE_QUIET && (drive->state.fault_reasons & FAULT_REASON_QUIET) != 0 &&
+        CHECK(drive->state.mode == DRIVE_QUIET && (drive->state.fault_reasons & DRIVE_FAULT_QUIET) != 0 &&
               drive->count.quiet == (how != 3));
         CHECK(drive->state.stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);

@@ -72,7 +72,7 @@ static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_question
         CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
         CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
     }
-    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.fault_reasons == FAULT_REASON_QUIET);
+    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_QUIET);
 }
 
 static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)

@@ -101,7 +101,7 @@ static void drive(void)
     const core_config config = base();
     memset(&work, 0, sizeof work);
     CHECK(loop_work_init(&work, &loop, &config) == 0);
-    exchange_put_grants(&work.exchange, &(lease_grants){.lease = {{.number = 1, .lifetime_ns = 300 * MS}}});
+    exchange_put_permissions(&work.exchange, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 300 * MS}}});
     now_ns = clock_now_ns();
     beat(0);
     hear_drives();

@@ -70,14 +70,14 @@ static void a_ring_gives_all_in_order_and_takes_no_more_than_it_holds(void)
 static void each_value_has_a_box_of_its_own(void)
 {
     static exchange x;
-    static lease_grants grants = {.lease = {{.number = 5}}};
+    static lease_permissions permissions = {.lease = {{.number = 5}}};
     static command_report report = {.commander = 6};
     core_control control = {.armed = 1};
     joint_feedback feedback = {0};
     setpoints out = {0};
     CHECK(exchange_bytes() == sizeof x && exchange_bytes() % CACHE_LINE_BYTES == 0);
     exchange_init(&x);
-    exchange_put_grants(&x, &grants);
+    exchange_put_permissions(&x, &permissions);
     exchange_put_commands(&x, &report);
     exchange_put_control(&x, &control);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
@@ -86,10 +86,10 @@ static void each_value_has_a_box_of_its_own(void)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         CHECK(exchange_put_setpoints(&x, line, &(setpoints){.tick = 200 + line}) == 0);
     }
-    grants.lease[0].number = 0;
+    permissions.lease[0].number = 0;
     report.commander = 0;
     control.armed = 0;
-    CHECK(exchange_take_grants(&x, &grants) == 1 && grants.lease[0].number == 5);
+    CHECK(exchange_take_permissions(&x, &permissions) == 1 && permissions.lease[0].number == 5);
     CHECK(exchange_take_commands(&x, &report) == 1 && report.commander == 6);
     CHECK(exchange_take_control(&x, &control) == 1 && control.armed == 1);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
@@ -112,7 +112,7 @@ static void each_value_has_a_box_of_its_own(void)
 static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
 {
     static exchange x;
-    static lease_grants grants, no_grants;
+    static lease_permissions permissions, no_permissions;
     static command_report report, no_report;
     static const core_control no_control;
     static const setpoints no_setpoints;
@@ -123,7 +123,7 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
     imu_sample sample;
     memset(&x, 0xAA, sizeof x);
     exchange_init(&x);
-    CHECK(exchange_take_grants(&x, &grants) == 0 && memcmp(&grants, &no_grants, sizeof grants) == 0);
+    CHECK(exchange_take_permissions(&x, &permissions) == 0 && memcmp(&permissions, &no_permissions, sizeof permissions) == 0);
     CHECK(exchange_take_commands(&x, &report) == 0 && memcmp(&report, &no_report, sizeof report) == 0);
     CHECK(exchange_take_control(&x, &control) == 0 && memcmp(&control, &no_control, sizeof control) == 0);
     CHECK(exchange_take_imu(&x, &sample) == 0 && memcmp(&sample, &no_sample, sizeof sample) == 0);
@@ -135,7 +135,7 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
         CHECK(exchange_line_wake(&x, line) == -1);
         CHECK(exchange_take_setpoints(&x, line, &out) == 0 && memcmp(&out, &no_setpoints, sizeof out) == 0);
     }
-    CHECK(slots_are_apart(&x.grants.box) && slots_are_apart(&x.commands.box) && slots_are_apart(&x.control.box));
+    CHECK(slots_are_apart(&x.permissions.box) && slots_are_apart(&x.commands.box) && slots_are_apart(&x.control.box));
     CHECK(slots_are_apart(&x.imu.box));
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         CHECK(slots_are_apart(&x.feedback[joint].box));

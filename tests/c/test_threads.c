@@ -179,7 +179,7 @@ static void *is_asyncio(void *config)
     robot_state state;
     static histogram h;
     static command_report commands;
-    exchange_put_grants(x, &(lease_grants){.lease = {{.number = 1, .lifetime_ns = 1000000000}}});
+    exchange_put_permissions(x, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 1000000000}}});
     bool turned = false;
     for (uint64_t n = 1; !turned || status.ticks < LOOP_TICKS; n++) {
         int64_t now_ns = clock_now_ns();

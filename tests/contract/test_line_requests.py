@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.line import AnswerKind, Ask, LineThread, ThreadSpec
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.modbus_frames import modbus_frame
 from motord_hal.rt_engine.rs485.protocols import frames_of
 from motord_hal.rt_engine.rs485.request_queue import Asks
@@ -42,7 +42,7 @@ def two_drives():
 async def thread_on(peer):
     """The line's thread in C, by itself, on the peer's pty; its drives are not set up."""
     spec = spec_of(peer, two_drives())
-    thread, news, port = LineThread(0, Exchange.private()), News(), open_port(spec)
+    thread, news, port = LineThread(0, Exchange.private()), Notifier(), open_port(spec)
     news.open()
     try:
         place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=news.event_fd)

@@ -59,7 +59,7 @@ class Arbiter:
 
     def tell(self):
         grants = list(self.granted.values())
-        lib.arbiter_grant(self.c, ffi.new("lease_grants *", {"lease": grants}))
+        lib.arbiter_grant(self.c, ffi.new("lease_permissions *", {"lease": grants}))
 
     def raw(self, now_ns, datagram_bytes, may_move=True):
         self.now_ns = now_ns

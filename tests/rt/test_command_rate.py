@@ -21,7 +21,7 @@ class Source:
             "token": TOKEN, "number": 1, "priority": 1, "lifetime_ns": 1000 * MS,
             "interval_least_ns": interval_least_ns,
         }  # fmt: skip
-        lib.arbiter_grant(self.c, ffi.new("lease_grants *", {"lease": [lease]}))
+        lib.arbiter_grant(self.c, ffi.new("lease_permissions *", {"lease": [lease]}))
         self.sequence = 0
 
     def send(self, now_ns, linear_m_s, **options):

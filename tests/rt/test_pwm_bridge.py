@@ -64,11 +64,11 @@ class Bench:
 def test_every_bridge_goes_forward_backward_brakes_and_lets_go(drive):
     bench = Bench(drive)
     assert bench.step(0.5) == bench.levels("coast")
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5) == bench.levels("forward", 0.5)
     assert bench.step(-0.25) == bench.levels("reverse", 0.25)
     assert bench.step(0.0) == bench.levels("brake")
-    bench.request(lib.PWM_OFF)
+    bench.request_mode(lib.PWM_OFF)
     assert bench.step(0.5) == bench.levels("coast")
 
 
@@ -98,7 +98,7 @@ def test_whatever_comes_levels_are_levels_and_only_the_armed_move(drive, events)
     bench = Bench(drive)
     for duty, enabled, age_ns, after_ns, request in events:
         if request is not None:
-            bench.request(request)
+            bench.request_mode(request)
         levels = bench.step(duty, enabled, age_ns, after_ns)
         assert all(0.0 <= level <= 1.0 for level in levels.values())
         may_move = bench.state.armed and enabled and age_ns <= TIMEOUT_NS
@@ -112,28 +112,28 @@ def test_whatever_comes_levels_are_levels_and_only_the_armed_move(drive, events)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_duty_that_is_no_number_is_zero(bad):
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(bad) == bench.levels("brake")
 
 
 def test_a_duty_beyond_one_is_one():
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(7.0) == bench.levels("forward", 1.0)
 
 
 def test_an_inverted_motor_turns_the_other_way():
     bench = Bench(inverted=True)
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5) == bench.levels("reverse", 0.5)
 
 
 def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, age_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.fault_reasons == lib.FAULT_REASON_SETPOINTS_OLD
+    assert bench.state.fault_reasons == lib.DRIVE_FAULT_SETPOINTS_OLD
     assert bench.step(0.5) == bench.levels("brake")
     assert bench.step(0.5, after_ns=STOPPING_NS) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
@@ -141,28 +141,28 @@ def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
 
 def test_set_points_that_are_not_enabled_any_more_take_the_power_at_once():
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5, enabled=False) == bench.levels("brake")  # not enabled yet
     bench.step(0.5)
     assert bench.step(0.5, enabled=False) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
-    assert bench.state.fault_reasons == lib.FAULT_REASON_NOT_ENABLED
+    assert bench.state.fault_reasons == lib.DRIVE_FAULT_NOT_ENABLED
 
 
 def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, after_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.fault_reasons == lib.FAULT_REASON_LEFT_ALONE
+    assert bench.state.fault_reasons == lib.DRIVE_FAULT_LEFT_ALONE
 
 
 def test_arming_needs_fresh_set_points_and_a_new_wish():
     bench = Bench()
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5, age_ns=TIMEOUT_NS + 1) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
-    bench.request(lib.PWM_ARMED)
+    bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5) == bench.levels("forward", 0.5)
 
 

@@ -7,14 +7,14 @@ import contextlib
 import pytest
 
 from motord.bus.commands.gate import NotTaken
-from motord.bus.inbox import Crossing, Inbox
+from motord.bus.inbox import Inbox, ThreadBridge
 
 DEADLINE_S = 20.0
 
 
 @contextlib.asynccontextmanager
-async def crossing():
-    made = Crossing()
+async def thread_bridge():
+    made = ThreadBridge()
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(made.run())
         await asyncio.sleep(0)
@@ -34,19 +34,19 @@ async def refuse():
 
 
 async def test_a_thread_has_its_answer_from_the_loop():
-    async with crossing() as (made, _):
+    async with thread_bridge() as (made, _):
         asked = asyncio.to_thread(made.ask, lambda: answer(7), DEADLINE_S)
         assert await asked == 7
 
 
 async def test_a_refusal_is_one_in_the_thread_too():
-    async with crossing() as (made, _):
+    async with thread_bridge() as (made, _):
         with pytest.raises(NotTaken, match="not now"):
             await asyncio.to_thread(made.ask, refuse, DEADLINE_S)
 
 
 async def test_who_waits_too_long_goes_on_without_an_answer():
-    async with crossing() as (made, _):
+    async with thread_bridge() as (made, _):
         with pytest.raises(NotTaken, match="no answer within"):
             await asyncio.to_thread(made.ask, asyncio.Event().wait, 0.05)
 
@@ -58,7 +58,7 @@ async def test_who_waits_when_it_ends_and_who_comes_later_are_told():
         begun.set()
         await asyncio.Event().wait()
 
-    async with crossing() as (made, running):
+    async with thread_bridge() as (made, running):
         waiting = asyncio.create_task(asyncio.to_thread(made.ask, endless, DEADLINE_S))
         async with asyncio.timeout(DEADLINE_S):
             await begun.wait()

@@ -143,7 +143,8 @@ def test_a_line_that_cannot_be_is_refused(load, edits, row):
 def test_drives_are_on_a_line_of_their_protocol(load):
     line = SERIAL.replace("modbus-rtu", "ddsm").replace('"auto"', '"asyncio"')
     rows = problems(load, line=line)
-    assert 'line.rs485.engine: kind "ddsm" runs on "rt" only' in rows
+    text = 'kind "ddsm" runs on "rt": remove this line, or write "auto"'
+    assert f"line.rs485.engine: {text}" in rows
     assert 'joint.left.drive: drive "zlac8015d" speaks modbus-rtu, its line ddsm' in rows
 
 

@@ -15,7 +15,7 @@ void board_hold(board_machine *m, const board_write *write, uint32_t count, int6
 /* What the rules have decided: into the payload. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
 {
-    m->news |= drive_has_news(&m->state);
+    m->notify |= drive_is_changed(&m->state);
     if (stop == STOP_NOTHING) {
         return;
     }
@@ -37,7 +37,7 @@ static void go_quiet(board_machine *m, int64_t now_ns)
     m->quiet++;
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
                      now_ns); /* it may hear us all the same: in every cycle from now on */
-    drive_take_back(&m->state, FAULT_REASON_QUIET, DRIVE_QUIET);
+    drive_take_back(&m->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
     m->state.stopping = m->state.back = false;
     m->said_bytes = 0;
 }
@@ -49,10 +49,10 @@ void board_told(board_machine *m, int64_t now_ns)
     if (m->order_written) {
         m->order_written = m->has_order = false;
         m->orders_sent++;
-        m->news = true;
+        m->notify = true;
     }
     if (stopped) {
-        m->news |= drive_stop_done(&m->state);
+        m->notify |= drive_stop_done(&m->state);
     }
     if (m->table.answers == 0) { /* the port has taken its bytes: that is all there is to know */
         m->stamp_ns = m->knows_ns = now_ns;
@@ -66,7 +66,7 @@ static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
     bool settled = now_ns >= m->control.request.arming_until_ns;
     if (!kept) {
-        drive_take_back(&m->state, FAULT_REASON_LOST_SETUP, DRIVE_OFF);
+        drive_take_back(&m->state, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
         board_power_off(m, now_ns);
     }
     board_begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
@@ -118,7 +118,7 @@ void board_obey_request(board_machine *m, int64_t now_ns)
     const mode_request *request = &m->control.request;
     drive_answer answer = drive_obey(&m->state, request, &view);
     bool is_new = answer.request != REQUEST_NONE;
-    m->news |= is_new;
+    m->notify |= is_new;
     board_begin_stop(m, answer.stop, now_ns);
     bool stands_down = is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_QUIET;
     if (answer.request == REQUEST_OFF || stands_down) {

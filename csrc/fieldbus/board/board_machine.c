@@ -141,7 +141,7 @@ static void obey_order(board_machine *m, int64_t now_ns)
     if (stopped || m->end.stage != END_NOT) {
         m->has_order = false;
         m->orders_dropped++;
-        m->news = true;
+        m->notify = true;
         return;
     }
     board_hold(m, &order->write, 1, now_ns);
@@ -191,7 +191,7 @@ static void shut_down(board_machine *m, int64_t now_ns)
     if (end_takes_power(&m->end, stopping, now_ns)) {
         board_power_off(m, now_ns);
     } else {
-        m->news |= end_is_over(&m->end, stopping || now_ns < m->told_ns + m->table.period_ns, 0, now_ns);
+        m->notify |= end_is_over(&m->end, stopping || now_ns < m->told_ns + m->table.period_ns, 0, now_ns);
     }
 }
 
@@ -214,7 +214,7 @@ void board_machine_kick(board_machine *m, int64_t now_ns)
     uint8_t payload[BOARD_PAYLOAD_MAX];
     bool stops = !board_payload(m, payload) && m->state.told_motion;
     if (m->state.mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
-        cycle_clock_hurry(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
+        cycle_clock_bring_forward(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
     }
 }
 

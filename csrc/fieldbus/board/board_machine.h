@@ -60,7 +60,7 @@ typedef struct {
     imu_sample imu;                  /* the newest */
     bool imu_is_new;                 /* since it was taken */
     uint8_t told[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
-    bool news;                       /* something that Python wants to hear */
+    bool notify;                     /* something that Python wants to hear */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;

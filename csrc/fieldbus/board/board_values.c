@@ -57,7 +57,7 @@ static void read_joint(board_machine *m, const board_field *field, int64_t raw)
     if (field->meaning.kind == FIELD_COUNT) {
         feedback->count = (uint64_t)raw & count_mask(field->meaning.counter_bits);
     } else if (!feedback_measured(feedback, field->meaning.kind, (double)raw * field->meaning.si_per_raw)) {
-        m->news |= joint->fault_word != (uint32_t)raw;
+        m->notify |= joint->fault_word != (uint32_t)raw;
         joint->fault_word = (uint32_t)raw;
         feedback->drive_faults = fault_meant(&field->meaning, (uint32_t)raw);
     }

@@ -92,14 +92,14 @@ static void hand_on(board_thread *t, int64_t now_ns)
     }
     m->imu_is_new = false;
     bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
-    if (m->news || due || m->received != t->received_reported) {
+    if (m->notify || due || m->received != t->received_reported) {
         t->received_reported = m->received;
         put_report(t, true, 0);
     }
-    if (m->news) {
+    if (m->notify) {
         line_thread_tell(&t->life);
     }
-    m->news = false;
+    m->notify = false;
 }
 
 static void take_order(board_thread *t)

@@ -106,7 +106,7 @@ void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
     drive->state.stop = kind;
     drive->stop_place = 0;
     drive->stops++;
-    m->news = true;
+    m->notify = true;
 }
 
 /* What the rules have decided: begun here. */
@@ -132,7 +132,7 @@ void can_send_stop(can_machine *m, uint32_t number)
     if (!quick && m->table.drive[number].idle_setpoints == 0) {
         drive->state.told_motion = false; /* set-points would switch it on again */
     }
-    m->news |= drive_stop_done(&drive->state);
+    m->notify |= drive_stop_done(&drive->state);
 }
 
 void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
@@ -140,7 +140,7 @@ void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
     can_drive_state *drive = &m->drive[number];
     bool settled = now_ns >= m->control.drive[number].arming_until_ns;
     drive_stop stop = drive_check_power(&drive->state, m->table.drive[number].tries, settled);
-    m->news |= drive_has_news(&drive->state);
+    m->notify |= drive_is_changed(&drive->state);
     if (stop != STOP_NOTHING && drive->state.mode == DRIVE_OFF) {
         can_hold_nothing(m, number);
         can_begin_stop(m, number, stop);
@@ -172,8 +172,8 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive->quiet++;
-    drive_take_back(&drive->state, FAULT_REASON_QUIET, DRIVE_QUIET);
-    m->news = true;
+    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    m->notify = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it */
@@ -260,7 +260,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
     const mode_request *request = &m->control.drive[number];
     drive_answer answer = drive_obey(&drive->state, request, &view);
     bool is_new = answer.request != REQUEST_NONE;
-    m->news |= is_new;
+    m->notify |= is_new;
     can_begin_stop(m, number, answer.stop);
     drive->stops += answer.overtaken;
     drive->stops += is_new && request->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */

@@ -134,14 +134,14 @@ static uint32_t take_match(can_machine *m, uint32_t number, const can_match *mat
         take_input(m, number, match->input - 1, packet, stamp_ns, now_ns);
     }
     bool listening = (m->control.listen >> number & 1) != 0;
-    m->news |= listening;
+    m->notify |= listening;
     return listening ? number : (uint32_t)CAN_FOR_NOBODY;
 }
 
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns)
 {
     if ((packet->id & CAN_ID_ERROR) != 0) {
-        m->news = true;
+        m->notify = true;
         return CAN_DRIVES_MAX;
     }
     bool known = false;
@@ -189,7 +189,7 @@ static void send_orders(can_machine *m, int64_t now_ns)
             break;
         }
     }
-    m->news |= done > 0;
+    m->notify |= done > 0;
     m->order_count -= done;
     memmove(m->order, m->order + done, m->order_count * sizeof m->order[0]);
 }
@@ -211,7 +211,7 @@ static void shut_down(can_machine *m, int64_t now_ns)
             can_begin_stop(m, i, drive_power_off(&m->drive[i].state));
         }
     } else {
-        m->news |= end_is_over(&m->end, stopping, 0, now_ns);
+        m->notify |= end_is_over(&m->end, stopping, 0, now_ns);
     }
 }
 

@@ -88,7 +88,7 @@ typedef struct {
     bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
     int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
     line_ending end;
-    bool news; /* something that Python wants to hear */
+    bool notify; /* something that Python wants to hear */
     cycle_clock cycle;
     bool early; /* the set-points do not wait for the cycle */
     uint64_t received;

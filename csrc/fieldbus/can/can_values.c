@@ -111,7 +111,7 @@ static void read_fault(can_machine *m, uint32_t number, const can_field *field, 
     bool other = joint->fault_word != word;
     joint->fault_word = word;
     joint->feedback.drive_faults = fault_meant(&field->meaning, word);
-    m->news |= other;
+    m->notify |= other;
     if (other && joint->feedback.drive_faults != 0) {
         drive->faults++;
         drive->last_fault = word;

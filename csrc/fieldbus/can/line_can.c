@@ -185,13 +185,13 @@ static void hand_on(can_thread *t, int64_t now_ns)
     line_thread_put_feedback(&t->life, m->feedback_mask, m->joint, sizeof m->joint[0]);
     m->feedback_mask = 0;
     bool due = line_thread_report_is_due(&t->life, m->cycle.count > 0, now_ns);
-    if (m->news || due) {
+    if (m->notify || due) {
         put_report(t, true, 0);
     }
-    if (m->news) {
+    if (m->notify) {
         line_thread_tell(&t->life);
     }
-    m->news = false;
+    m->notify = false;
 }
 
 static void take_orders(can_thread *t)

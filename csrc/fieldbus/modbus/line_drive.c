@@ -33,7 +33,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 /* What the rules have decided: begun here. */
 void line_begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
 {
-    m->news |= drive_has_news(&m->drive[number].state);
+    m->notify |= drive_is_changed(&m->drive[number].state);
     if (stop == STOP_QUICK) {
         m->drive[number].due_ns = now_ns;
         m->broadcasts = m->table.broadcast_stop_count;
@@ -99,7 +99,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
     drive_view view = view_of(m, number, now_ns);
     drive->arming_until_ns = request->arming_until_ns;
     drive_answer answer = drive_obey(&drive->state, request, &view);
-    m->news |= answer.request != REQUEST_NONE;
+    m->notify |= answer.request != REQUEST_NONE;
     line_begin_stop(m, number, answer.stop, now_ns);
     if (answer.request == REQUEST_OFF) {
         drive->stage = STAGE_IDLE;
@@ -136,7 +136,7 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
             return true;
         }
     }
-    m->news |= drive_stop_done(&drive->state);
+    m->notify |= drive_stop_done(&drive->state);
     return false;
 }
 
@@ -232,7 +232,7 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->count.cycles++;
     line_publish(m, number);
     if (drive->lost_setup) {
-        drive_take_back(&drive->state, FAULT_REASON_LOST_SETUP, DRIVE_OFF);
+        drive_take_back(&drive->state, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
         line_begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
@@ -358,7 +358,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
     int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
     if (drive->state.mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
-        line_begin_stop(m, number, drive_quick_stop(&drive->state, FAULT_REASON_LEFT_ALONE, now_ns), now_ns);
+        line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns), now_ns);
     }
     if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
         drive->failures = 0;

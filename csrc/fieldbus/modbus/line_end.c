@@ -31,6 +31,6 @@ void line_shut_down(line_machine *m, int64_t now_ns)
             line_begin_stop(m, i, drive_power_off(&m->drive[i].state), now_ns);
         }
     } else {
-        m->news |= end_is_over(&m->end, stopping, sent ? 0 : UNHEARD_NS, now_ns);
+        m->notify |= end_is_over(&m->end, stopping, sent ? 0 : UNHEARD_NS, now_ns);
     }
 }

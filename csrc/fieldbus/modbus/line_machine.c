@@ -133,7 +133,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
         m->round_trip_ns = now_ns - m->start_ns;
         if (m->echo == ECHO_UNKNOWN && m->transaction.frame.echo_bytes == 0) {
             m->echo = verdict->echoed ? ECHO_FIRST : ECHO_NONE;
-            m->news = true;
+            m->notify = true;
         }
     }
     if (m->worker < m->table.drive_count && kind == ANSWER_OK && line_is_doubtful(m, m->worker, now_ns)) {
@@ -441,7 +441,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
     *out = (line_output){.send = NULL};
     m->feedback_mask = 0;
     m->answered = false;
-    m->news = false;
+    m->notify = false;
     m->round_trip_ns = 0;
     hear(m, now_ns, bytes, count);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -454,7 +454,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
     decide(m, now_ns, out);
     out->feedback_mask = m->feedback_mask;
     out->answered = m->answered;
-    out->news = m->news || m->answered;
+    out->notify = m->notify || m->answered;
     out->wake_ns = out->send != NULL ? now_ns : m->answered ? now_ns : next_look_ns(m, now_ns);
 }
 

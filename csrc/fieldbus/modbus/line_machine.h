@@ -129,7 +129,7 @@ typedef struct line_machine {
     uint32_t work;   /* line_work under way; NONE: the line is ours */
     uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
     bool sent;       /* its request has left */
-    bool news;       /* something that Python wants to hear */
+    bool notify;     /* something that Python wants to hear */
     bool notified_shut;
     uint32_t broadcasts; /* frames of broadcast_stop still to be sent */
     uint32_t current;    /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
@@ -164,7 +164,7 @@ typedef struct {
     uint32_t send_bytes;
     uint32_t feedback_mask; /* joints whose machine->joint[].feedback is new */
     bool answered;          /* machine->answer is new */
-    bool news;
+    bool notify;
     int64_t wake_ns; /* step again then, or when bytes, asks or a wake come */
 } line_output;
 

@@ -31,7 +31,7 @@ void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
     if (drive->state.mode != DRIVE_QUIET) {
         drive->count.quiet++;
     }
-    drive_take_back(&drive->state, FAULT_REASON_QUIET, DRIVE_QUIET);
+    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
     if (m->end.stage < END_POWER_OFF) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
     }

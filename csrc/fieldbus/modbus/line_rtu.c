@@ -115,12 +115,12 @@ static void put_report(rtu_thread *t, bool running, int error)
     line_thread_put_report(&t->life, &t->out.life, running, error);
 }
 
-static void report_now_and_then(rtu_thread *t, int64_t now_ns, bool news)
+static void report_now_and_then(rtu_thread *t, int64_t now_ns, bool notify)
 {
-    if (line_thread_report_is_due(&t->life, t->out.exchanges > 0, now_ns) || news) {
+    if (line_thread_report_is_due(&t->life, t->out.exchanges > 0, now_ns) || notify) {
         put_report(t, true, 0);
     }
-    if (news) {
+    if (notify) {
         line_thread_tell(&t->life);
     }
 }
@@ -171,7 +171,7 @@ static int round_trip(rtu_thread *t, const uint8_t *bytes, uint32_t count, int64
     t->out.life.rounds++;
     int error = out.send != NULL ? send_request(t, &out) : 0;
     hand_on(t, &out);
-    report_now_and_then(t, now_ns, out.news);
+    report_now_and_then(t, now_ns, out.notify);
     *wake_ns = out.send != NULL ? t->machine.until_ns : out.wake_ns;
     return error;
 }

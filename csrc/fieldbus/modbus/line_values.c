@@ -101,7 +101,7 @@ uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way)
 static void read_fault(line_machine *m, const line_field *field, uint32_t word)
 {
     line_joint_state *joint = &m->joint[field->joint];
-    m->news |= joint->fault_word != word;
+    m->notify |= joint->fault_word != word;
     joint->fault_word = word;
     joint->feedback.drive_faults =
         fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);

@@ -45,7 +45,7 @@ class Inbox(Generic[_T]):
             self._take(self._items.popleft())
 
 
-class Crossing:
+class ThreadBridge:
     """What only the event loop may do, for threads that wait for the answer."""
 
     def __init__(self) -> None:

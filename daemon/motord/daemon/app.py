@@ -65,7 +65,7 @@ async def run(
     publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
     bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
     with (
-        _signals() as (end, hurry),
+        _signals() as (end, force),
         listening(path) as listener,
         running_file.kept(robot, path.parent),
         open_command_sockets(robot, path) as command_sockets,
@@ -105,7 +105,7 @@ async def run(
             notifier.stopping()
             server.cancel()
             await asyncio.wait([server])
-            problems = await procedures.shut_down(operation, hurry)
+            problems = await procedures.shut_down(operation, force)
             for task in work:
                 task.cancel()
     if problems:
@@ -118,7 +118,7 @@ async def run(
 def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     """Set by the first signal to end, and by the second."""
     loop = asyncio.get_running_loop()
-    end, hurry = asyncio.Event(), asyncio.Event()
+    end, force = asyncio.Event(), asyncio.Event()
     numbers = (
         *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
         # Ctrl-\ and Ctrl-Z: a daemon that is frozen or gone leaves the wheels to the drives
@@ -126,12 +126,12 @@ def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     )
 
     def asked() -> None:
-        (hurry if end.is_set() else end).set()
+        (force if end.is_set() else end).set()
 
     for number in numbers:
         loop.add_signal_handler(number, asked)
     try:
-        yield end, hurry
+        yield end, force
     finally:
         for number in numbers:
             loop.remove_signal_handler(number)

@@ -61,7 +61,7 @@ async def _arm_core(operation: Operation) -> None:
 async def disarm(operation: Operation) -> State:
     """Down the ramp, then the power off. Raises Refused where a drive did not say that it is."""
     async with operation.busy:
-        problems = await _come_down(operation, RAMP_MAX_S, hurry=asyncio.Event())
+        problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
     if problems:
         raise Refused(f"the robot is {operation.state}, but {'; '.join(problems)}")
     return operation.state
@@ -138,12 +138,12 @@ async def reset_odometry(operation: Operation) -> State:
     return operation.state
 
 
-async def shut_down(operation: Operation, hurry: asyncio.Event) -> list[str]:
+async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
     """At rest, power off, OFF on the state page. Returns what is not known to be so, in words.
-    `hurry` leaves the ramp out: then the lines brake as they end. A procedure that is under way
+    `force` leaves the ramp out: then the lines brake as they end. A procedure that is under way
     must have been cancelled before."""
     async with operation.busy:
-        problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, hurry)
+        problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, force)
     for problem in problems:
         _log.warning("at the end: %s", problem)
     operation.take(Event.SHUTDOWN)
@@ -160,17 +160,17 @@ async def _alone(operation: Operation) -> AsyncIterator[None]:
         yield
 
 
-async def _come_down(operation: Operation, ramp_max_s: float, hurry: asyncio.Event) -> list[str]:
+async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Event) -> list[str]:
     """Ramp, disarm the core, then the drives. Returns what went wrong; the state is true anyway."""
     operation.disarming = True
     try:
         operation.take(Event.DISARM)
         deadline_s = ramp_s(operation, ramp_max_s)
         rests = await operation.until(
-            lambda: operation.snapshot.at_rest or not operation.snapshot.enabled or hurry.is_set(),
+            lambda: operation.snapshot.at_rest or not operation.snapshot.enabled or force.is_set(),
             deadline_s,
         )
-        if hurry.is_set():
+        if force.is_set():
             return ["asked not to wait for rest"]
         if not rests:
             _log.warning("not at rest after %.1f s: the power goes off anyway", deadline_s)

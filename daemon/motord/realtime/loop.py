@@ -178,7 +178,7 @@ class HistogramKind(enum.IntEnum):
 class _Buffers:
     """Made once, so that the border is crossed without a new allocation in C's types."""
 
-    grants: Any = field(default_factory=lambda: ffi.new("lease_grants *"))
+    permissions: Any = field(default_factory=lambda: ffi.new("lease_permissions *"))
     commands: Any = field(default_factory=lambda: ffi.new("command_report *"))
     control: Any = field(default_factory=lambda: ffi.new("core_control *"))
     state: Any = field(default_factory=lambda: ffi.new("robot_state *"))
@@ -296,8 +296,8 @@ class Loop:
 
     def grant(self, leases: Iterable[LeaseGrant]) -> None:
         """From the next tick on these may command, and nobody else. At most LEASES_MAX."""
-        raw = self._buffers.grants
-        ffi.memmove(raw, bytes(ffi.sizeof("lease_grants")), ffi.sizeof("lease_grants"))
+        raw = self._buffers.permissions
+        ffi.memmove(raw, bytes(ffi.sizeof("lease_permissions")), ffi.sizeof("lease_permissions"))
         for place, lease in zip(raw.lease, leases, strict=False):
             place.token = lease.token
             place.number = lease.number
@@ -305,7 +305,7 @@ class Loop:
             place.lifetime_ns = lease.lifetime_ns
             place.interval_least_ns = lease.interval_least_ns
             place.barred_until_ns = lease.barred_until_ns
-        lib.exchange_put_grants(self._exchange, raw)
+        lib.exchange_put_permissions(self._exchange, raw)
 
     def send(self, command: bytes) -> None:
         """A command (commands.datagram) by the socket pair that all of them use. Raises

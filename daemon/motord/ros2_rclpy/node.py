@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import NotTaken
-from motord.bus.inbox import Crossing, Inbox
+from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
@@ -90,7 +90,7 @@ class RclpyNode:
         self.remap: dict[str, str] = {}
         """Unused: ROS 2 has its own rules."""
         self._node = node
-        self._crossing = Crossing()
+        self._thread_bridge = ThreadBridge()
         self._inboxes: list[Inbox[Any]] = []
         self._threads = 1
         self._missing: set[str] = set()
@@ -159,7 +159,7 @@ class RclpyNode:
         """In a thread of rclpy."""
         try:
             request = decode(f"{kind}_Request", serialize_message(asked))
-            told = self._crossing.ask(lambda: answer(request), within_s)
+            told = self._thread_bridge.ask(lambda: answer(request), within_s)
             return deserialize_message(bytes(encode(f"{kind}_Response", told)), type(response))
         except (NotTaken, RuntimeError, ValueError) as error:
             _log.warning("%s: not answered: %s", name, error)
@@ -195,7 +195,7 @@ class RclpyNode:
         for inbox in self._inboxes:
             inbox.open()
         async with asyncio.TaskGroup() as tasks:
-            crossing = tasks.create_task(self._crossing.run())
+            thread_bridge = tasks.create_task(self._thread_bridge.run())
             try:
                 await asyncio.to_thread(_spin, executor)
                 raise Ended("ROS 2 was told to shut down")
@@ -203,7 +203,7 @@ class RclpyNode:
                 rclpy.try_shutdown(
                     context=self._node.context
                 )  # wakes the executor: its thread ends
-                crossing.cancel()
+                thread_bridge.cancel()
 
 
 class Publisher:

@@ -17,7 +17,7 @@ from motord_hal.base.errors import HalError, PortError
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import DriveSays, RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
@@ -59,7 +59,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         super().__init__(spec, listener)
-        self._news = News()
+        self._notifier = Notifier()
         self._report: Report | None = None
 
     @property
@@ -87,11 +87,11 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
         """As ports.Line.run."""
-        self._news.open()
+        self._notifier.open()
         try:
             await super().run()
         finally:
-            self._news.close()
+            self._notifier.close()
 
     async def _open_medium(self) -> str:
         facts = await self._start()
@@ -120,7 +120,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
             error = self._ended(self._look())
             if error is not None:
                 return error
-            await self._news.wait()
+            await self._notifier.wait()
 
     def _take_report(self) -> Report:
         """The newest one, to its drives."""
@@ -136,7 +136,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         with contextlib.suppress(TimeoutError):
             async with within(SHUTDOWN_WITHIN_S):
                 while (report := self._thread.report()).running and not report.shut_down:
-                    await self._news.wait()
+                    await self._notifier.wait()
         done = report.shut_down
         pairs = zip(self._drives, report.drives, strict=True)
         self._say_left_on([drive for drive, said in pairs if said.stop_waits or not done])

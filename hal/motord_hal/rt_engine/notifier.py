@@ -11,7 +11,7 @@ LOOK_EVERY_S = 0.5
 """So often the report is read when nothing calls for it: what matters calls."""
 
 
-class News:
+class Notifier:
     """The eventfd that the thread writes, and those who wait for something to come true."""
 
     def __init__(self) -> None:

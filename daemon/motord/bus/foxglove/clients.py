@@ -29,7 +29,7 @@ from foxglove.websocket import (
 
 from motord.bus.commands.gate import COMMANDS, TRIGGERS, CommandGate, NotTaken, request_of, short
 from motord.bus.commands.link import CALL_WITHIN_S
-from motord.bus.inbox import Crossing, Inbox
+from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.messages import json_form
 from motord.bus.parameters import Tunable, value_of
 from motord.config import FoxgloveInput
@@ -100,7 +100,7 @@ class Commands(Looks):
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
         self._told = dict(self._parameters)
         """To those who have subscribed."""
-        self._crossing = Crossing()
+        self._thread_bridge = ThreadBridge()
         self._admitted: tuple[int, ...] = ()
         """Connections; a number is never used again. Threads read it: it is only replaced."""
         self._topics: dict[tuple[int, int], str] = {}
@@ -118,7 +118,7 @@ class Commands(Looks):
         self._strangers.open()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
-            tasks.create_task(self._crossing.run())
+            tasks.create_task(self._thread_bridge.run())
             tasks.create_task(self._watch())
 
     def _admit(self, client: int, request: Mapping[str, Any]) -> None:
@@ -199,7 +199,7 @@ class Commands(Looks):
         """In a thread of the SDK's."""
         make = partial(self._answer, method, request.client_id, request.payload)
         try:
-            answer = {"success": True, "message": self._crossing.ask(make, ANSWER_WITHIN_S)}
+            answer = {"success": True, "message": self._thread_bridge.ask(make, ANSWER_WITHIN_S)}
         except NotTaken as error:
             answer = {"success": False, "message": str(error)}
         return json_form.encode(answer)
@@ -233,7 +233,7 @@ class Commands(Looks):
         """As ServerListener: all or none. The answer, which is also told to who has subscribed, is
         what is in force afterwards."""
         try:
-            self._crossing.ask(partial(self._change, client.id, parameters), CHANGE_WITHIN_S)
+            self._thread_bridge.ask(partial(self._change, client.id, parameters), CHANGE_WITHIN_S)
         except NotTaken as error:
             self._complain("parameters", error)
         else:

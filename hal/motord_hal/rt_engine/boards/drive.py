@@ -12,7 +12,7 @@ from motord_hal.fieldbus.faults import Say
 from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.realtime.board import BoardThread
 from motord_hal.rt_engine.boards.jobs import BoardJobs
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import RtDrive
 
 LOOK_EVERY_S = 0.01
@@ -28,11 +28,11 @@ class BoardRtDrive(RtDrive):
         jobs: BoardJobs,
         spec: LineSpec,
         thread: BoardThread,
-        news: News,
+        notifier: Notifier,
         say: Say,
         silence_s: float,
     ) -> None:
-        super().__init__(0, jobs, spec.watchdog_s, thread, news, say)
+        super().__init__(0, jobs, spec.watchdog_s, thread, notifier, say)
         self.jobs = jobs
         self._board = thread
         self._silence_s = silence_s

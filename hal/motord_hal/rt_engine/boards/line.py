@@ -45,7 +45,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         jobs = BoardJobs(f"the board of {names}", plan, layout, self._thread, cycle_s)
         silence_s = self._table["silence_ns"] * 1e-9
         self._drives = [
-            BoardRtDrive(jobs, spec, self._thread, self._news, self._say, silence_s),
+            BoardRtDrive(jobs, spec, self._thread, self._notifier, self._say, silence_s),
         ]
         self._port: OpenPort | None = None
         self._errors: Counter[str] = Counter()
@@ -86,7 +86,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._thread.start(
             self._table | {"imu": self._table["imu"] | {"epoch": self._reopened}},
             fd=self._port.fd,
-            event_fd=self._news.event_fd,
+            event_fd=self._notifier.event_fd,
             priority=self.spec.priority,
             epoch=self._epoch,
             cpu_mask=cpu_mask(self.spec),
@@ -116,7 +116,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
     def _look(self) -> BoardReport:
         """Take in what the thread says."""
         report = self._take_report()
-        self._news.looked()
+        self._notifier.looked()
         return report
 
     # ---------------------------------------------------------------------------------- parameters

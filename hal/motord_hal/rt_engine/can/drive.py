@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.realtime.can import CanThread
 from motord_hal.rt_engine.can.jobs import CanJobs
 from motord_hal.rt_engine.can.table import inputs_of, silence_s
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import RtDrive
 
 PROBE_FIRST_S = 0.1
@@ -34,10 +34,10 @@ class CanRtDrive(RtDrive):
         jobs: CanJobs,
         spec: LineSpec,
         thread: CanThread,
-        news: News,
+        notifier: Notifier,
         say: Say,
     ) -> None:
-        super().__init__(index, jobs, spec.watchdog_s, thread, news, say)
+        super().__init__(index, jobs, spec.watchdog_s, thread, notifier, say)
         self.jobs = jobs
         self._bus = thread
         self._cycle_s = 1.0 / spec.cycle_hz

@@ -57,7 +57,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
                 CanJobs(index, plan, self._thread, 1.0 / spec.cycle_hz, self._take_frames),
                 spec,
                 self._thread,
-                self._news,
+                self._notifier,
                 self._say,
             )
             for index, plan in enumerate(self._plans)
@@ -104,7 +104,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._thread.start(
             self._table,
             fd=self._bus.fileno(),
-            event_fd=self._news.event_fd,
+            event_fd=self._notifier.event_fd,
             priority=self.spec.priority,
             before=self._before,
             cpu_mask=cpu_mask(self.spec),
@@ -143,7 +143,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         """Take in what the thread says."""
         self._take_frames()
         report = self._take_report()
-        self._news.looked()
+        self._notifier.looked()
         return report
 
     def _take_frames(self) -> None:
@@ -169,7 +169,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             self._say_all(EventKind.DRIVE_WARNING, text)
         if trouble is BusTrouble.BUS_OFF:
             self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
-            self._news.poke()
+            self._notifier.poke()
 
     # ---------------------------------------------------------------------------------- parameters
     async def read_register(self, joint: str, register: str) -> float:

@@ -22,7 +22,7 @@ from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_step
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.line import AnswerKind, DriveReport, LineThread
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
 
@@ -96,7 +96,13 @@ class RtDrive(abc.ABC):
     """Number `index` of the line's table."""
 
     def __init__(
-        self, index: int, jobs: Jobs, watchdog_s: float, thread: ModeRequests, news: News, say: Say
+        self,
+        index: int,
+        jobs: Jobs,
+        watchdog_s: float,
+        thread: ModeRequests,
+        notifier: Notifier,
+        say: Say,
     ) -> None:
         self._jobs = jobs
         self.names = tuple(joint.name for joint in jobs.joints)
@@ -104,7 +110,7 @@ class RtDrive(abc.ABC):
         self._index = index
         self._setup = configure_steps(jobs.profile, watchdog_s)
         self._thread = thread
-        self._news = news
+        self._notifier = notifier
         self._say = say
         self._report: DriveSays | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
@@ -196,7 +202,7 @@ class RtDrive(abc.ABC):
     async def keep_set_up(self) -> None:
         """Whenever C holds it for not set up: set it up, and request it ready. For ever."""
         while True:
-            await self._news.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
+            await self._notifier.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             try:
                 await self._present()
                 self._failed_setup = False
@@ -214,7 +220,7 @@ class RtDrive(abc.ABC):
         """Whenever it has been told to stand down: power off, ahead of all other requests. For
         ever."""
         while True:
-            await self._news.until(lambda: self._powering_off is not None)
+            await self._notifier.until(lambda: self._powering_off is not None)
             try:
                 await self._jobs.run("disarm", self._jobs.profile.disarm, urgent=True)
                 await self._obeyed(self._standing_down)
@@ -237,7 +243,7 @@ class RtDrive(abc.ABC):
         """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
         try:
             async with within(OBEYED_WITHIN_S):
-                await self._news.until(
+                await self._notifier.until(
                     lambda: self._report is not None and self._report.request_seen >= request
                 )
         except TimeoutError:
@@ -252,7 +258,7 @@ class RtDrive(abc.ABC):
         self._thread.allow_arming(self._index, 0)
         if self._powering_off is None:
             self._powering_off = asyncio.get_running_loop().create_future()
-            self._news.poke()
+            self._notifier.poke()
         return self._powering_off
 
     def _check_arming(self, began: int, mode: Mode) -> None:
@@ -300,11 +306,11 @@ class SerialDrive(RtDrive):
         jobs: DriveJobs,
         watchdog_s: float,
         thread: LineThread,
-        news: News,
+        notifier: Notifier,
         say: Say,
         hint: Callable[[], str],
     ) -> None:
-        super().__init__(index, jobs, watchdog_s, thread, news, say)
+        super().__init__(index, jobs, watchdog_s, thread, notifier, say)
         self.jobs = jobs
         self._line_hint = hint
 

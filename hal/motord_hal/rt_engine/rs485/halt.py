@@ -14,7 +14,7 @@ from motord_hal.fieldbus.halt import halt_unit
 from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.line import LineThread, ThreadSpec
-from motord_hal.rt_engine.notifier import News
+from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.frames import DriveFrames
 from motord_hal.rt_engine.rs485.protocols import frames_of
 from motord_hal.rt_engine.rs485.request_queue import Asks
@@ -68,23 +68,23 @@ async def _running(
     spec: LineSpec, thread: LineThread, frames: list[DriveFrames], asks: Asks
 ) -> AsyncIterator[None]:
     """The thread on its port, with a task that hands out its answers."""
-    news, port = News(), open_port(spec)
+    notifier, port = Notifier(), open_port(spec)
     with contextlib.ExitStack() as undo:
         undo.callback(port.close)
-        news.open()
-        undo.callback(news.close)
-        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=news.event_fd)
+        notifier.open()
+        undo.callback(notifier.close)
+        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=notifier.event_fd)
         thread.start(place, line_table(spec, frames))
         undo.callback(thread.stop)
         async with asyncio.TaskGroup() as tasks:
-            attending = tasks.create_task(_attend(spec, thread, news, asks))
+            attending = tasks.create_task(_attend(spec, thread, notifier, asks))
             yield
             attending.cancel()
 
 
-async def _attend(spec: LineSpec, thread: LineThread, news: News, asks: Asks) -> None:
+async def _attend(spec: LineSpec, thread: LineThread, notifier: Notifier, asks: Asks) -> None:
     """Until the port goes away: then whoever waits for an answer is told."""
     while (report := thread.report()).running:
         asks.take_answers()
-        await news.wait()
+        await notifier.wait()
     asks.lose(PortError(f"{spec.port} went away: {os.strerror(report.error)}"))

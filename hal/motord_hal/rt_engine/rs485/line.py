@@ -47,7 +47,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
                 DriveJobs(index, drive, self._asks),
                 spec.watchdog_s,
                 self._thread,
-                self._news,
+                self._notifier,
                 self._say,
                 self._quiet_hint,
             )
@@ -73,7 +73,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             self.spec,
             fd=self._port.fd,
             de_fd=self._port.de_fd,
-            event_fd=self._news.event_fd,
+            event_fd=self._notifier.event_fd,
             may_turn=self._may_turn,
         )
         self._thread.start(thread, self._table)
@@ -113,7 +113,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         report = self._take_report()
         if self._port is not None:
             self._witness.look(self._port.fd, _traffic(report))
-        self._news.looked()
+        self._notifier.looked()
         return report
 
     async def read_register(self, joint: str, register: str) -> float:
