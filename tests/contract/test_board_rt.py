@@ -28,7 +28,6 @@ def program(tmp_path_factory):
 @pytest.fixture
 def peer(program, tmp_path):
     peer = McuPeer(program, tmp_path / "board")
-    peer.engine = "rt"
     yield peer
     peer.pull()
 
@@ -91,7 +90,7 @@ async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(pee
 
 async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):
     peer = Reader(tmp_path / "board")
-    async with running(text_spec(peer.link, "rt", "{left:d},{right:d}\n")) as rig:
+    async with running(text_spec(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await until(lambda: peer.lines[-1:] == [b"128,-255"])

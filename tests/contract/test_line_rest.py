@@ -25,11 +25,11 @@ from test_modbus_line import (
     spec_of,
 )
 
-from motord_hal.asyncio_engine import drive
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, JointSpec
+from motord_hal.realtime.drive_state import DriveRules
 
 CYCLES_SEEN = 5
 """More than what may have been under way when the line was told to end."""
@@ -80,7 +80,10 @@ async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to
 
 @pytest.mark.parametrize("peer", ["asyncio", *GATEWAYS], indirect=True)
 async def test_a_modbus_drive_that_is_still_stopping_is_not_armed(peer, monkeypatch):
-    monkeypatch.setattr(drive, "STOPPING_WITHIN_S", 100.0)  # in C it is refused by the thread
+    ends = DriveRules.end_stopping  # by its wheels alone: the time of the stop never passes
+    monkeypatch.setattr(
+        DriveRules, "end_stopping", lambda one, _, at_rest: ends(one, 0, at_rest=at_rest)
+    )
     peer.units[1].registers[VELOCITY_1] = 600
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.arm()
