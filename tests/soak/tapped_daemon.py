@@ -37,7 +37,7 @@ class Peephole:
     """The feedback of one joint, where it lies."""
 
     def __init__(self, joint: int) -> None:
-        before = ("lease_grants", "command_report", "core_control")
+        before = ("lease_permissions", "command_report", "core_control")
         place = sum(map(box_bytes, before)) + joint * box_bytes("joint_feedback")
         box = ffi.cast("char *", lib.loop_exchange()) + place
         self._front = ffi.cast("volatile uint32_t *", box + FRONT_AT)
