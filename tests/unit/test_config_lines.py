@@ -143,7 +143,7 @@ def test_a_line_that_cannot_be_is_refused(load, edits, row):
 def test_drives_are_on_a_line_of_their_protocol(load):
     line = SERIAL.replace("modbus-rtu", "ddsm").replace('"auto"', '"asyncio"')
     rows = problems(load, line=line)
-    text = 'kind "ddsm" runs on "rt": remove this line, or write "auto"'
+    text = 'kind "ddsm" runs on "rt": remove "engine", or write "auto"'
     assert f"line.rs485.engine: {text}" in rows
     assert 'joint.left.drive: drive "zlac8015d" speaks modbus-rtu, its line ddsm' in rows
 

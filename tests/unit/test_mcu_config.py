@@ -46,7 +46,7 @@ def test_a_board_s_line_reaches_the_hardware_layer(load):
 def test_a_board_s_line_runs_on_the_real_time_engine_alone(load):
     found = rows(load, engine=('kind = "mcu"', 'kind = "mcu"\nengine = "asyncio"'))
     (row,) = [row for row in found if row.startswith("line.")]
-    assert 'kind "mcu" runs on "rt": remove this line, or write "auto"' in row
+    assert 'kind "mcu" runs on "rt": remove "engine", or write "auto"' in row
 
 
 def test_a_drive_of_another_protocol_is_refused(load):

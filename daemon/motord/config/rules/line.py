@@ -61,7 +61,7 @@ def _engine(robot: Robot) -> Iterator[Finding]:
                 text = f'"rt" needs SocketCAN: interface "{line.interface}" runs on "asyncio"'
                 yield Finding(paths, text)
         elif isinstance(line, ON_RT_ONLY) and line.engine == "asyncio":
-            yield Finding(at, f'kind "{line.kind}" runs on "rt": remove this line, or write "auto"')
+            yield Finding(at, f'kind "{line.kind}" runs on "rt": remove "engine", or write "auto"')
 
 
 def _adapter(robot: Robot) -> Iterator[Finding]:
