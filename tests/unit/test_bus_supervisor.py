@@ -95,7 +95,27 @@ async def test_a_beat_of_many_figures_is_heard_whole():
 
 @pytest.mark.parametrize("line", [b"noise\n", b"x"])
 async def test_who_says_much_and_no_figures_is_ended_as_one_that_hangs(line, caplog, monkeypatch):
-    monkeypatch.setattr(bus_supervisor, "SILENT_S", 1.0)
+    monkeypatch.setattr(bus_supervisor, "START_WITHIN_S", 1.0)
     async with child(f"while True: os.write(1, {line!r} * 3000)") as supervisor:
         await until(lambda: supervisor.report()["restarts"] >= 1)
     assert "was silent" in caplog.text
+
+
+async def test_a_start_may_take_longer_than_a_silence_later(caplog, monkeypatch):
+    monkeypatch.setattr(bus_supervisor, "SILENT_S", 0.2)
+    late = f"import time; time.sleep(1.0); os.write(1, {BEAT!r}); os.read(0, 1)"
+    async with child(late) as supervisor:
+        await until(lambda: supervisor.report()["restarts"] >= 1)
+    assert "was silent for 0.2 s" in caplog.text
+
+
+async def test_it_runs_the_robot_that_the_daemon_has_checked_whatever_became_of_the_file(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(DEMO.read_text("utf-8"), "utf-8")
+    supervisor = BusSupervisor(load_robot(path), tmp_path / "no.sock")
+    path.write_text("[half an edi", "utf-8")
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(supervisor.run())
+        await until(lambda: supervisor.report().keys() > {"pid", "restarts"})
+        assert supervisor.report()["restarts"] == 0
+        task.cancel()

@@ -3,7 +3,7 @@
 ends when it has answered: pydantic, its validators and the rules take a third of the memory that
 the daemon needs without them.
 
-`elsewhere` comes before the first import of `motord.config`.
+`elsewhere` or `handed_over` comes before the first import of `motord.config`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,21 @@ HERE = True
 _reader: subprocess.Popen[bytes] | None = None
 
 
+def handed_over() -> None:
+    """This process reads no robot file: it is given what another one has checked."""
+    global HERE  # noqa: PLW0603  a property of the process
+    HERE = False
+
+
 def elsewhere() -> None:
     """Begin the child that reads one robot file, motord/config/__main__.py: it gets ready while
     this process imports the rest."""
-    global HERE, _reader  # noqa: PLW0603  properties of the process
+    global _reader  # noqa: PLW0603  a property of the process
+    handed_over()
     pipe = subprocess.PIPE
     command = [sys.executable, "-m", "motord.config"]
     # a group of its own: Ctrl-C is this process's, and the child ends with its question
     _reader = subprocess.Popen(command, stdin=pipe, stdout=pipe, process_group=0)
-    HERE = False
 
 
 def ask(*question: Any) -> Any:

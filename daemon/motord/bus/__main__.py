@@ -3,14 +3,21 @@
 
 from __future__ import annotations
 
+import sys
+
 from motord.base import validation
 from motord.bus.confine import confine
+
+CHECKED = "--checked-fd"
 
 
 def main() -> None:
     """Run the second process; exits it."""
     confine()
-    validation.elsewhere()
+    if CHECKED in sys.argv:
+        validation.handed_over()
+    else:
+        validation.elsewhere()
     from motord.bus.process import main as run
 
     run(prog_name="motord-bus")

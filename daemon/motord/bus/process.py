@@ -10,6 +10,7 @@ import fcntl
 import json
 import logging
 import os
+import pickle
 import signal
 import sys
 from pathlib import Path
@@ -45,8 +46,14 @@ _log = logging.getLogger(__name__)
     help="The daemon started it: ends with standard input, and says on standard output that it"
     " lives.",
 )
+@click.option("--checked-fd", type=int, hidden=True, help="What the daemon has read in the file.")
 def main(
-    robot_file: Path, overrides: tuple[str, ...], path: Path | None, *, supervised: bool
+    robot_file: Path,
+    overrides: tuple[str, ...],
+    path: Path | None,
+    checked_fd: int | None,
+    *,
+    supervised: bool,
 ) -> None:
     """Bring a running robot to the buses of its file: [publish.*] and [input.*].
 
@@ -58,7 +65,7 @@ def main(
     beats = _own_output() if supervised else None
     log.set_up()
     try:
-        robot = load_robot(robot_file, overrides)
+        robot = load_robot(robot_file, overrides) if checked_fd is None else _checked(checked_fd)
     except ConfigError as error:
         click.echo(str(error), err=True)
         sys.exit(_USAGE)
@@ -68,6 +75,14 @@ def main(
         _log.error("%s", error)
         sys.exit(_FAILED)
     asyncio.run(_run(robot, path, beats))
+
+
+def _checked(fd: int) -> Robot:
+    """The robot that the daemon runs, also where its file was edited since."""
+    with os.fdopen(fd, "rb") as file:
+        robot = pickle.load(file)
+    assert isinstance(robot, Robot)
+    return robot
 
 
 def _own_output() -> int:

@@ -63,6 +63,14 @@ class BaseModel:
         vars(self).update(values)
         object.__setattr__(self, "model_fields_set", given)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """As pydantic's objects are pickled."""
+        return {
+            "__dict__": vars(self),
+            "__pydantic_private__": None,
+            "__pydantic_fields_set__": self.model_fields_set,
+        }
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         """As pydantic's objects are pickled."""
         private = state["__pydantic_private__"] or {}

@@ -9,11 +9,12 @@ import contextlib
 import json
 import logging
 import os
+import pickle
 import signal
 import sys
 import time
 from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,9 @@ from motord_hal.base.clock import within
 
 SILENT_S = 10.0
 """It says every second that it lives."""
+START_WITHIN_S = 60.0
+"""Until it says so for the first time: a small computer that is busy starting takes long, and one
+that is ended before it is ready would start again for ever."""
 READ_BYTES, READ_EVERY_S = 4096, 0.02
 """So much of what it says is read at a time, and no more often: a pipe that is flooded is its own
 trouble."""
@@ -46,6 +50,7 @@ class BusSupervisor:
             *(sys.executable, "-m", "motord.bus", str(robot.path), *options),
             *("--socket", str(path), "--supervised"),
         ]
+        self._checked = pickle.dumps(robot)
         self._figures: dict[str, Any] = {}
         self._pid: int | None = None
         self._restarts = 0
@@ -83,7 +88,7 @@ class BusSupervisor:
             try:
                 await self._listen(output)
             except TimeoutError:
-                return f"was silent for {SILENT_S:g} s"
+                return f"was silent for {SILENT_S if self._figures else START_WITHIN_S:g} s"
             finally:
                 self._pid, self._figures = None, {}
             await _end(process)
@@ -94,9 +99,11 @@ class BusSupervisor:
         """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
         async with _pipe() as (output, said):
             try:
-                process = await asyncio.create_subprocess_exec(
-                    *self._command, stdin=PIPE, stdout=said, start_new_session=True
-                )
+                with _in_memory(self._checked) as fd:
+                    process = await asyncio.create_subprocess_exec(
+                        *self._command, "--checked-fd", str(fd), pass_fds=(fd,),
+                        stdin=PIPE, stdout=said, start_new_session=True,
+                    )  # fmt: skip
             finally:
                 os.close(said)
             self._pid = process.pid
@@ -108,7 +115,7 @@ class BusSupervisor:
     async def _listen(self, output: asyncio.StreamReader) -> None:
         """Until its end. Raises TimeoutError for who says nothing that counts for so long."""
         loop, rest = asyncio.get_running_loop(), b""
-        async with within(SILENT_S) as silence:
+        async with within(START_WITHIN_S) as silence:
             while chunk := await output.read(READ_BYTES):
                 *lines, rest = (rest + chunk).split(b"\n")
                 rest = rest[-BEAT_BYTES_MAX:]
@@ -135,6 +142,15 @@ def _figures(line: bytes) -> dict[str, Any]:
         raise ValueError("no object")
     json.dumps(said, allow_nan=False)
     return said
+
+
+@contextlib.contextmanager
+def _in_memory(content: bytes) -> Iterator[int]:
+    """A file that only a child finds, at its beginning."""
+    with os.fdopen(os.memfd_create("robot"), "r+b") as file:
+        file.write(content)
+        file.seek(0)
+        yield file.fileno()
 
 
 @contextlib.asynccontextmanager
