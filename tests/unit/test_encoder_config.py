@@ -12,7 +12,6 @@ from motord.config.wiring import line_specs
 from motord.control import assembly
 from motord.tools.unit import devices
 from motord_hal.fieldbus.ports import BoardEncoder, CounterEncoder, EdgesEncoder
-from motord_hal.gpio.chip import FLAG_FALLING, FLAG_RISING, pack_request
 
 ROBOT = (Path(__file__).resolve().parents[2] / "config/robots/pi4-encoders.toml").read_text("utf-8")
 GPIO = 'kind = "gpio"'
@@ -149,15 +148,3 @@ def test_a_drive_that_counts_itself_gets_no_encoder(tmp_path):
     path.write_text(demo + section, encoding="utf-8")
     with pytest.raises(ConfigError, match='is only for a line of kind "pwm": this one is "mcu"'):
         load_robot(path)
-
-
-def test_a_request_of_edges_asks_for_both_ways_and_room_for_its_events():
-    """Offsets: kernel, include/uapi/linux/gpio.h, struct gpio_v2_line_request."""
-    raw = pack_request([17, 27], "motord pins", None, FLAG_RISING | FLAG_FALLING, 1024)
-    offsets, (flags,), (lines, events) = (
-        struct.unpack_from("=2I", raw, 0),
-        struct.unpack_from("=Q", raw, 288),
-        struct.unpack_from("=2I", raw, 560),
-    )
-    assert (len(raw), offsets, lines, events) == (592, (17, 27), 2, 1024)
-    assert flags == 4 | 16 | 32  # input, rising, falling

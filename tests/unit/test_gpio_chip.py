@@ -6,55 +6,53 @@ import os
 from pathlib import Path
 
 import pytest
+from gpiod.line import Bias
 
 from motord_hal.base.errors import PortError
-from motord_hal.gpio.chip import FLAG_FALLING, FLAG_RISING, Chip, _only_chip, _only_line
-from motord_hal.gpio.lines import Pull, Wanted, _request_of
+from motord_hal.gpio.chip import Chip, _only_chip, _only_line, open_chip
+from motord_hal.gpio.lines import Wanted, _refusal, check_pull, request_outputs
 
-KERNEL_SAYS_NO = f"lines 3: ({os.strerror(errno.EBADF)}|{os.strerror(errno.ENOSYS)})"
-"""The second: an emulator that knows no GPIO."""
 ESTOP = Wanted(line="3", purpose="safety.estop")
-
-
-@pytest.fixture
-def chip_of(tmp_path):
-    """A chip with that label whose descriptor is closed: the kernel says no to every request."""
-
-    def make(label):
-        fd = os.open(tmp_path, os.O_RDONLY)
-        os.close(fd)
-        return Chip(fd, Path("/dev/gpiochip0"), label, 8)
-
-    return make
+ONE, OTHER = Path("/dev/gpiochip1"), Path("/dev/gpiochip4")
 
 
 @pytest.mark.parametrize("label", ["tegra234-gpio", "tegra194-gpio-aon", "tegra-gpio"])
-@pytest.mark.parametrize("pull", [Pull.UP, Pull.DOWN])
-def test_a_pull_is_refused_where_the_chip_has_none_and_the_kernel_would_not_say_so(
-    chip_of, label, pull
-):
+@pytest.mark.parametrize("pull", [Bias.PULL_UP, Bias.PULL_DOWN])
+def test_a_pull_is_refused_where_the_chip_has_none_and_the_kernel_would_not_say_so(label, pull):
     with pytest.raises(PortError) as caught:
-        _request_of(chip_of(label), [ESTOP], "motord", None, FLAG_RISING | pull)
+        check_pull(label, ESTOP, pull)
     assert str(caught.value).startswith(f'safety.estop: the chip "{label}" has no pulls')
     assert "pull = false" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("label", "pull"), [("tegra234-gpio", Pull.AS_IT_IS), ("pinctrl-rp1", Pull.UP)]
-)
-def test_other_requests_of_an_input_are_the_kernels_to_answer(chip_of, label, pull):
-    with pytest.raises(PortError, match=KERNEL_SAYS_NO):
-        _request_of(chip_of(label), [ESTOP], "motord", None, FLAG_FALLING | pull)
+def test_no_pull_or_one_that_the_chip_has_is_the_kernels_to_answer():
+    check_pull("tegra234-gpio", ESTOP, Bias.AS_IS)
+    check_pull("pinctrl-rp1", ESTOP, Bias.PULL_UP)
 
 
-def test_of_two_chips_with_one_label_neither_is_taken(tmp_path):
-    paths = (Path("/dev/gpiochip1"), Path("/dev/gpiochip4"))
-    chips = [Chip(os.open(tmp_path, os.O_RDONLY), path, "pca9555", 16) for path in paths]
+def test_of_two_chips_with_one_label_neither_is_taken():
+    labels = {ONE: "pca9555", OTHER: "pca9555", Path("/dev/gpiochip0"): "pinctrl-rp1"}
     with pytest.raises(PortError, match=r'2 GPIO chips are "pca9555": /dev/gpiochip1, /dev/gpioc'):
-        _only_chip(chips)
-    for chip in chips:
-        with pytest.raises(OSError, match="Bad file descriptor"):
-            os.fstat(chip.fd)
+        _only_chip(labels, "pca9555")
+    assert _only_chip(labels, "pinctrl-rp1") == Path("/dev/gpiochip0")
+
+
+def test_a_chip_that_is_not_there_is_said_with_those_that_are(tmp_path):
+    with pytest.raises(PortError, match=r'no GPIO chip "x"; there: gpiochip1 "pca9555"$'):
+        _only_chip({ONE: "pca9555"}, "x")
+    (tmp_path / "gpiochip0").touch()
+    with pytest.raises(PortError, match=r'no GPIO chip "x"; there: gpiochip0 \(Inappropriate ioctl'):
+        request_outputs("x", [ESTOP], "motord", tmp_path)
+
+
+@pytest.mark.parametrize("wanted", ["gpiochip0", "{dev}/gpiochip0"])
+def test_a_device_file_that_is_no_chip_is_said_with_its_path(tmp_path, wanted):
+    (tmp_path / "gpiochip0").touch()
+    with (
+        pytest.raises(PortError, match=f"GPIO chip {tmp_path}/gpiochip0 cannot be opened: Inapp"),
+        open_chip(wanted.format(dev=tmp_path), tmp_path),
+    ):
+        pass
 
 
 def test_a_name_that_two_lines_have_is_refused_with_their_numbers():
@@ -63,3 +61,17 @@ def test_a_name_that_two_lines_have_is_refused_with_their_numbers():
         _only_line(["", "A", "B", "A"], "A")
     with pytest.raises(LookupError, match='no GPIO line "C"'):
         _only_line(["", "A"], "C")
+
+
+class Gone:
+    """gpiod.Chip of a chip that was pulled."""
+
+    def get_line_info(self, offset):
+        raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+
+
+def test_a_chip_that_says_no_owner_any_more_is_named_with_its_lines():
+    chip = Chip(Gone(), ONE, "pinctrl-rp1", 54)
+    taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+    said = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
+    assert '/dev/gpiochip1 "pinctrl-rp1", lines GPIO5' in said

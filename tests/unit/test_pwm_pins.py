@@ -12,8 +12,7 @@ from motord.config import ConfigError, load_robot
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
-from motord_hal.gpio.chip import Chip
-from motord_hal.gpio.lines import Wanted, _refusal, request_outputs
+from motord_hal.gpio.lines import Wanted, request_outputs
 from motord_hal.gpio.pinmux import freeing_step, pwm_step
 from motord_hal.pwm.pins import open_pins, places_of, split_for_rest
 from motord_hal.pwm.sysfs import _why, find_chip, open_channel
@@ -152,15 +151,6 @@ def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_pa
     assert _why(no_device, chip, 5) == "the chip has 2 channels, from 0 on"
     (chip / "npwm").unlink()
     assert _why(no_device, chip, 5) == "the chip is gone"
-
-
-def test_a_gpio_chip_that_says_no_owner_any_more_is_named_with_its_lines(tmp_path):
-    nowhere = os.open(tmp_path, os.O_RDONLY)
-    os.close(nowhere)
-    chip = Chip(nowhere, Path("/dev/gpiochip0"), "pinctrl-rp1", 54)
-    taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
-    said = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
-    assert '/dev/gpiochip0 "pinctrl-rp1", lines GPIO5' in said
 
 
 def test_an_absent_gpio_chip_is_said(tmp_path):

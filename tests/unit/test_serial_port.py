@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from motord_hal.base.errors import PortError
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, LineSpec
-from motord_hal.gpio.chip import _LINE_INFO, _LINE_REQUEST, pack_request
 from motord_hal.serial.counters import Counters, Traffic, quiet_hint, read_counters
 from motord_hal.serial.direction import kept_problem, pack_rs485
 from motord_hal.serial.gpio import request_line
@@ -144,16 +143,6 @@ def test_what_a_driver_keeps_differently_is_said():
     assert "polarity" in kept_problem(asked, struct.pack("=3I20x", 1 | 4, 2, 0))
     assert "listening" in kept_problem(asked, struct.pack("=3I20x", 1 | 2 | 16, 2, 0))
     assert "delays" in kept_problem(asked, struct.pack("=3I20x", 1 | 2, 0, 0))
-
-
-def test_a_gpio_request_has_the_kernels_layout():
-    assert (_LINE_REQUEST.size, _LINE_INFO.size) == (592, 256)
-    raw = pack_request([17], "motord bus", 1)
-    assert struct.unpack_from("=I", raw, 0) == (17,)
-    assert raw[256:266] == b"motord bus"
-    assert struct.unpack_from("=QI", raw, 288) == (8, 1)  # output, one attribute
-    assert struct.unpack_from("=IIQQ", raw, 320) == (2, 0, 1, 1)  # its value, of its only line
-    assert struct.unpack_from("=I", raw, 560) == (1,)  # lines
 
 
 def test_an_absent_gpio_chip_is_said(tmp_path):

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 
 from motord.config import Robot
 from motord.realtime.types import GuardConfig
-from motord_hal.gpio.lines import Pull, Wanted, request_edges, request_outputs
 
 LINE_CYCLES = 5
 """So many cycles may a line with enabled drives leave out."""
@@ -23,6 +22,10 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
     if safety.estop is None and safety.watchdog is None:
         yield None
         return
+    # only here: a robot without pins goes without libgpiod
+    from gpiod.line import Bias
+    from motord_hal.gpio.lines import Wanted, request_edges, request_outputs
+
     guard: GuardConfig = {
         "estop": 0,
         "estop_fd": -1,
@@ -35,13 +38,13 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
     }
     with contextlib.ExitStack() as unless_ended:
         if (estop := safety.estop) is not None:
-            pull = Pull.UP if estop.switches_to == "ground" else Pull.DOWN
+            pull = Bias.PULL_UP if estop.switches_to == "ground" else Bias.PULL_DOWN
             wanted = Wanted(line=estop.gpio_line, purpose="safety.estop")
             fd = request_edges(
                 estop.gpio_chip,
                 wanted,
                 "motord",
-                pull if estop.pull else Pull.AS_IT_IS,
+                pull if estop.pull else Bias.AS_IS,
                 rising=estop.stop_is_high,
             )
             unless_ended.callback(os.close, fd)

@@ -9,15 +9,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from motord_hal.base.errors import PortError
+from gpiod.line import Bias
+
 from motord_hal.fieldbus.ports import EdgesEncoder
-from motord_hal.gpio.chip import why
-from motord_hal.gpio.lines import Pull, Wanted, levels_of, request_all_edges
+from motord_hal.gpio.lines import Wanted, request_all_edges
 from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
 
 EVENTS_KEPT = 1024
 """The kernel's most for 64 lines: 5 ms between two looks at 200,000 edges a second."""
-PULLS = {"none": Pull.AS_IT_IS, "up": Pull.UP, "down": Pull.DOWN}
+PULLS = {"none": Bias.AS_IS, "up": Bias.PULL_UP, "down": Bias.PULL_DOWN}
 
 
 def open_edges(
@@ -28,20 +28,16 @@ def open_edges(
         Wanted(line=line, purpose=f"joint {joint}, encoder {channel}")
         for channel, line in (("a", encoder.a), ("b", encoder.b))
     ]
-    fd, offsets = request_all_edges(
+    request = request_all_edges(
         encoder.gpio_chip, wanted, consumer, PULLS[encoder.pull], EVENTS_KEPT, dev
     )
-    try:
-        a, b = levels_of(fd, len(wanted))
-        os.set_blocking(fd, False)
-    except OSError as error:
-        os.close(fd)
-        raise PortError(f"joint {joint}, encoder: {encoder.gpio_chip}: {why(error)}") from error
+    os.set_blocking(request.fd, False)
+    (a_offset, b_offset), (a, b) = request.offsets, request.levels
     return EncoderConfig(
         kind=EncoderKind.EDGES,
-        fd=fd,
-        a_offset=offsets[0],
-        b_offset=offsets[1],
+        fd=request.fd,
+        a_offset=a_offset,
+        b_offset=b_offset,
         levels=2 * a + b,
         rad_per_count=encoder.rad_per_count,
     )

@@ -1,50 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds a GPIO chip by its label and a line by its name, and requests lines.
-
-Source: kernel, include/uapi/linux/gpio.h (v2) and Documentation/userspace-api/gpio/chardev.rst.
-"""
+"""Finds a GPIO chip by its label and a line by its name, and requests lines, by libgpiod."""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
-import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import gpiod
+from gpiod import LineSettings
+from gpiod.line import Value
 
 from motord_hal.base.errors import PortError
 
 LINES_MAX = 64
-"""Of one request."""
-_GET_CHIP_INFO = 0x8044B401
-_GET_LINE_INFO = 0xC100B405
-_GET_LINE = 0xC250B407
-_GET_VALUES = 0xC010B40E
-_CHIP_INFO = struct.Struct("=32s32sI")
-_LINE_INFO = struct.Struct("=32s32s2IQ176x")
-_LINE_VALUES = struct.Struct("=QQ")
-_LINE_REQUEST = struct.Struct("=64I32sQI20xI4xQQ216x2I20xi")
-"""Offsets, consumer, flags, attributes, the first of them (id, value, mask), lines, buffer, fd."""
-_FLAG_USED = 1
-_FLAG_INPUT = 4
-_FLAG_OUTPUT = 8
-FLAG_RISING, FLAG_FALLING = 16, 32
-FLAG_PULL_UP = 256
-FLAG_PULL_DOWN = 512
-_ATTRIBUTE_OUTPUT_VALUES = 2
+"""Of one request: kernel, include/uapi/linux/gpio.h, GPIO_V2_LINES_MAX."""
 
 
-def _name(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode(errors="replace")
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Lines that are ours until the descriptor is closed, which is the owner's to do."""
+
+    fd: int
+    offsets: tuple[int, ...]
+    """The lines' numbers on the chip."""
+    levels: tuple[int, ...]
+    """0 or 1 for each, as they were."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chip:
-    """An open chip. The descriptor is the owner's to close."""
+    """A chip that is open."""
 
-    fd: int
+    gpio: gpiod.Chip
     path: Path
     label: str
     lines: int
@@ -60,24 +51,23 @@ class Chip:
 
     def info(self, offset: int) -> tuple[str, str]:
         """A line's name, and who uses it: empty where nobody does. Raises OSError."""
-        asked = _LINE_INFO.pack(b"", b"", offset, 0, 0)
-        name, user, _, _, flags = _LINE_INFO.unpack(fcntl.ioctl(self.fd, _GET_LINE_INFO, asked))
-        return _name(name), (_name(user) or "the kernel") if flags & _FLAG_USED else ""
+        info = self.gpio.get_line_info(offset)
+        return info.name, (info.consumer or "the kernel") if info.used else ""
 
     def request(
         self,
         offsets: Sequence[int],
+        settings: Sequence[LineSettings],
         consumer: str,
-        outputs: int | None,
-        flags: int = 0,
         events: int = 0,
-    ) -> int:
-        """The descriptor of a request of these lines: inputs, or outputs that begin with the bits
-        of `outputs` in the order of `offsets`. `flags`: FLAG_*. `events`: so many the kernel keeps
-        at least; 0: as it likes. Raises OSError."""
-        asked = pack_request(offsets, consumer, outputs, flags, events)
-        fd: int = _LINE_REQUEST.unpack(fcntl.ioctl(self.fd, _GET_LINE, asked))[-1]
-        return fd
+    ) -> Request:
+        """These lines in this order. `events`: so many the kernel keeps at least; 0: as it likes.
+        Raises OSError."""
+        config = dict(zip(offsets, settings, strict=True))
+        with self.gpio.request_lines(config, consumer, events or None) as request:
+            levels = tuple(int(value is Value.ACTIVE) for value in request.get_values())
+            # the C thread's descriptor outlives the library's object
+            return Request(os.dup(request.fd), tuple(offsets), levels)
 
 
 def _only_line(names: Sequence[str], wanted: str) -> int:
@@ -90,74 +80,42 @@ def _only_line(names: Sequence[str], wanted: str) -> int:
     return found[0]
 
 
-def pack_request(
-    offsets: Sequence[int],
-    consumer: str,
-    outputs: int | None,
-    more_flags: int = 0,
-    events: int = 0,
-) -> bytes:
-    """struct gpio_v2_line_request."""
-    places = [*offsets, *[0] * (LINES_MAX - len(offsets))]
-    name = consumer.encode()[:31]
-    flags = more_flags | (_FLAG_INPUT if outputs is None else _FLAG_OUTPUT)
-    values = (0, 0, 0, 0)
-    if outputs is not None:
-        values = (1, _ATTRIBUTE_OUTPUT_VALUES, outputs, (1 << len(offsets)) - 1)
-    return _LINE_REQUEST.pack(*places, name, flags, *values, len(offsets), events, 0)
-
-
-def read_levels(fd: int, lines: int) -> list[int]:
-    """Of a request's lines, in its order. Raises OSError."""
-    asked = _LINE_VALUES.pack(0, (1 << lines) - 1)
-    bits, _ = _LINE_VALUES.unpack(fcntl.ioctl(fd, _GET_VALUES, asked))
-    return [bits >> place & 1 for place in range(lines)]
-
-
-def _open(path: Path) -> Chip:
-    fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    try:
-        info = fcntl.ioctl(fd, _GET_CHIP_INFO, bytes(_CHIP_INFO.size))
-    except OSError:
-        os.close(fd)
-        raise
-    _, label, lines = _CHIP_INFO.unpack(info)
-    return Chip(fd, path, _name(label), lines)
-
-
-def open_chip(wanted: str, dev: Path = Path("/dev")) -> Chip:
+@contextmanager
+def open_chip(wanted: str, dev: Path = Path("/dev")) -> Iterator[Chip]:
     """The chip with that label, or the device file. Raises PortError, also where several have that
     label."""
+    path = _path_of(wanted, dev)
+    try:
+        chip = gpiod.Chip(str(path))
+    except OSError as error:
+        raise PortError(f"GPIO chip {path} cannot be opened: {why(error)}") from error
+    with chip:
+        info = chip.get_info()
+        yield Chip(chip, path, info.label, info.num_lines)
+
+
+def _path_of(wanted: str, dev: Path) -> Path:
     if wanted.startswith(("/", "gpiochip")):
-        path = Path(wanted) if wanted.startswith("/") else dev / wanted
-        try:
-            return _open(path)
-        except OSError as error:
-            raise PortError(f"GPIO chip {path} cannot be opened: {why(error)}") from error
-    seen, found = [], []
+        return dev / wanted
+    labels: dict[Path, str] = {}
+    refused = []
     for path in sorted(dev.glob("gpiochip*")):
         try:
-            chip = _open(path)
+            with gpiod.Chip(str(path)) as chip:
+                labels[path] = chip.get_info().label
         except OSError as error:
-            seen.append(f"{path.name} ({why(error)})")
-            continue
-        if chip.label == wanted:
-            found.append(chip)
-        else:
-            os.close(chip.fd)
-            seen.append(f'{path.name} "{chip.label}"')
+            refused.append(f"{path.name} ({why(error)})")
+    return _only_chip(labels, wanted, refused)
+
+
+def _only_chip(labels: dict[Path, str], wanted: str, refused: Sequence[str] = ()) -> Path:
+    found = [path for path, label in labels.items() if label == wanted]
     if not found:
-        raise PortError(f'no GPIO chip "{wanted}"; there: {", ".join(seen) or "none"}')
-    return _only_chip(found)
-
-
-def _only_chip(found: Sequence[Chip]) -> Chip:
-    """Closes them where they are more than one."""
+        seen = [f'{path.name} "{label}"' for path, label in labels.items()]
+        raise PortError(f'no GPIO chip "{wanted}"; there: {", ".join([*seen, *refused]) or "none"}')
     if len(found) > 1:
-        for chip in found:
-            os.close(chip.fd)
-        paths = ", ".join(str(chip.path) for chip in found)
-        text = f'{len(found)} GPIO chips are "{found[0].label}": {paths}'
+        paths = ", ".join(map(str, found))
+        text = f'{len(found)} GPIO chips are "{wanted}": {paths}'
         raise PortError(f"{text}: name one by its device file (a udev rule keeps its name)")
     return found[0]
 

@@ -64,6 +64,23 @@ _BOARDS = (
 """Part of one of the board's names in the device tree, and its carriers, the plainer ones first."""
 
 
+_WITHOUT_PULLS = "tegra"
+"""How the labels of the chips of all Jetsons begin. Their driver knows no bias, and the kernel
+takes that for no error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
+
+
+def why_no_pull(label: str) -> str:
+    """Why a line of that chip cannot be pulled, and what to do; empty where nothing is known
+    against it."""
+    if not label.startswith(_WITHOUT_PULLS):
+        return ""
+    return (
+        f'the chip "{label}" has no pulls that Linux can switch on, and Linux does not say so: an '
+        "open line would float, and an open contact be no stop. Put a resistor outside (pull up: "
+        'from the line to 3.3 V; down: to ground), and say pull = false (of an encoder: "none")'
+    )
+
+
 def _compatible(tree: Path) -> str:
     try:
         return (tree / "compatible").read_text(errors="replace")

@@ -2,32 +2,23 @@
 """Registers of one device on an I2C bus: words of 16 bits, bytes, and rows of bytes.
 
 Each access is one SMBus transfer, which the kernel keeps in one piece: other programs may use the
-same bus, and other drivers other devices on it. Source: kernel, include/uapi/linux/i2c.h and
-i2c-dev.h, Documentation/i2c/dev-interface.rst.
+same bus, and other drivers other devices on it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import errno
-import fcntl
-import os
-import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol, Self
 
+from smbus2 import SMBus
+
 from motord_hal.base.errors import BadReply, HalError, NoReply, PortError
 
-_I2C_SLAVE = 0x0703
-_I2C_SMBUS = 0x0720
-_WRITE, _READ = 0, 1
-_BYTE_DATA, _WORD_DATA, _I2C_BLOCK_DATA = 2, 3, 8
-_BLOCK_BYTES = 34
-"""Of union i2c_smbus_data."""
 ROW_BYTES_MAX = 32
 """I2C_SMBUS_BLOCK_MAX."""
-_REQUEST = struct.Struct("@BBIP")
-"""struct i2c_smbus_ioctl_data: direction, register, kind, where the data is."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
 """No acknowledge, or a bus that somebody holds: Documentation/i2c/fault-codes.rst."""
 
@@ -66,8 +57,9 @@ class I2cDevice:
     """One address of a bus. Its calls block for as long as the transfer takes: some 0.4 ms, and 1 s
     and more where a device holds the bus."""
 
-    def __init__(self, fd: int, where: str) -> None:
-        self._fd = fd
+    def __init__(self, bus: SMBus, address: int, where: str) -> None:
+        self._bus = bus
+        self._address = address
         self._where = where
 
     @classmethod
@@ -75,52 +67,51 @@ class I2cDevice:
         """Raises PortError."""
         where = f"{path} at 0x{address:02x}"
         try:
-            fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            bus = SMBus(str(path))
         except OSError as error:
             raise PortError(f"{where}: {_why(error)}") from error
-        try:
-            fcntl.ioctl(fd, _I2C_SLAVE, address)
-        except OSError as error:
-            os.close(fd)
-            raise PortError(f"{where}: {_why(error)}") from error
-        return cls(fd, where)
+        return cls(bus, address, where)
 
     def read_word(self, register: int) -> int:
         """As Registers. Raises NoReply, PortError, BadReply."""
-        # SMBus sends the lower byte first, these chips the upper one
-        return int.from_bytes(self._transfer(_READ, register, _WORD_DATA, b"")[:2], "big")
+        with self._transfer(register):
+            return _swapped(self._bus.read_word_data(self._address, register))
 
     def write_word(self, register: int, value: int) -> None:
         """As Registers. Raises NoReply, PortError, BadReply."""
-        self._transfer(_WRITE, register, _WORD_DATA, value.to_bytes(2, "big"))
+        with self._transfer(register):
+            self._bus.write_word_data(self._address, register, _swapped(value))
 
     def read_byte(self, register: int) -> int:
         """As ByteRegisters. Raises NoReply, PortError, BadReply."""
-        return self._transfer(_READ, register, _BYTE_DATA, b"")[0]
+        with self._transfer(register):
+            return self._bus.read_byte_data(self._address, register)
 
     def write_byte(self, register: int, value: int) -> None:
         """As ByteRegisters. Raises NoReply, PortError, BadReply."""
-        self._transfer(_WRITE, register, _BYTE_DATA, bytes((value,)))
+        with self._transfer(register):
+            self._bus.write_byte_data(self._address, register, value)
 
     def read_row(self, register: int, size: int) -> bytes:
         """As ByteRegisters. Raises NoReply, PortError, BadReply."""
-        found = self._transfer(_READ, register, _I2C_BLOCK_DATA, bytes((size,)))
-        if found[0] != size:
-            raise BadReply(f"{self._where}, register 0x{register:02x}: {found[0]} bytes of {size}")
-        return found[1 : 1 + size]
+        with self._transfer(register):
+            return bytes(self._bus.read_i2c_block_data(self._address, register, size))
 
     def close(self) -> None:
         """Once."""
-        os.close(self._fd)
+        self._bus.close()
 
-    def _transfer(self, direction: int, register: int, kind: int, value: bytes) -> bytes:
-        data = ctypes.create_string_buffer(value, _BLOCK_BYTES)
-        asked = _REQUEST.pack(direction, register, kind, ctypes.addressof(data))
+    @contextmanager
+    def _transfer(self, register: int) -> Iterator[None]:
         try:
-            fcntl.ioctl(self._fd, _I2C_SMBUS, asked)
+            yield
         except OSError as error:
             raise _error(f"{self._where}, register 0x{register:02x}", error) from error
-        return data.raw
+
+
+def _swapped(word: int) -> int:
+    """SMBus sends the lower byte first, these chips the upper one."""
+    return int.from_bytes(word.to_bytes(2, "big"), "little")
 
 
 def _error(where: str, error: OSError) -> HalError:

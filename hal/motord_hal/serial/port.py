@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from motord_hal.base.errors import PortError
 from motord_hal.fieldbus.ports import DirectionKind, LineSpec
 from motord_hal.serial.direction import set_kernel_direction
-from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
 from motord_hal.serial.settings import busy, claim, set_raw
 from motord_hal.serial.sysfs import device_file, holders
@@ -63,6 +62,9 @@ def open_port(spec: LineSpec) -> OpenPort:
         facts = tune(fd, path, spec)
         de_fd = -1
         if spec.direction.kind is DirectionKind.GPIO:
+            # only here: other lines go without libgpiod
+            from motord_hal.serial.gpio import request_line
+
             de_fd = request_line(spec.direction, spec.name)
         undo.pop_all()
     return OpenPort(fd, de_fd, path, facts)

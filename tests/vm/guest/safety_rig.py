@@ -13,7 +13,8 @@ from pathlib import Path
 from pin_rig import CONFIG, wait_until
 
 from motord.realtime import loop as rt
-from motord_hal.gpio.lines import Pull, Wanted, request_edges, request_outputs
+from gpiod.line import Bias
+from motord_hal.gpio.lines import Wanted, request_edges, request_outputs
 from motord_hal.realtime.exchange import Exchange, now_ns
 
 LABEL, CONTACT, PUMP = "motord-safety", "ESTOP", "PUMP"
@@ -108,7 +109,7 @@ def core_config():
 
 
 @contextlib.contextmanager
-def looped(rate_hz=200.0, pull=Pull.AS_IT_IS):
+def looped(rate_hz=200.0, pull=Bias.AS_IS):
     """A loop with a normally-closed contact to ground, and a watchdog. The simulated chip takes the
     bias of a request for the level from outside, so only who tests the bias asks for one."""
     with contextlib.ExitStack() as unless_ended:

@@ -10,7 +10,8 @@ from pin_rig import wait_until
 from safety_rig import CONTACT, LABEL, PUMP, chip, looped, reset
 
 from motord_hal.base.errors import PortError
-from motord_hal.gpio.lines import Pull, Wanted, request_edges
+from gpiod.line import Bias
+from motord_hal.gpio.lines import Wanted, request_edges
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -28,7 +29,7 @@ def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop(
 
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
-    with chip() as lines, looped(pull=Pull.UP) as loop:
+    with chip() as lines, looped(pull=Bias.PULL_UP) as loop:
         assert lines.level(CONTACT) == 1.0  # by the request's bias: nobody drives it
         assert loop.read_state().faults == ("estop",)
 
@@ -98,24 +99,24 @@ def test_a_pull_is_refused_on_a_chip_whose_driver_would_ignore_it():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with gpio_chip("tegra234-gpio", CONTACT):
         with pytest.raises(PortError, match=r'safety.estop: the chip "tegra234-gpio" has no pulls'):
-            request_edges("tegra234-gpio", wanted, "motord", Pull.UP, rising=True)
-        os.close(request_edges("tegra234-gpio", wanted, "motord", Pull.AS_IT_IS, rising=True))
+            request_edges("tegra234-gpio", wanted, "motord", Bias.PULL_UP, rising=True)
+        os.close(request_edges("tegra234-gpio", wanted, "motord", Bias.AS_IS, rising=True))
 
 
 def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
     wanted = Wanted(line="A", purpose="safety.estop")
     twice = gpio_chip("motord-twice", "A", "B", "A")
     with twice, pytest.raises(PortError, match=r'safety\.estop: lines 0, 2 of this chip are "A"'):
-        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
+        request_edges("motord-twice", wanted, "motord", Bias.AS_IS, rising=True)
     one, other = gpio_chip("motord-twice", "A"), gpio_chip("motord-twice", "A", folder="other")
     with one, other, pytest.raises(PortError, match=r'2 GPIO chips are "motord-twice": /dev/gpioc'):
-        request_edges("motord-twice", wanted, "motord", Pull.AS_IT_IS, rising=True)
+        request_edges("motord-twice", wanted, "motord", Bias.AS_IS, rising=True)
 
 
 def test_a_line_that_somebody_has_is_named_with_its_owner():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with chip(), contextlib.ExitStack() as unless_ended:
-        first = request_edges(LABEL, wanted, "somebody", Pull.UP, rising=True)
+        first = request_edges(LABEL, wanted, "somebody", Bias.PULL_UP, rising=True)
         unless_ended.callback(os.close, first)
         with pytest.raises(PortError, match=r'safety.estop: line 0 .* is in use by "somebody"'):
-            request_edges(LABEL, wanted, "motord", Pull.UP, rising=True)
+            request_edges(LABEL, wanted, "motord", Bias.PULL_UP, rising=True)

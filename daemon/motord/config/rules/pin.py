@@ -14,7 +14,7 @@ from motord.config.sections.wheels import Profiles
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec
-from motord_hal.gpio.lines import why_no_pull
+from motord_hal.gpio.pinmux import why_no_pull
 from motord_hal.pwm.pins import Place, bridge_of, places_of
 
 
