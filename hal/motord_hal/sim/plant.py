@@ -121,6 +121,9 @@ class Wheel:
         self._slope_rad_s2 = slope_rad_s2
 
     def substep(self, dt_s: float) -> None:
+        idle = self._power is _Power.OFF and self.velocity_rad_s == self.torque_n_m == 0.0
+        if idle and self.winding_c == AMBIENT_C:
+            return  # nothing of what follows would change
         torque_max = self.model.torque_max_n_m
         self.torque_n_m = max(-torque_max, min(torque_max, self._wanted_torque_n_m(dt_s)))
         self._move(dt_s)
@@ -204,6 +207,7 @@ class Plant:
         if {contact.side for contact in contacts.values()} != {"left", "right"}:
             raise ValueError("a base needs a wheel on the left and one on the right")
         self.wheels = dict(wheels)
+        self._all = tuple(wheels.values())
         self._rolling = [(self.wheels[name], contact) for name, contact in contacts.items()]
         self._per_side = {
             side: sum(contact.side == side for contact in contacts.values())
@@ -224,7 +228,7 @@ class Plant:
 
     @property
     def at_rest(self) -> bool:
-        return all(wheel.velocity_rad_s == 0.0 for wheel in self.wheels.values())
+        return not any([wheel.velocity_rad_s for wheel in self._all])
 
     def reset_truth(self) -> None:
         self.truth = Truth()
@@ -242,7 +246,7 @@ class Plant:
     def substep(self) -> None:
         """Go on by SUBSTEP_S."""
         self.time_s += SUBSTEP_S
-        for wheel in self.wheels.values():
+        for wheel in self._all:
             wheel.substep(SUBSTEP_S)
         if self.at_rest:
             self.rest_s += SUBSTEP_S

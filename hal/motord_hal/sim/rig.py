@@ -293,15 +293,18 @@ class Rig:
 
     def substep(self) -> None:
         """One step of the physics, the drives' clocks and the script."""
-        self.plant.slipping = {
-            SIDES[int(fault.values["side"])]: fault.values["part"]
-            for fault in self.script.states("slip", None, self.plant.time_s)
-        }
+        if self.script.faults or self.plant.slipping:
+            self.plant.slipping = {
+                SIDES[int(fault.values["side"])]: fault.values["part"]
+                for fault in self.script.states("slip", None, self.plant.time_s)
+            }
         self.plant.substep()
+        now_s = self.plant.time_s
         for drive in self._drives:
-            drive.suffer(self.script.defects(drive.unit, self.plant.time_s))
-            drive.tick(self.plant.time_s)
-        self._do_due(self.plant.time_s)
+            drive.suffer(self.script.defects(drive.unit, now_s))
+            drive.tick(now_s)
+        if self.script.faults or self._replug_s:
+            self._do_due(now_s)
 
     def _do_due(self, now_s: float) -> None:
         for fault in self.script.due(now_s):

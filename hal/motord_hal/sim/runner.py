@@ -136,9 +136,9 @@ class _Runner:
     def _advance(self) -> None:
         """The physics up to now, as far as the wires leave time."""
         rig, clock = self._rig, self._clock
+        due_s = rig.due_s(clock())
         while rig.substep_due(now_s := clock()):
             behind_s = now_s - rig.plant.time_s
-            due_soon = rig.due_s(now_s) - now_s < PHYSICS_SPARE_S
-            if due_soon and behind_s < PHYSICS_LAG_MAX_S:
+            if due_s - now_s < PHYSICS_SPARE_S and behind_s < PHYSICS_LAG_MAX_S:
                 return
             rig.substep()

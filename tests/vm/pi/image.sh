@@ -42,6 +42,15 @@ take_kernel() {
     done
 }
 
+# libgpiod 2 with its Python: Debian 12 has the first.
+take_library() {
+    local python=$project/.venv/bin/python
+    "$python" -m pip download --quiet --no-deps --dest wheels --only-binary=:all: --python-version 3.11 \
+        --platform manylinux_2_17_aarch64 --platform manylinux2014_aarch64 gpiod >&2
+    "$python" -m zipfile -e wheels/gpiod-*.whl tree/usr/lib/python3/dist-packages
+    rm -r wheels
+}
+
 # The headers are needed for compiling, not there.
 trim() {
     mv tree/usr/include include
@@ -86,6 +95,7 @@ if [ "$(cat mark 2>/dev/null)" != "$mark" ]; then
     rm -rf ./*
     unpack
     take_kernel
+    take_library
     trim
     echo "$mark" >mark
     say "kernel and packages ready"

@@ -74,6 +74,7 @@ class SimulatedDrive:
         self.journal = Journal()
         self.registers = _content(profile)
         self._settings = _settings(profile)
+        self._defects: Mapping[str, float] = {}
         self._setting_taken = False
         self._watchdog_s = watchdog_s
         self._motors = {
@@ -302,6 +303,8 @@ class SimulatedDrive:
             self._apply()
 
     def _watchdog_bites(self, now_s: float) -> bool:
+        if self._heard_s == math.inf:
+            return False
         watchdog = self.profile.watchdog
         limit_s = self._watchdog_s
         if watchdog is not None:
@@ -353,10 +356,12 @@ class SimulatedDrive:
 
     def suffer(self, defects: Mapping[str, float]) -> None:
         """From now on these are wrong with its motors."""
+        if defects == self._defects:
+            return
+        self._defects = defects
         for motor in self._motors.values():
-            if motor.defects != defects:
-                motor.suffer(defects)
-                self._apply()
+            motor.suffer(defects)
+            self._apply()
 
     def start_near_wrap(self) -> None:
         """Set the counters so that a quarter turn forward wraps them, now and at each power-up."""
