@@ -273,3 +273,14 @@ def test_every_number_of_a_robot_file_wears_its_unit(path):
         if pair and pair.group(1) not in UNITLESS and not UNIT.search(pair.group(1)):
             rows.append(f"{where(path, number)}: {pair.group(1)}")
     report(rows, "a physical number's key ends in its SI unit")
+
+
+def test_no_test_module_imports_another():
+    rows = [
+        row
+        for path in PYTHON
+        if path.relative_to(ROOT).parts[0] == "tests"
+        for row in matching([path], r"^\s*(from|import) (tests\.)?(\w+\.)?test_\w+")
+        if not re.search(rf"\b{path.stem}( as| import|$)", row.partition(": ")[2])  # its own child
+    ]
+    report(rows, "what two test modules share is a module of its own")

@@ -2,58 +2,22 @@
 """Boards that read text: the line's very bytes on a pseudo-terminal."""
 
 import os
-import threading
 import tty
 from dataclasses import replace
 
 import pytest
 from loop_side import running, until
+from text_board_rig import Reader, spec_of
 
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import halt_line, open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
-    JointSpec,
-    LineSpec,
     LineState,
     Mounting,
-    TextSpec,
-    TextWheel,
 )
 from motord_hal.realtime.exchange import Exchange
-
-WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.1)}
-
-
-class Reader:
-    """The board's end: keeps the lines that came, says what it is told to say."""
-
-    def __init__(self, link):
-        self.link = link
-        self.lines = []
-        self.master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        link.symlink_to(os.ttyname(self._slave))
-        self._thread = threading.Thread(target=self._read)
-        self._thread.start()
-
-    def _read(self):
-        tail = b""
-        while b"!" not in tail:
-            *lines, tail = (tail + os.read(self.master, 4096)).split(b"\n")
-            self.lines += lines
-
-    def say(self, text):
-        os.write(self.master, text)
-
-    def close(self):
-        os.write(self._slave, b"!")
-        self._thread.join()
-        os.close(self.master)
-        os.close(self._slave)
-        self.link.unlink()
 
 
 @pytest.fixture
@@ -61,20 +25,6 @@ def peer(tmp_path):
     peer = Reader(tmp_path / "board")
     yield peer
     peer.close()
-
-
-def spec_of(port, setpoints, feedback="", drive="ascii-duty", scale=255.0):
-    profile = find_profile(drive)
-    joints = (
-        JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
-        JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True),
-    )
-    text = TextSpec(setpoints=setpoints, feedback=feedback, scale=scale, wheels=WHEELS, track_m=0.5)
-    return LineSpec(
-        index=0, name="board", kind="ascii", port=str(port), baudrate=115200, parity="none",
-        stop_bits=1, cycle_hz=100.0, gap_s=None, engine="auto", joints=joints, text=text,
-        watchdog_s=0.2,
-    )  # fmt: skip
 
 
 async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):

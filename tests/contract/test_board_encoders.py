@@ -7,7 +7,7 @@ import math
 import pytest
 from loop_side import running, until
 from mcu_peer import McuPeer, compiled
-from test_pwm_line import PERIOD_NS, Chip, armed, spec_of
+from pwm_rig import PERIOD_NS, Chip, armed, spec_of
 
 from motord_hal.base.clock import now_ns
 from motord_hal.drives.load import find_profile

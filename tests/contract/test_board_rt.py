@@ -5,11 +5,11 @@ motor."""
 import time
 
 import pytest
+from frame_board_rig import spec_of as frames_spec
 from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
-from test_ascii_line import Reader
-from test_ascii_line import spec_of as text_spec
-from test_mcu_line import spec_of as frames_spec
+from text_board_rig import Reader
+from text_board_rig import spec_of as text_spec
 
 from motord_hal.base.clock import now_ns
 from motord_hal.fieldbus.ports import DriveState

@@ -7,9 +7,9 @@ import time
 
 import can
 import pytest
+from can_rig import TURN, bus_that, spec_of
 from loop_side import running, until
 from scripted_odrive import BUSES, CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
-from test_can_line import TURN, spec_of
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import PortError
@@ -116,26 +116,6 @@ async def test_an_adapter_that_is_not_there_is_one_event_with_a_reason(peer):
         await until(lambda: rig.events != [])
         assert rig.kinds() == [EventKind.LINE_LOST]
         assert "slcan:/dev/nothing-here" in rig.events[0].text
-
-
-class FullBus(can.bus.BusABC):
-    """An adapter whose queue is full, or that is pulled: python-can's own errors."""
-
-    def __init__(self, error):
-        super().__init__("full")
-        self.error = error
-
-    def send(self, msg, timeout=None):
-        raise self.error
-
-    def _recv_internal(self, timeout):
-        return None, False
-
-
-def bus_that(error):
-    bus = CanBus("virtual:full", 500000, None, [], lambda message, stamp_ns: None)
-    bus._bus = FullBus(error)
-    return bus
 
 
 FRAME = Sent(identifier=1, extended=False, fd=False, data=b"")

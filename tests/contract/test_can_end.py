@@ -4,10 +4,10 @@
 import asyncio
 
 import pytest
+from can_rig import TURN, joints, spec_of
+from can_rt_rig import Bus, arm, lively
 from loop_side import running, until
-from scripted_odrive import BUSES, INPUT_VELOCITY, STATE, Peer, living
-from test_can_line import TURN, joints, spec_of
-from test_can_rt import IDLE, Bus, arm, lively
+from scripted_odrive import BUSES, IDLE, INPUT_VELOCITY, STATE, Peer, living
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
 

@@ -2,8 +2,8 @@
 """Drives on a CAN bus whose daemon has died: told to stop by whoever comes."""
 
 import pytest
+from can_rig import spec_of
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
-from test_can_line import spec_of
 
 from motord_hal.base.errors import PortError
 from motord_hal.fieldbus.open_line import halt_line

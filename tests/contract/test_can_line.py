@@ -7,6 +7,7 @@ import math
 import struct
 
 import pytest
+from can_rig import TURN, spec_of
 from loop_side import PATIENT_S, running, until
 from scripted_odrive import (
     BUSES,
@@ -23,35 +24,11 @@ from scripted_odrive import (
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
-    JointSpec,
-    LineSpec,
     LineState,
 )
-
-TURN = 2 * math.pi
-
-
-def joints(*nodes, profile="odrive-0.5"):
-    return tuple(
-        JointSpec(
-            index=index, name=f"wheel{node}", profile=find_profile(profile), unit=node,
-            inverted=index == 1, gear_ratio=2.0 if index == 1 else 1.0,
-        )
-        for index, node in enumerate(nodes)
-    )  # fmt: skip
-
-
-def spec_of(peer, *nodes, **changes):
-    values = {
-        "index": 0, "name": "can0", "kind": "can", "port": peer.address, "baudrate": 500000,
-        "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None, "engine": peer.engine,
-        "joints": joints(*(nodes or peer.axes)), "watchdog_s": 0.5, "priority": 0,
-    }  # fmt: skip
-    return LineSpec(**{**values, **changes})
 
 
 @pytest.fixture(params=BUSES)

@@ -1,91 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What only the CAN line in C promises: nothing that asyncio does, or does not, moves a motor."""
 
-import asyncio
 import math
-import select
-import socket
-import struct
 import time
 
 import pytest
+from can_rig import TURN, joints, spec_of
+from can_rt_rig import Bus, arm, lively
 from loop_side import PATIENT_S, running, until
-from scripted_odrive import CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
-from test_can_line import TURN, joints, spec_of
+from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind
 from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
-
-FRAME = struct.Struct("=IB3x8s")
-"""struct can_frame: linux/can.h"""
-HEARTBEAT, ESTIMATES = 0x01, 0x09
-
-
-class Bus:
-    """A bus that is read when the test says so, from whichever thread is awake."""
-
-    engine = "auto"
-
-    def __init__(self, folder):
-        self.address = f"unix:{folder}/bus"
-        self.door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.door.bind(f"{folder}/bus")
-        self.door.listen(8)
-        self.door.settimeout(20.0)
-        self.end = None
-        self.state = IDLE
-        self.said_ns = 0
-        self.heard = []
-
-    def accept(self):
-        self.end, _ = self.door.accept()
-        self.end.settimeout(0.0)
-
-    def close(self):
-        self.door.close()
-        if self.end is not None:
-            self.end.close()
-
-    def say(self):
-        """What an axis says by itself, at rest."""
-        self.said_ns = time.monotonic_ns()
-        for command, data in (
-            (HEARTBEAT, struct.pack("<IB3x", 0, self.state)),
-            (ESTIMATES, struct.pack("<ff", 0.0, 0.0)),
-        ):
-            self.end.send(FRAME.pack(command, 8, data))
-
-    def hear(self):
-        """Take in all that has come; the axis obeys at once."""
-        while True:
-            try:
-                frame = self.end.recv(72)
-            except BlockingIOError:
-                return
-            if not frame:
-                return  # the line has gone
-            identifier, size, data = FRAME.unpack(frame)
-            if not identifier & 0x40000000:
-                self.heard.append((identifier & 0x1F, data[:size]))
-            if identifier & 0x1F == STATE:
-                self.state = int.from_bytes(data[:4], "little")
-
-    def velocities(self):
-        told = [data for command, data in self.heard if command == INPUT_VELOCITY]
-        return [struct.unpack("<ff", data)[0] for data in told]
-
-    def states(self):
-        return [int.from_bytes(data[:4], "little") for c, data in self.heard if c == STATE]
-
-    def live(self, seconds):
-        """The axis lives, and nothing else in this process does."""
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            self.say()
-            self.hear()
-            select.select([self.end], [], [], 0.005)
 
 
 @pytest.fixture
@@ -101,26 +29,6 @@ async def rig(bus):
         await until(lambda: EventKind.LINE_OPEN in rig.kinds())
         bus.accept()
         yield rig
-
-
-async def lively(rig, bus, condition):
-    """Until it is true, with an axis that lives."""
-
-    def both():
-        bus.say()
-        bus.hear()
-        return condition()
-
-    await until(both)
-
-
-async def arm(rig, bus):
-    await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
-    async with asyncio.TaskGroup() as group:
-        task = group.create_task(rig.line.arm())
-        await lively(rig, bus, task.done)
-    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
-    await lively(rig, bus, lambda: bus.velocities()[-1] == pytest.approx(1.0))
 
 
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):

@@ -2,10 +2,10 @@
 """A CAN line on asyncio over an slcan adapter: real bytes on a pty, python-can's own driver."""
 
 import pytest
+from can_rig import TURN, spec_of
 from loop_side import running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 from slcan_adapter import SlcanAdapter
-from test_can_line import TURN, spec_of
 
 from motord_hal.fieldbus.open_line import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind

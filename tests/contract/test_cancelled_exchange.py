@@ -5,10 +5,10 @@ import asyncio
 
 import pytest
 from loop_side import GENEROUS_S, LoopSide, until
+from modbus_rig import hub_servo
+from modbus_rig import spec_of as line_spec_of
 from scripted_gateway import peer_on
 from sim_bench import simulated, spec_of
-from test_modbus_line import hub_servo
-from test_modbus_line import spec_of as line_spec_of
 
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import open_line

@@ -3,9 +3,9 @@
 
 import dataclasses
 
+from ddsm_rig import hub_motor
 from loop_side import running, until
 from sim_bench import simulated, spec_of
-from test_simulated_ddsm import hub_motor
 
 from motord_hal.fieldbus.ports import DriveState
 

@@ -3,8 +3,8 @@
 
 import pytest
 from loop_side import running, until
+from modbus_rig import ENGINES, hub_servo, registers_of, spec_of
 from scripted_slave import ScriptedSlave, Unit
-from test_modbus_line import ENGINES, hub_servo, registers_of, spec_of
 
 from motord_hal.fieldbus.ports import DriveState, Echo
 from motord_hal.modbus.codec import Function, Request, build_request

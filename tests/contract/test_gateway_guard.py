@@ -4,9 +4,9 @@
 import struct
 
 import pytest
+from modbus_rig import hub_servo, registers_of, spec_of
 from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
-from test_modbus_line import hub_servo, registers_of, spec_of
 
 from motord_hal.base.errors import BadReply, NoReply, PortError
 from motord_hal.modbus import tcp_guard

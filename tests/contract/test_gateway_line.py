@@ -4,9 +4,9 @@
 import dataclasses
 
 import pytest
+from gateway_rig import served
 from loop_side import running, until
 from sim_bench import line_of
-from test_simulated_tcp import served
 
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind

@@ -6,8 +6,7 @@ import time
 
 import pytest
 from loop_side import running, until
-from scripted_slave import ScriptedSlave, Unit
-from test_modbus_line import (
+from modbus_rig import (
     CONTROL,
     ENABLE,
     ENGINES,
@@ -18,9 +17,11 @@ from test_modbus_line import (
     TARGET_2,
     WATCHDOG,
     hub_servo,
+    mute,
     registers_of,
     spec_of,
 )
+from scripted_slave import ScriptedSlave, Unit
 
 from motord_hal.base.errors import HalError
 from motord_hal.drives.load import find_profile
@@ -54,16 +55,6 @@ async def set_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
-
-
-def mute(peer):
-    """From now on the drive hears and obeys, and no answer arrives."""
-
-    def swallow(request, honest):
-        peer.tricks.append(swallow)
-        return []
-
-    peer.tricks.append(swallow)
 
 
 async def test_a_drive_that_hears_but_is_not_heard_is_told_to_stop(rig, peer):

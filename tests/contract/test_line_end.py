@@ -6,9 +6,8 @@ import dataclasses
 
 import pytest
 from loop_side import running, until
+from modbus_rig import ENGINES, mute, registers_of, spec_of
 from scripted_slave import ScriptedSlave, Unit
-from test_line_adversary import mute
-from test_modbus_line import ENGINES, registers_of, spec_of
 
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec

@@ -6,9 +6,7 @@ import asyncio
 
 import pytest
 from loop_side import running, until
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_slave import Unit
-from test_modbus_line import (
+from modbus_rig import (
     CONTROL,
     ENABLE,
     ENGINES,
@@ -20,6 +18,8 @@ from test_modbus_line import (
     registers_of,
     spec_of,
 )
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_slave import Unit
 
 from motord_hal.base.errors import NoReply
 from motord_hal.fieldbus.ports import DriveState

@@ -8,8 +8,8 @@ import time
 
 import pytest
 from loop_side import running, until
+from modbus_rig import ENGINES, POSITION_1, hub_servo, registers_of, spec_of
 from scripted_slave import ScriptedSlave, Unit
-from test_modbus_line import ENGINES, POSITION_1, hub_servo, registers_of, spec_of
 
 from motord_hal.fieldbus.ports import EventKind
 from motord_hal.modbus.codec import Function, build_reply

@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import pytest
 from loop_side import running, until
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_slave import Unit
-from test_modbus_line import (
+from modbus_rig import (
     ENGINES,
     FAULT_1,
     RPM,
@@ -20,6 +18,8 @@ from test_modbus_line import (
     registers_of,
     spec_of,
 )
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_slave import Unit
 
 from motord_hal.base.errors import DriveFault
 from motord_hal.drives.profile import Register, RegisterType, Step

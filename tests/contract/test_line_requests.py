@@ -7,8 +7,8 @@ import contextlib
 
 import pytest
 from loop_side import GENEROUS_S, running, until
+from modbus_rig import CONTROL, ENABLE, ENGINES, OFF, hub_servo, registers_of, spec_of
 from scripted_slave import ScriptedSlave, Unit
-from test_modbus_line import CONTROL, ENABLE, ENGINES, OFF, hub_servo, registers_of, spec_of
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError

@@ -6,13 +6,10 @@ import contextlib
 from dataclasses import replace
 
 import pytest
+from can_rig import TURN
+from can_rig import spec_of as can_spec_of
 from loop_side import PATIENT_S, running, until
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
-from scripted_slave import Unit
-from test_can_line import TURN
-from test_can_line import spec_of as can_spec_of
-from test_modbus_line import (
+from modbus_rig import (
     CONTROL,
     ENGINES,
     OFF,
@@ -24,6 +21,9 @@ from test_modbus_line import (
     registers_of,
     spec_of,
 )
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from scripted_slave import Unit
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError

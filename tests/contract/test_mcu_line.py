@@ -5,18 +5,17 @@ import math
 import os
 
 import pytest
+from frame_board_rig import joints_of, spec_of
 from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import halt_line, open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
-    LineSpec,
     LineState,
     Mounting,
 )
@@ -46,24 +45,6 @@ def peer(board_of):
     peer = board_of()
     yield peer
     peer.pull()
-
-
-def joints_of(drive="mcu-velocity"):
-    profile = find_profile(drive)
-    return (
-        JointSpec(index=0, name="left", profile=profile, unit=1, channel=1),
-        JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True,
-                  gear_ratio=2.0),
-    )  # fmt: skip
-
-
-def spec_of(peer, joints=None, **changes):
-    values = {
-        "index": 0, "name": "board", "kind": "mcu", "port": str(peer.link),
-        "baudrate": 115200, "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None,
-        "engine": "auto", "joints": joints or joints_of(), "watchdog_s": 0.2, "priority": 0,
-    }  # fmt: skip
-    return LineSpec(**{**values, **changes})
 
 
 @pytest.fixture

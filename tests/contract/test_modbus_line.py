@@ -8,6 +8,26 @@ from itertools import pairwise
 
 import pytest
 from loop_side import PATIENT_S, running, until
+from modbus_rig import (
+    CLEAR,
+    CONTROL,
+    ENABLE,
+    ENGINES,
+    FAULT_1,
+    MODE,
+    OFF,
+    POSITION_1,
+    QUICK_STOP,
+    RPM,
+    TARGET_1,
+    TARGET_2,
+    VELOCITY_1,
+    VELOCITY_2,
+    WATCHDOG,
+    hub_servo,
+    registers_of,
+    spec_of,
+)
 from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
 
@@ -19,48 +39,10 @@ from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
-    LineSpec,
     LineState,
 )
 from motord_hal.modbus.codec import Function
 from motord_hal.realtime.exchange import Exchange
-
-RPM = 2 * math.pi / 60
-CONTROL, MODE, TARGET_1, TARGET_2, WATCHDOG = 0x200E, 0x200D, 0x2088, 0x2089, 0x2000
-FAULT_1, POSITION_1, VELOCITY_1, VELOCITY_2 = 0x20A5, 0x20A7, 0x20AB, 0x20AC
-ENABLE, OFF, QUICK_STOP, CLEAR = 8, 7, 5, 6
-ENGINES = ["asyncio", "rt"]
-
-
-def registers_of(name):
-    profile = find_profile(name)
-    words = {}
-    for register in profile.registers.values():
-        words.update(dict.fromkeys(range(register.address, register.address + 1), register.default))
-        words.update(
-            dict.fromkeys(range(register.address + 1, register.address + register.type.words), 0)
-        )
-    return words
-
-
-def hub_servo(unit=1, first=0):
-    profile = find_profile("zlac8015d")
-    return (
-        JointSpec(index=first, name=f"left{unit}", profile=profile, unit=unit, channel=1),
-        JointSpec(
-            index=first + 1, name=f"right{unit}", profile=profile, unit=unit, channel=2,
-            inverted=True, gear_ratio=2.0,
-        ),
-    )  # fmt: skip
-
-
-def spec_of(peer, joints, **changes):
-    values = {
-        "index": 0, "name": "rs485", "kind": peer.kind, "port": str(peer.path),
-        "baudrate": 115200, "parity": "none", "stop_bits": 1, "cycle_hz": 100.0, "gap_s": None,
-        "engine": peer.engine, "joints": tuple(joints), "watchdog_s": 0.5, "priority": 0,
-    }  # fmt: skip
-    return LineSpec(**{**values, **changes})
 
 
 @pytest.fixture(params=[*ENGINES, *GATEWAYS])

@@ -3,9 +3,7 @@
 
 import pytest
 from loop_side import running, until
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_slave import Unit
-from test_modbus_line import (
+from modbus_rig import (
     CONTROL,
     ENGINES,
     QUICK_STOP,
@@ -15,6 +13,8 @@ from test_modbus_line import (
     registers_of,
     spec_of,
 )
+from scripted_gateway import GATEWAYS, peer_on
+from scripted_slave import Unit
 
 from motord_hal.fieldbus.ports import DriveState, EventKind, LineState
 

@@ -6,10 +6,10 @@ import time
 
 import can
 import pytest
+from can_rig import bus_that
 from loop_side import running, until
 from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
 from shared_bus import KINDS, shared_bus
-from test_can_bus import bus_that
 
 from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan

@@ -7,7 +7,7 @@ import os
 
 import pytest
 from loop_side import running, until
-from test_pwm_line import Chip, spec_of
+from pwm_rig import Chip, spec_of
 
 from motord_hal.base.errors import PortError
 from motord_hal.drives.load import find_profile

@@ -3,7 +3,6 @@
 makes of it is in tests/vm/guest/test_gpio_pwm.py."""
 
 import asyncio
-import contextlib
 import ctypes
 import fcntl
 import os
@@ -12,7 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from loop_side import GENEROUS_S, PATIENT_S, running, until
+from loop_side import PATIENT_S, running, until
+from pwm_rig import PERIOD_NS, Chip, armed, spec_of
 
 import motord_hal.pwm
 import motord_hal.rt_engine
@@ -24,7 +24,6 @@ from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
-    LineSpec,
     LineState,
     PinsSpec,
 )
@@ -32,27 +31,7 @@ from motord_hal.gpio.pinmux import not_muxed
 from motord_hal.pwm.line import WATCH_EVERY_S
 from motord_hal.realtime.exchange import Exchange
 
-PERIOD_NS = 50_000
 COMM = Path("/proc/self/comm").read_text().strip()
-
-
-class Chip:
-    """Files like those of exported channels; they keep the tail of a longer number."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        for number in range(4):
-            channel = folder / f"pwm{number}"
-            channel.mkdir(parents=True)
-            for name, value in (("period", "0"), ("duty_cycle", "0"), ("enable", "0")):
-                (channel / name).write_text(f"{value}\n")
-            (channel / "polarity").write_text("normal\n")
-
-    def read(self, number, name):
-        return int((self.folder / f"pwm{number}/{name}").read_text().splitlines()[0])
-
-    def duties(self):
-        return [self.read(number, "duty_cycle") for number in range(4)]
 
 
 @pytest.fixture
@@ -65,33 +44,6 @@ async def half_forward(rig, chip):
     await armed(rig)
     rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
     await until(lambda: chip.duties()[0] == 25_000)
-
-
-def spec_of(chip, drive="bts7960", **changes):
-    profile = find_profile(drive)
-    joints = (
-        JointSpec(index=0, name="left", profile=profile, unit=1,
-                  pins={"rpwm": "pwm0", "lpwm": "pwm1"}),
-        JointSpec(index=1, name="right", profile=profile, unit=2, inverted=True,
-                  pins={"rpwm": "pwm2", "lpwm": "!pwm3"}),
-    )  # fmt: skip
-    values = {
-        "index": 0, "name": "pins", "kind": "pwm", "port": "", "baudrate": 115200,
-        "parity": "none", "stop_bits": 1, "cycle_hz": 200.0, "gap_s": None, "engine": "auto",
-        "joints": joints, "watchdog_s": 0.5, "priority": 0,
-        "pins": PinsSpec(pwm_chip=str(chip.folder)),
-    }  # fmt: skip
-    return LineSpec(**{**values, **changes})
-
-
-async def armed(rig):
-    """Armed; a busy machine may hold the set-points up for longer than they live."""
-    async with asyncio.timeout(GENEROUS_S):
-        while rig.states() != {DriveState.ARMED}:
-            await rig.ready()
-            with contextlib.suppress(HalError):
-                await rig.line.arm()
-            await asyncio.sleep(0.01)
 
 
 REST = [0, 0, 0, PERIOD_NS]

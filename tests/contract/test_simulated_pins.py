@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from loop_side import running, until
-from test_pwm_line import armed
+from pwm_rig import armed
 
 from motord.config import load_robot
 from motord.config.sections.wheels import profile_of

@@ -5,15 +5,14 @@ import contextlib
 import select
 import socket
 import struct
-import threading
 import time
 
 import pytest
+from gateway_rig import served
 from pymodbus.client import ModbusTcpClient
 from pymodbus.framer import FramerType
-from sim_bench import ARRIVAL_DEADLINE_S, rig_of
+from sim_bench import ARRIVAL_DEADLINE_S
 
-from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import (
     Function,
     Request,
@@ -21,34 +20,13 @@ from motord_hal.modbus.codec import (
     build_reply,
     build_request,
 )
-from motord_hal.sim.control import SimControl
-from motord_hal.sim.rig import PortSpec
 from motord_hal.sim.rs485.gateway import TARGET_SILENT
-from motord_hal.sim.runner import run
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)
 FRAME = build_request(POSITIONS)
 REPLY = build_reply(POSITIONS, (0, 0, 0, 0))
 ABSENT = build_request(Request(9, Function.READ_HOLDING, 0x20A7, 4))
 TARGET_VELOCITY = 0x2088
-
-
-@contextlib.contextmanager
-def served(folder, *, raw, faults=()):
-    """Control socket and address of a simulated line behind TCP."""
-    profile = find_profile("zlac8015d")
-    ports = {"bus": PortSpec(raw=raw)}
-    stopped = threading.Event()
-    with rig_of(profile, folder, ports=ports, faults=faults) as rig:
-        host, _, port = rig.ports()["bus"].rpartition(":")
-        thread = threading.Thread(target=run, args=(rig, stopped.is_set))
-        thread.start()
-        try:
-            with SimControl(rig.server.path) as control:
-                yield control, (host, int(port))
-        finally:
-            stopped.set()
-            thread.join()
 
 
 def dial(address):

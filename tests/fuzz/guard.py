@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from loop_side import Rig, running, until
+from modbus_rig import registers_of, spec_of
 from mutate import mutated
 from scripted_gateway import GATEWAYS, ScriptedGateway, peer_on
 from scripted_slave import Bytes, ScriptedSlave, Unit
-from test_modbus_line import registers_of, spec_of
 
 from motord_hal.base.clock import now_s
 from motord_hal.drives.load import find_profile

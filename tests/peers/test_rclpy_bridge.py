@@ -6,35 +6,12 @@ import signal
 import time
 
 import pytest
+from tests.peers.rclpy_rig import T, Trigger, drive_until, stamped, trigger, twist
 from tests.peers.rclpy_stage import BEST_EFFORT, LEASE_S, bridge, bridged
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.commands.gate import TRIGGERS
 from motord.client import ClientError
-
-Trigger = pytest.importorskip("std_srvs.srv").Trigger
-
-
-def types():
-    import geometry_msgs.msg
-    import lifecycle_msgs.msg
-    import lifecycle_msgs.srv
-    import rcl_interfaces.msg
-    import rcl_interfaces.srv
-    import sensor_msgs.msg
-    import std_msgs.msg
-    import std_srvs.srv
-
-    found = {}
-    for module in (
-        geometry_msgs.msg, lifecycle_msgs.msg, lifecycle_msgs.srv, rcl_interfaces.msg,
-        rcl_interfaces.srv, sensor_msgs.msg, std_msgs.msg, std_srvs.srv,
-    ):  # fmt: skip
-        found |= vars(module)
-    return type("Types", (), found)
-
-
-T = types()
 
 
 @pytest.fixture(scope="module")
@@ -62,34 +39,8 @@ def settled(stage):
     wait_until(ready, "idle")
 
 
-def trigger(stage, method):
-    answer = stage.operator.call(f"motord/{method}", Trigger)
-    return answer.success, answer.message
-
-
 def armed(stage):
     wait_until(lambda: trigger(stage, "arm")[0] or not trigger(stage, "reset"), "armed")
-
-
-def stamped(message, age_s=0.0):
-    sec, nanosec = divmod(time.time_ns() - round(age_s * 1e9), 10**9)
-    message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
-    return message
-
-
-def twist(linear_m_s, angular_rad_s=0.0, age_s=0.0):
-    message = stamped(T.TwistStamped(), age_s)
-    message.twist.linear.x, message.twist.angular.z = linear_m_s, angular_rad_s
-    return message
-
-
-def drive_until(stage, publisher, message, condition, what):
-    def attempt():
-        publisher.publish(message())
-        time.sleep(0.01)
-        return condition()
-
-    return wait_until(attempt, f"{what}\n{stage.bridge.said()}")
 
 
 def test_services_answer_with_the_state_or_with_why_not(stage):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.peers.rclpy_rig import drive_until, trigger, twist
 from tests.peers.rclpy_stage import (
     BEST_EFFORT,
     REAL,
@@ -19,7 +20,6 @@ from tests.peers.rclpy_stage import (
     operator,
     ros,
 )
-from tests.peers.test_rclpy_bridge import drive_until, trigger, twist
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, connected, ended, running, wait_until
 
 from motord.ros2_rclpy.__main__ import wishes_of

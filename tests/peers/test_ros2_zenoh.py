@@ -3,8 +3,6 @@
 encodes and decodes with rosbags, and knows keys and tokens from rmw_zenoh's design document."""
 
 import asyncio
-import contextlib
-import json
 import signal
 import time
 from types import SimpleNamespace
@@ -13,13 +11,13 @@ import pytest
 import rosbags.typesys as rosbags
 import zenoh
 import zenoh.ext
+from tests.peers.zenoh_rig import GID, REQUEST, STORE, Tokens, ask, attached, peer, running, until
 from tests.peers.zenoh_router import endpoint, free_port, router
 
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh.names import Attachment, gid
 from motord.bus.ros2.zenoh.node import Router, ZenohNode
 
-STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
 STORE.register(rosbags.get_types_from_msg("bool success\nstring message\n", "peer/msg/Answer"))
 TWIST = "geometry_msgs/msg/Twist"
 STRING = "std_msgs/msg/String"
@@ -35,37 +33,7 @@ STOP_KEY = (
     "3/r2/stop/std_srvs::srv::dds_::Trigger_/"
     "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 )
-WITHIN_S = 30.0
-GID = bytes(range(16))
 SENT_IN_VAIN = 1_000
-
-
-async def until(condition):
-    async with asyncio.timeout(WITHIN_S):
-        while not condition():
-            await asyncio.sleep(0.01)
-
-
-@contextlib.contextmanager
-def peer(port):
-    said = {
-        "mode": "client",
-        "connect": {"endpoints": [endpoint(port)]},
-        "scouting": {"multicast": {"enabled": False}},
-        "timestamping": {"enabled": True},
-    }
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))) as session:
-        yield session
-
-
-@contextlib.asynccontextmanager
-async def running(node):
-    async with asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(node.run())
-        try:
-            yield
-        finally:
-            task.cancel()
 
 
 class Robot:
@@ -85,45 +53,11 @@ class Robot:
         return SimpleNamespace(success=True, message=f"stopped {self.stops} times")
 
 
-class Tokens:
-    """Who is there, by the word of the router."""
-
-    def __init__(self, session):
-        self.alive = set()
-        self.gone = []
-        self._kept = session.liveliness().declare_subscriber(
-            "@ros2_lv/3/**", self._changed, history=True
-        )
-
-    def _changed(self, sample):
-        token = str(sample.key_expr)
-        if sample.kind == zenoh.SampleKind.PUT:
-            self.alive.add(token)
-        else:
-            self.alive.discard(token)
-            self.gone.append(token)
-
-    def of(self, what):
-        return [token for token in set(self.alive) if token.split("/")[5] == what]
-
-
 def twist(linear_m_s):
     zero = STORE.types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
     ahead = STORE.types["geometry_msgs/msg/Vector3"](x=linear_m_s, y=0.0, z=0.0)
     message = STORE.types[TWIST](linear=ahead, angular=zero)
     return bytes(STORE.serialize_cdr(message, TWIST))
-
-
-def attached(sequence=1):
-    return Attachment(sequence, time.time_ns(), GID).encode()
-
-
-def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **said):
-    """In a thread: it waits for all answers."""
-    return list(session.get(key, target=target, timeout=10.0, **said))
-
-
-REQUEST = b"\x00\x01\x00\x00\x00"
 
 
 async def test_humble_hears_and_calls_by_keys_without_hashes():

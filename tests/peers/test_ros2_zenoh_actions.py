@@ -7,8 +7,8 @@ import threading
 import numpy as np
 import pytest
 import rosbags.typesys as rosbags
-from tests.peers.test_ros2_zenoh import ask, attached
-from tests.peers.test_ros2_zenoh_robot import armed, robot
+from tests.peers.zenoh_rig import ask, attached
+from tests.peers.zenoh_robot_rig import armed, robot
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.ros2.types.table import type_hash

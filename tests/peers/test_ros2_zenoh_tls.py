@@ -5,7 +5,7 @@ import shutil
 import subprocess
 
 import pytest
-from tests.peers.test_ros2_zenoh import Tokens, peer, running, until
+from tests.peers.zenoh_rig import Tokens, peer, running, until
 from tests.peers.zenoh_router import free_port, router
 
 from motord.bus.ros2.zenoh.node import Router, ZenohNode

@@ -10,8 +10,8 @@ import struct
 import sys
 
 import zenoh
-from tests.peers.test_ros2_zenoh import attached
-from tests.peers.test_ros2_zenoh_robot import COMMAND_KEY, command
+from tests.peers.zenoh_rig import attached
+from tests.peers.zenoh_robot_rig import COMMAND_KEY, command
 
 _, _, KIND = COMMAND_KEY.partition("/cmd_vel/")
 

@@ -4,43 +4,15 @@ and the supervisor hears no more."""
 
 import os
 import signal
-import socket
 import threading
 import time
 from pathlib import Path
 
+from command_source import INPUTS, Source, free_udp_port, wheels_turn
 from daemon_stage import ROBOT, running, wait_until
-from test_rt_commands import INPUTS, Source, free_udp_port, wheels_turn
+from supervised_daemon import PATIENCE_S, fed, said, supervised
 
-WATCHDOG_S = 1.0
-PATIENCE_S = 1.5 * WATCHDOG_S
-"""So long the supervisor would wait, and half as long again."""
 HOGGED = (str(Path(__file__).with_name("hogged_daemon.py")),)
-
-
-def supervised(tmp_path):
-    """A socket that listens as systemd does, and what the daemon's environment says of it."""
-    supervisor = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    supervisor.bind(str(tmp_path / "notify"))
-    supervisor.settimeout(0.0)
-    environ = {
-        "NOTIFY_SOCKET": str(tmp_path / "notify"),
-        "WATCHDOG_USEC": str(round(WATCHDOG_S * 1e6)),
-    }
-    return supervisor, environ
-
-
-def said(supervisor):
-    words = []
-    try:
-        while True:
-            words.append(supervisor.recv(4096).decode())
-    except BlockingIOError:
-        return words
-
-
-def fed(supervisor):
-    return any("WATCHDOG=1" in word for word in said(supervisor))
 
 
 def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_path):

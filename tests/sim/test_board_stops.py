@@ -8,7 +8,7 @@ import signal
 
 import pytest
 from daemon_stage import ROOT, running, wait_until
-from test_stopping import BUSY_S, HOGGED, moving, powered, seconds_to_rest
+from stopping_rig import BUSY_S, HOGGED, moving, powered, seconds_to_rest
 
 from motord.config import load_robot
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from daemon_stage import running, set_off, wait_until
-from test_asyncio_dies import PATIENCE_S, fed, said, supervised
+from supervised_daemon import PATIENCE_S, fed, said, supervised
 
 LIBC = ctypes.CDLL(None, use_errno=True)
 LIBC.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]

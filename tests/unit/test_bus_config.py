@@ -1,26 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file's word on buses: what is refused, and what a topic's rate is."""
 
-from pathlib import Path
-
 import pytest
+from tests.unit.bus_config_rig import DEMO, errors, robot_file
 
-from motord.config import ConfigError, MqttPublish, load_robot
+from motord.config import MqttPublish, load_robot
 
-DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 BROKER = '[input.fleet]\nkind = "mqtt"\n'
-
-
-def robot_file(tmp_path, text):
-    path = tmp_path / "robot.toml"
-    path.write_text(DEMO.read_text(encoding="utf-8") + "\n" + text, encoding="utf-8")
-    return path
-
-
-def errors(tmp_path, text):
-    with pytest.raises(ConfigError) as caught:
-        load_robot(robot_file(tmp_path, text))
-    return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
 def test_a_networked_input_without_a_token_is_refused(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from _motord_bus import ffi, lib
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from tests.unit.test_command_gate import gate
+from tests.unit.gate_rig import gate
 
 from motord.bus.commands.gate import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTaken
 from motord.bus.commands.link import Source

@@ -3,17 +3,14 @@
 
 import math
 import time
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.unit.gate_rig import gate
 
-from motord.bus.commands.gate import FUTURE_S, OLD_S, CommandGate, NotTaken, short, tag
-from motord.bus.runtime import Runtime
-from motord.config import MqttInput, load_robot
+from motord.bus.commands.gate import FUTURE_S, OLD_S, NotTaken, short, tag
 
-DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 NUMBERS = st.floats() | st.integers() | st.just(10**400) | st.just(-(10**400))
 JSON = st.recursive(
     st.none() | st.booleans() | NUMBERS | st.text(max_size=5),
@@ -29,14 +26,6 @@ JSON = st.recursive(
     ),
     max_leaves=12,
 )
-
-
-def gate(tmp_path_factory, **settings):
-    token = tmp_path_factory.mktemp("gate") / "token"
-    token.write_text("x" * 20, encoding="ascii")
-    token.chmod(0o600)
-    section = MqttInput(kind="mqtt", token_file=str(token), **settings)
-    return CommandGate("fleet", section, Runtime(load_robot(DEMO), token.with_name("no.sock")))
 
 
 @pytest.fixture(scope="module")

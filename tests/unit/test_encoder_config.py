@@ -2,7 +2,6 @@
 """[joint.NAME.encoder] in a robot file: what it may say, and what core and line are told."""
 
 import math
-import struct
 from pathlib import Path
 
 import pytest

@@ -3,7 +3,7 @@
 over a network only with TLS."""
 
 import pytest
-from tests.unit.test_bus_config import errors, robot_file
+from tests.unit.bus_config_rig import errors, robot_file
 
 from motord.config import ZenohPublish, load_robot
 

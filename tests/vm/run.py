@@ -39,6 +39,7 @@ STATUS = "guest: status "
 DISK_MB = 120
 SHARED = (
     "loop_side.py", "scripted_odrive.py", "scripted_moteus.py", "shared_bus.py", "cia402_node.py",
+    "can_rig.py",
     "test_can_line.py", "test_can_bus.py", "test_can_halt.py", "test_cia402.py", "test_moteus.py",
 )  # fmt: skip
 """Of the contract suite: on real buses here."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +63,8 @@ class Chip:
     ) -> Request:
         """These lines in this order. `events`: so many the kernel keeps at least; 0: as it likes.
         Raises OSError."""
-        config = dict(zip(offsets, settings, strict=True))
+        config: dict[Iterable[int | str] | int | str, LineSettings | None] = {}
+        config.update(zip(offsets, settings, strict=True))
         with self.gpio.request_lines(config, consumer, events or None) as request:
             levels = tuple(int(value is Value.ACTIVE) for value in request.get_values())
             # the C thread's descriptor outlives the library's object

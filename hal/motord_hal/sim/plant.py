@@ -228,7 +228,7 @@ class Plant:
 
     @property
     def at_rest(self) -> bool:
-        return not any([wheel.velocity_rad_s for wheel in self._all])
+        return not any(wheel.velocity_rad_s for wheel in self._all)
 
     def reset_truth(self) -> None:
         self.truth = Truth()

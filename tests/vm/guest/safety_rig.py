@@ -10,10 +10,10 @@ import math
 import os
 from pathlib import Path
 
+from gpiod.line import Bias
 from pin_rig import CONFIG, wait_until
 
 from motord.realtime import loop as rt
-from gpiod.line import Bias
 from motord_hal.gpio.lines import Wanted, request_edges, request_outputs
 from motord_hal.realtime.exchange import Exchange, now_ns
 

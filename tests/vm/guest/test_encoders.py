@@ -10,9 +10,9 @@ import os
 from pathlib import Path
 
 import pytest
+from bridge_rig import places, spec_of
 from loop_side import running, until
 from pin_rig import LABEL, PWM, pins
-from test_gpio_pwm import places, spec_of
 
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import EdgesEncoder, EventKind, JointSpec, LineState

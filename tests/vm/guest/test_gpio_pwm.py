@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from bridge_rig import laid_out, places, spec_of
 from pin_rig import LABEL, LINES, PWM, pins, wait_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
@@ -24,7 +25,6 @@ from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
     JointSpec,
-    LineSpec,
     LineState,
     PinsSpec,
 )
@@ -71,34 +71,8 @@ async def reaches(line, condition, what):
         raise AssertionError(f"never came true: {what}") from None
 
 
-def laid_out(drives):
-    """Of each: a PWM channel for each pin that needs one, a GPIO line for each other one."""
-    channels, lines = (f"pwm{n}" for n in itertools.count()), iter(LINES)
-    bridges = {drive: find_profile(drive).bridge for drive in drives}
-    return {
-        drive: {pin: next(channels if bridge.needs_pwm(pin) else lines) for pin in bridge.levels}
-        for drive, bridge in bridges.items()
-    }
-
-
 def places_of_all():
     return [where.values() for where in laid_out(BRIDGES).values()]
-
-
-def places(drive, fault=False):
-    return laid_out([drive])[drive] | ({"fault": "!PIN11"} if fault else {})
-
-
-def spec_of(rig, drive, **changes):
-    where = changes.pop("where", None) or places(drive, changes.pop("fault", False))
-    joint = JointSpec(index=0, name="left", profile=find_profile(drive), unit=1, pins=where)
-    values = {
-        "index": 0, "name": "pins", "kind": "pwm", "port": "", "baudrate": 115200,
-        "parity": "none", "stop_bits": 1, "cycle_hz": 50.0, "gap_s": None, "engine": "auto",
-        "joints": (joint,), "watchdog_s": 0.5, "priority": 0,
-        "pins": PinsSpec(pwm_chip=rig.pwm_chip, gpio_chip=LABEL),
-    }  # fmt: skip
-    return LineSpec(**{**values, **changes})
 
 
 def all_bridges(rig):
@@ -298,6 +272,7 @@ KILLED = """
 import asyncio, sys
 sys.path[:0] = {path!r}
 import test_gpio_pwm as here
+from bridge_rig import laid_out, places, spec_of
 from pin_rig import Pins
 from pathlib import Path
 rig = Pins(Path({lines!r}), Path({chip!r}))

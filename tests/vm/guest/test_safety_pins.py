@@ -6,11 +6,11 @@ import os
 
 import pytest
 from gpio_chip import gpio_chip
+from gpiod.line import Bias
 from pin_rig import wait_until
 from safety_rig import CONTACT, LABEL, PUMP, chip, looped, reset
 
 from motord_hal.base.errors import PortError
-from gpiod.line import Bias
 from motord_hal.gpio.lines import Wanted, request_edges
 
 pytestmark = pytest.mark.timeout(300)
