@@ -24,6 +24,7 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
         return
     # only here: a robot without pins goes without libgpiod
     from gpiod.line import Bias
+
     from motord_hal.gpio.lines import Wanted, request_edges, request_outputs
 
     guard: GuardConfig = {

@@ -15,11 +15,11 @@ from types import SimpleNamespace
 
 import pytest
 import scripted_odrive
+from can_rig import spec_of
 from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
 from scripted_odrive import IDLE, Peer, living, open_bus
 from shell import output
-from can_rig import spec_of
 
 from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineState
