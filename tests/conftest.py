@@ -7,6 +7,7 @@ bytecode: without it, each of some thousand starts compiles a hundred modules an
 import os
 import sys
 
+import pytest
 from hypothesis import settings
 
 EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 50
@@ -19,3 +20,12 @@ settings.load_profile("motord")
 
 if directory := os.environ.get("MOTORD_RT_DIR"):
     sys.path.insert(0, os.path.abspath(directory))
+
+
+def pytest_collection_modifyitems(items):
+    """Tests that share a fixture of their file stay in one process of `--dist loadgroup`; all
+    others go wherever one is free."""
+    for item in items:
+        definitions = item._fixtureinfo.name2fixturedefs.values()
+        if any(found[-1].scope == "module" for found in definitions if found):
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
