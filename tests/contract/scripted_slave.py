@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import os
 import time
 import tty
@@ -124,12 +125,15 @@ class ScriptedSlave:
             return
         honest = self._honest(unit, request)
         out = self.tricks.popleft()(request, honest) if self.tricks else [(0.0, honest)]
-        loop = asyncio.get_running_loop()
         for delay_s, data in out:
             if delay_s:
-                self._timers.append(loop.call_later(delay_s, self.send, data))
+                self.later(delay_s, functools.partial(self.send, data))
             else:
                 self.send(data)
+
+    def later(self, delay_s: float, do: Callable[[], None]) -> None:
+        """Unless it is pulled before."""
+        self._timers.append(asyncio.get_running_loop().call_later(delay_s, do))
 
     def _honest(self, unit: Unit, request: Request) -> bytes:
         count = request.count or len(request.values)

@@ -5,6 +5,7 @@ what is said of a drive that is quiet."""
 import asyncio
 import random
 import time
+from collections import deque
 
 import pytest
 from loop_side import running, until
@@ -28,9 +29,11 @@ async def peer(tmp_path, request):
 
 def answer_late(peer, late_s, part, seed=1):
     """From now on: its counter is the time, and this part of its replies is late. It answers in the
-    order of its requests."""
+    order of its requests, as a drive does: two timers of asyncio that are due at nearly one time
+    may run in either order, so each sends what has waited longest."""
     chance = random.Random(seed)
     answered_s = 0.0
+    waiting = deque()
 
     def reply(request, honest):
         nonlocal answered_s
@@ -43,7 +46,9 @@ def answer_late(peer, late_s, part, seed=1):
             honest = build_reply(request, tuple(registers[address] for address in span))
         now_s = time.monotonic()
         answered_s = max(answered_s, now_s + (late_s if chance.random() < part else 0.0))
-        return [(answered_s - now_s, honest)]
+        waiting.append(honest)
+        peer.later(answered_s - now_s, lambda: peer.send(waiting.popleft()))
+        return []
 
     peer.tricks.clear()
     peer.tricks.append(reply)
