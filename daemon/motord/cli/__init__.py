@@ -4,7 +4,6 @@ imported."""
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import json
 import sys
@@ -12,6 +11,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+
+from motord_hal.base.nearest import nearest
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it: 128 + SIGINT."""
@@ -91,8 +92,8 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            near = difflib.get_close_matches(name, COMMANDS, n=1)
-            hint = f" Did you mean '{near[0]}'?" if near else ""
+            near = nearest(name, COMMANDS)
+            hint = f" Did you mean '{near}'?" if near else ""
             ctx.fail(f"No such command '{name}'.{hint}")
         return super().resolve_command(ctx, args)
 

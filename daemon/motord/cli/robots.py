@@ -6,8 +6,8 @@ from __future__ import annotations
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
+from motord_hal.base.nearest import did_you_mean
 from motord_hal.base.paths import config_dir
-from motord_hal.drives.toml_table import did_you_mean
 
 
 @click.command

@@ -13,11 +13,12 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from motord.config.problems import candidates, nearest
+from motord.config.problems import candidates
 from motord.config.schema import Node, allowed, choices, describe, robot_schema
 from motord.config.sections.bus import HOST, ROUTER
 from motord.config.sections.quantities import conversion
 from motord.config.toml_lines import Path
+from motord_hal.base.nearest import nearest
 
 # Kinds and keys that motord plans and does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {

@@ -11,12 +11,12 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from motord.config.problems import nearest
 from motord.control.machine import State
 from motord.control.operation import Operation
 from motord.local_socket.server import INVALID_PARAMS, Refused, RpcError, json_number
 from motord_hal.base.clock import within
 from motord_hal.base.errors import HalError
+from motord_hal.base.nearest import nearest
 from motord_hal.drives.profile import SI_UNITS, Register
 from motord_hal.fieldbus.parameter import kept_back
 from motord_hal.fieldbus.ports import JointSpec, Line

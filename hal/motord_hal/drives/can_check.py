@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord_hal.base.nearest import did_you_mean
 from motord_hal.drives.can_profile import (
     STANDARD_ID_MAX,
     CanTable,
@@ -14,7 +15,7 @@ from motord_hal.drives.can_profile import (
     signals_of,
 )
 from motord_hal.drives.profile import DriveProfile, Register
-from motord_hal.drives.toml_table import Problems, did_you_mean
+from motord_hal.drives.toml_table import Problems
 
 _EXTENDED_MAX = 0x1FFF_FFFF
 

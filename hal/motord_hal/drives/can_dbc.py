@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.toml_table import Problems, Table, did_you_mean
+from motord_hal.base.nearest import did_you_mean
+from motord_hal.drives.toml_table import Problems, Table
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

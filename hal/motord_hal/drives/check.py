@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord_hal.base.nearest import did_you_mean
 from motord_hal.drives.can_check import check_can
 from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
-from motord_hal.drives.toml_table import Problems, did_you_mean
+from motord_hal.drives.toml_table import Problems
 
 _SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written

@@ -17,6 +17,7 @@ from typing import Any
 
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
+from motord_hal.base.nearest import did_you_mean
 from motord_hal.base.paths import config_dir
 from motord_hal.drives.bridge import read_bridge
 from motord_hal.drives.can_dbc import with_dbc
@@ -37,7 +38,7 @@ from motord_hal.drives.profile import (
     Step,
     Watchdog,
 )
-from motord_hal.drives.toml_table import Problems, Table, did_you_mean
+from motord_hal.drives.toml_table import Problems, Table
 
 SCHEMA = 1
 PROTOCOLS = ("modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm")

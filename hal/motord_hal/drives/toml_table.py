@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+
+from motord_hal.base.nearest import did_you_mean
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"""\s*([A-Za-z0-9_\-."']+)\s*=""")
@@ -35,12 +36,6 @@ def line_index(text: str) -> dict[str, int]:
             counts[array] = -1
             lines.setdefault(array, number)
     return lines
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """` (did you mean "x"?)`, or nothing when nothing is near."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f' (did you mean "{near[0]}"?)' if near else ""
 
 
 class Problems:

@@ -6,12 +6,12 @@ KIND[:KEY=VALUE,...]        described in docs/simulator.md
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from motord_hal.base.nearest import nearest
 from motord_hal.drives.can_load import NODE_MAX
 
 
@@ -220,5 +220,5 @@ def _number(text: str, name: str, value: str, key: Key) -> float:
 
 def _hint(word: str, known: Iterable[str]) -> str:
     known = list(known)
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
+    near = nearest(word, known)
+    return f"; did you mean {near}?" if near else f"; known: {', '.join(known)}"

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import json
 import logging
 import os
 import socket
@@ -23,9 +22,8 @@ from typing import Any, Protocol
 
 from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram
 from motord.api.deadline import within
-from motord.api.local_rpc import NOT_ALLOWED, REFUSED
+from motord.api.local_rpc import ClientError, answer_to, request_line, result_of
 from motord.api.stop_request import AGAIN_S, open_sender, try_send
-from motord.client import ClientError, Refused
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
@@ -80,19 +78,16 @@ async def _connected(
 async def _ask(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, method: str, params: dict[str, Any]
 ) -> Any:
-    request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
     try:
-        writer.write(json.dumps(request, allow_nan=False).encode() + b"\n")
+        writer.write(request_line(1, method, params))
         await writer.drain()
-        answer = json.loads(await reader.readuntil(b"\n"))
-    except (OSError, ValueError, EOFError, asyncio.LimitOverrunError) as error:
+        line = await reader.readuntil(b"\n")
+    except (OSError, EOFError, asyncio.LimitOverrunError) as error:
         raise ClientError(f"{method}: the daemon did not answer: {error}") from error
-    problem = answer.get("error")
-    if problem is None:
-        return answer.get("result")
-    if problem["code"] in (REFUSED, NOT_ALLOWED):
-        raise Refused(problem["message"], problem["code"])
-    raise ClientError(problem["message"])
+    answer = answer_to(1, line, method)
+    if answer is None:
+        raise ClientError(f"{method}: the daemon answered another call")
+    return result_of(answer)
 
 
 async def call(path: Path, method: str, **params: Any) -> Any:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from motord.config.finding import Finding
-from motord.config.problems import nearest
 from motord.config.rules.bus import BUS_RULES
 from motord.config.rules.drive import DRIVE_RULES
 from motord.config.rules.line import LINE_RULES
@@ -14,6 +13,7 @@ from motord.config.rules.robot import ROBOT_RULES
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles, profile_of
 from motord_hal.base.errors import ProfileError
+from motord_hal.base.nearest import nearest
 from motord_hal.drives.load import is_file_name, list_profiles
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import UNIT_MAX

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
-from motord.config.problems import nearest
 from motord.config.rules.battery import battery_alone
 from motord.config.rules.imu import imu_axes, imu_line, imu_rates
 from motord.config.sections.model import REST_MAX_S, Robot, SkidBase
 from motord.config.toml_lines import Path
+from motord_hal.base.nearest import nearest
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
 LINES_MAX = 4

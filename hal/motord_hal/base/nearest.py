@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The word that somebody probably meant, for every "did you mean"."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+ALIKE = 0.6
+"""Ratio of what two words share: difflib's own bound for "close" (SequenceMatcher.ratio)."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that was probably meant; None: none is like it."""
+    found = difflib.get_close_matches(word, list(known), n=1, cutoff=ALIKE)
+    return found[0] if found else None
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """` (did you mean "x"?)`, or nothing when nothing is near."""
+    near = nearest(word, known)
+    return f' (did you mean "{near}"?)' if near else ""
