@@ -8,7 +8,6 @@ import time
 from types import SimpleNamespace
 
 import pytest
-import rosbags.typesys as rosbags
 import zenoh
 import zenoh.ext
 from tests.peers.zenoh_rig import GID, REQUEST, STORE, Tokens, ask, attached, peer, running, until
@@ -18,7 +17,6 @@ from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.zenoh.names import Attachment, gid
 from motord.bus.ros2.zenoh.node import Router, ZenohNode
 
-STORE.register(rosbags.get_types_from_msg("bool success\nstring message\n", "peer/msg/Answer"))
 TWIST = "geometry_msgs/msg/Twist"
 STRING = "std_msgs/msg/String"
 TWIST_KEY = (

@@ -3,10 +3,12 @@
 
 import rosbags.typesys as rosbags
 from tests.peers.zenoh_rig import STORE, ask, attached
-from tests.peers.zenoh_robot_rig import armed, figures, lapsed
+from tests.peers.zenoh_robot_rig import armed, figures, lapsed, robot
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.ros2.types.table import type_hash
+
+__all__ = ["robot"]
 
 
 def test_another_node_arms_drives_and_hears_the_way(robot):

@@ -14,6 +14,7 @@ from tests.peers.zenoh_router import endpoint
 from motord.bus.ros2.zenoh.names import Attachment
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
+STORE.register(rosbags.get_types_from_msg("bool success\nstring message\n", "peer/msg/Answer"))
 
 WITHIN_S = 30.0
 
