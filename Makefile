@@ -50,7 +50,7 @@ demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
 test: $(VENV)/built $(VENV)/test
-	@$(PYTHON) -m pytest -n 3 --dist loadfile $(ARGS)
+	@$(PYTHON) -m pytest -n 4 --dist loadgroup $(ARGS)
 
 check: $(VENV)/built $(VENV)/check
 	@$(VENV)/bin/ruff format --check . >&2
@@ -75,7 +75,7 @@ san: $(VENV)/built $(VENV)/test
 coverage: $(VENV)/built $(VENV)/test
 	@$(MAKE) -C tests/c coverage PYTHON=$(abspath $(PYTHON)) >&2
 	@rm -f .coverage .coverage.*
-	@$(PYTHON) -m coverage run -m pytest -q -n 3 --dist loadfile $(ARGS)
+	@$(PYTHON) -m coverage run -m pytest -q -n 4 --dist loadgroup $(ARGS)
 	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report
 

@@ -63,23 +63,23 @@ class BusSupervisor:
 
     async def run(self) -> None:
         """Until cancelled; then it is ended."""
-        _spare_a_thread()
-        while True:
-            began_s = time.monotonic()
-            try:
-                why = await self._live()
-            except OSError as error:
-                why = f"cannot be started: {error.strerror or error}"
-            if time.monotonic() - began_s > WELL_AFTER_S:
-                self._again_s = AGAIN_MIN_S
-            self._restarts += 1
-            _log.warning(
-                "motord-bus %s; it is started again in %g s, the robot goes on without",
-                why,
-                self._again_s,
-            )
-            await asyncio.sleep(self._again_s)
-            self._again_s = min(2.0 * self._again_s, AGAIN_MAX_S)
+        with _without_a_thread():
+            while True:
+                began_s = time.monotonic()
+                try:
+                    why = await self._live()
+                except OSError as error:
+                    why = f"cannot be started: {error.strerror or error}"
+                if time.monotonic() - began_s > WELL_AFTER_S:
+                    self._again_s = AGAIN_MIN_S
+                self._restarts += 1
+                _log.warning(
+                    "motord-bus %s; it is started again in %g s, the robot goes on without",
+                    why,
+                    self._again_s,
+                )
+                await asyncio.sleep(self._again_s)
+                self._again_s = min(2.0 * self._again_s, AGAIN_MAX_S)
 
     async def _live(self) -> str:
         """One life of it; returns how it ended."""
@@ -168,17 +168,25 @@ async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
         transport.close()
 
 
-def _spare_a_thread() -> None:
+@contextlib.contextmanager
+def _without_a_thread() -> Iterator[None]:
     """Until Python 3.11 asyncio waits for each child in a thread, whose whole stack of 8 MB the
     loop's mlockall would pin; later ones use a pidfd by themselves (Linux 5.3)."""
+    watcher = None
     if sys.version_info < (3, 12):
-        try:
+        with contextlib.suppress(OSError):
             os.close(os.pidfd_open(os.getpid()))
-        except OSError:
-            return
-        watcher = asyncio.PidfdChildWatcher()
-        watcher.attach_loop(asyncio.get_running_loop())
-        asyncio.get_event_loop_policy().set_child_watcher(watcher)
+            watcher = asyncio.PidfdChildWatcher()
+    if watcher is None:
+        yield
+        return
+    policy = asyncio.get_event_loop_policy()
+    watcher.attach_loop(asyncio.get_running_loop())
+    policy.set_child_watcher(watcher)
+    try:
+        yield
+    finally:
+        policy.set_child_watcher(asyncio.ThreadedChildWatcher())  # the other was for this loop
 
 
 async def _end(process: Process) -> None:
