@@ -18,6 +18,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from motord.bus import http_server
 from motord.bus.rosbridge import adapter as rosbridge
 from motord.bus.runtime import Runtime
 from motord.client import Refused
@@ -131,8 +132,8 @@ async def test_who_has_no_token_does_not_even_connect(stage, ports, query):
 
 
 async def test_strangers_who_say_nothing_make_room_for_who_has_the_token(tmp_path, monkeypatch):
-    monkeypatch.setattr(rosbridge, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
-    port, count = free_port(), 3 * rosbridge.STRANGERS_MAX
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
+    port, count = free_port(), 3 * http_server.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
     adapter = rosbridge.RosbridgeAdapter("web", section, runtime)
@@ -140,7 +141,7 @@ async def test_strangers_who_say_nothing_make_room_for_who_has_the_token(tmp_pat
         serving = tasks.create_task(adapter.run())
         async with connect_again(f"ws://127.0.0.1:{port}/?token={TOKEN}", None) as client:
             readers, writers = zip(*[await stranger(port) for _ in range(count)], strict=True)
-            for reader in readers[: count - rosbridge.STRANGERS_MAX]:
+            for reader in readers[: count - http_server.STRANGERS_MAX]:
                 with contextlib.suppress(ConnectionError):
                     assert await reader.read() == b""
             await client.send(json.dumps({"op": "fragment"}))

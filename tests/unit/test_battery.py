@@ -169,7 +169,7 @@ def test_diagnostics_show_the_battery_by_severity(state, level):
 def test_prometheus_has_the_battery_and_nan_where_nothing_is_known():
     status = {"battery": report(current_a=None), "loop": LOOP, "lines": {}, "publishers": {},
               "bus": None, "commands": {"accepted": 0, "refused": {}}}  # fmt: skip
-    rows = exposition(BODY, view(1, status=status)).splitlines()
+    rows = exposition(BODY, view(1, status=status)).decode().splitlines()
     assert 'motord_battery_voltage_volts{robot="r2"} 24.5' in rows
     assert 'motord_battery_current_amperes{robot="r2"} NaN' in rows
     assert 'motord_battery_state{robot="r2",state="normal"} 1.0' in rows

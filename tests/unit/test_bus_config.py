@@ -89,13 +89,13 @@ def test_a_robot_remembers_how_it_was_asked_for():
     assert load_robot(DEMO, ["robot.name=r2"]).overrides == ("robot.name=r2",)
 
 
-@pytest.mark.parametrize("kind", ["mqtt", "rosbridge", "foxglove"])
+@pytest.mark.parametrize("kind", ["mqtt", "foxglove"])
 def test_a_package_that_is_not_installed_is_a_warning_with_its_cure(tmp_path, monkeypatch, kind):
     path = robot_file(tmp_path, f'[publish.net]\nkind = "{kind}"\n')
     assert [row for row in load_robot(path).warnings if "pip install" in row.text] == []
     monkeypatch.setattr("motord.config.rules.bus.find_spec", lambda name: None)
     (row,) = [row for row in load_robot(path).warnings if "pip install" in row.text]
-    package = {"mqtt": "aiomqtt", "rosbridge": "websockets", "foxglove": "foxglove-sdk"}[kind]
+    package = {"mqtt": "aiomqtt", "foxglove": "foxglove-sdk"}[kind]
     assert (row.key, package in row.text) == ("publish.net.kind", True)
 
 

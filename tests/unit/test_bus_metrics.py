@@ -26,7 +26,7 @@ STATUS = {
 def parsed(text):
     return {
         (sample.name, *(value for key, value in sample.labels.items() if key != "robot")): sample
-        for family in text_string_to_metric_families(text)
+        for family in text_string_to_metric_families(text.decode())
         for sample in family.samples
     }
 
@@ -50,7 +50,7 @@ def test_a_loop_that_stands_still_is_not_up():
 def test_the_daemons_own_word_is_among_the_figures_in_base_units():
     figures = parsed(exposition(BODY, view(now_ms(), STATUS)))
     assert figures["motord_loop_lateness_seconds", "0.99"].value == pytest.approx(20e-6)
-    assert figures["motord_line_errors_total", "rs485", "timeout"].value == 2.0
+    assert figures["motord_line_errors_total", "timeout", "rs485"].value == 2.0
     assert math.isnan(figures["motord_line_cycle_hertz", "rs485"].value)
     assert figures["motord_commands_refused_total", "age"].value == 1.0
     assert figures["motord_samples_dropped_total", "console"].value == 4.0

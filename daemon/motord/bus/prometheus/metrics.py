@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+from prometheus_client import CollectorRegistry, Metric, generate_latest
+from prometheus_client.registry import Collector
 
 from motord.api.snapshot import STATES
 from motord.bus.messages.from_snapshot import Body
@@ -28,15 +31,37 @@ class Family:
     values: tuple[tuple[Labels, float], ...]
 
 
-def exposition(body: Body, view: View | None) -> str:
-    """The text of an answer. Without a view: that there is none."""
-    families = [Family("motord_up", "gauge", "1: the robot's loop runs.", (({}, _up(view)),))]
+class _Figures(Collector):
+    def __init__(self, body: Body, view: View | None) -> None:
+        self._body = body
+        self._view = view
+
+    def collect(self) -> Iterator[Metric]:
+        """Without a view: that there is none."""
+        for family in _families(self._body, self._view):
+            metric = Metric(family.name.removesuffix("_total"), family.text, family.kind)
+            for labels, value in family.values:
+                metric.add_sample(family.name, {"robot": self._body.robot, **labels}, value)
+            yield metric
+
+
+def exposition(body: Body, view: View | None) -> bytes:
+    """The text of an answer."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Figures(body, view))
+    return generate_latest(registry)
+
+
+def _families(body: Body, view: View | None) -> Iterator[Family]:
+    yield Family("motord_up", "gauge", "1: the robot's loop runs.", (({}, _up(view)),))
     if view is not None:
-        families += [*_base(view), *_joints(body, view)]
+        yield from _base(view)
+        yield from _joints(body, view)
         if view.status is not None:
-            families += [*_loop(view.status), *_lines(view.status), *_commands(view.status)]
-            families += _battery(view.battery())
-    return "".join(_lines_of(family, body.robot) for family in families)
+            yield from _loop(view.status)
+            yield from _lines(view.status)
+            yield from _commands(view.status)
+            yield from _battery(view.battery())
 
 
 STALE_S = 1.0
@@ -170,31 +195,3 @@ def _commands(status: Mapping[str, Any]) -> Iterator[Family]:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _lines_of(family: Family, robot: str) -> str:
-    rows = (
-        f"{family.name}{_labels({'robot': robot, **labels})} {_value(value)}\n"
-        for labels, value in family.values
-    )
-    return f"# HELP {family.name} {family.text}\n# TYPE {family.name} {family.kind}\n" + "".join(
-        rows
-    )
-
-
-def _labels(labels: Labels) -> str:
-    return "{" + ",".join(_pairs(labels.items())) + "}"
-
-
-def _pairs(items: Iterable[tuple[str, str]]) -> Iterator[str]:
-    for key, value in items:
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        yield f'{key}="{escaped}"'
-
-
-def _value(value: float) -> str:
-    if math.isnan(value):
-        return "NaN"
-    if math.isinf(value):
-        return "+Inf" if value > 0 else "-Inf"
-    return repr(value)

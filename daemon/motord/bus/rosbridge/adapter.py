@@ -7,18 +7,14 @@ with the token.
 from __future__ import annotations
 
 import asyncio
-import logging
 import ssl
-from contextlib import AbstractAsyncContextManager
 from http import HTTPStatus
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
+from aiohttp import web
 
 from motord.bus.commands.gate import CommandGate, NotTaken
+from motord.bus.http_server import HttpServer
 from motord.bus.messages.json_direct import encoder as json_encoder
 from motord.bus.rosbridge.client import RosbridgeClient
 from motord.config import RosbridgeInput, RosbridgeServer
@@ -27,15 +23,10 @@ if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
 
 CLIENTS_MAX = 32
-STRANGERS_MAX = 32
-"""Connections that have not shown what they want yet. One more, and the oldest has to go: each
-costs a descriptor, and may be silent for ANSWER_WITHIN_S."""
 MESSAGE_BYTES_MAX = 65536
-PING_EVERY_S = 5.0
-ANSWER_WITHIN_S = 5.0
-LISTEN_AGAIN_S = 5.0
-
-_log = logging.getLogger(__name__)
+PING_EVERY_S = 10.0
+"""Who does not answer within half of that is gone."""
+CLOSE_WITHIN_S = 5.0
 
 
 class RosbridgeAdapter:
@@ -52,8 +43,8 @@ class RosbridgeAdapter:
             self._where if self._gate else name, section.rates_hz(), json_encoder
         )
         self._clients: set[RosbridgeClient] = set()
-        self._strangers: dict[ServerConnection, None] = {}
-        self._tls = _tls_context(section, runtime)
+        tls = _tls_context(section, runtime)
+        self._server = HttpServer(self._where, section.host, section.port, self._answer, tls)
 
     async def run(self) -> None:
         """As Adapter.run."""
@@ -61,57 +52,40 @@ class RosbridgeAdapter:
             if self._gate is not None:
                 tasks.create_task(self._gate.source.run())
             tasks.create_task(self._tell())
-            tasks.create_task(self._serve())
+            tasks.create_task(self._server.run())
 
-    async def _serve(self) -> None:
-        failing = False
-        while True:
-            try:
-                async with self._server() as server:
-                    await server.serve_forever()
-            except OSError as error:
-                if not failing:
-                    failing = True
-                    _log.warning("%s: cannot listen: %s", self._where, error)
-            await asyncio.sleep(LISTEN_AGAIN_S)
-
-    def _server(self) -> AbstractAsyncContextManager[Server]:
-        return serve(
-            self._attend,
-            self._section.host,
-            self._section.port,
-            ssl=self._tls,
-            process_request=self._admit,
-            create_connection=_counting(self._strangers),
-            compression=None,
-            max_size=MESSAGE_BYTES_MAX,
-            open_timeout=ANSWER_WITHIN_S,
-            close_timeout=ANSWER_WITHIN_S,
-            ping_interval=PING_EVERY_S,
-            ping_timeout=ANSWER_WITHIN_S,
-        )
-
-    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
-        """None: it may connect."""
-        if len(self._clients) >= CLIENTS_MAX:
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients\n")
-        if self._gate is not None:
-            try:
-                self._gate.admit(_token(request))
-            except NotTaken as error:
-                return connection.respond(HTTPStatus.UNAUTHORIZED, f"{error}\n")
-        return None
-
-    async def _attend(self, connection: ServerConnection) -> None:
-        self._strangers.pop(connection, None)
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
+        connection = web.WebSocketResponse(
+            heartbeat=PING_EVERY_S, timeout=CLOSE_WITHIN_S, max_msg_size=MESSAGE_BYTES_MAX,
+            compress=False,
+        )  # fmt: skip
+        if (refusal := self._refusal(request, connection)) is not None:
+            return refusal
+        await connection.prepare(request)
         client = RosbridgeClient(connection, self._section.rates_hz(), self._gate)
         self._clients.add(client)
         try:
             await client.run()
-        except* (ConnectionClosed, OSError):
+        except* OSError:
             pass  # it went away
         finally:
             self._clients.discard(client)
+        return connection
+
+    def _refusal(
+        self, request: web.BaseRequest, connection: web.WebSocketResponse
+    ) -> web.Response | None:
+        """None: it may connect."""
+        if len(self._clients) >= CLIENTS_MAX:
+            return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text="too many clients\n")
+        if self._gate is not None:
+            try:
+                self._gate.admit(_token(request))
+            except NotTaken as error:
+                return web.Response(status=HTTPStatus.UNAUTHORIZED, text=f"{error}\n")
+        if not connection.can_prepare(request).ok:
+            return web.Response(status=HTTPStatus.UPGRADE_REQUIRED, text="a WebSocket, please\n")
+        return None
 
     async def _tell(self) -> None:
         """Each sample is written once, whoever wants it."""
@@ -124,35 +98,16 @@ class RosbridgeAdapter:
                 )
 
 
-def _counting(strangers: dict[ServerConnection, None]) -> type[ServerConnection]:
-    """Connections that are in it, the oldest first, until they are attended to or lost."""
-
-    class Counted(ServerConnection):
-        def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            super().connection_made(transport)
-            strangers[self] = None
-            if len(strangers) > STRANGERS_MAX:
-                oldest = next(iter(strangers))
-                del strangers[oldest]
-                oldest.transport.abort()
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            strangers.pop(self, None)
-            super().connection_lost(exc)
-
-    return Counted
-
-
 def _published(topic: str, message: bytes) -> str:
     return f'{{"op":"publish","topic":"/{topic}","msg":{message.decode()}}}'
 
 
-def _token(request: Request) -> str | None:
+def _token(request: web.BaseRequest) -> str | None:
     """Of the address (?token=...) or of the header "Authorization: Bearer ..."."""
     kind, _, shown = request.headers.get("Authorization", "").partition(" ")
     if kind.lower() == "bearer":
         return shown.strip()
-    return next(iter(parse_qs(urlsplit(request.path).query).get("token", ())), None)
+    return request.query.get("token")
 
 
 def _tls_context(section: RosbridgeServer, runtime: Runtime) -> ssl.SSLContext | None:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from websockets.asyncio.server import ServerConnection
+from aiohttp import WSMsgType, web
 
 from motord.bus.commands.gate import TRIGGERS, URGENT, CommandGate, NotTaken, short, tag
 from motord.bus.messages import json_form
@@ -26,7 +26,10 @@ class RosbridgeClient:
     """`offer` never waits: of each topic only the newest message is kept for a slow client."""
 
     def __init__(
-        self, connection: ServerConnection, rates_hz: Mapping[str, float], gate: CommandGate | None
+        self,
+        connection: web.WebSocketResponse,
+        rates_hz: Mapping[str, float],
+        gate: CommandGate | None,
     ) -> None:
         self._connection = connection
         self._gate = gate
@@ -55,12 +58,14 @@ class RosbridgeClient:
         return lost
 
     async def run(self) -> None:
-        """Until it goes away: ConnectionClosed, in a group."""
+        """Until it goes away: perhaps OSError, in a group."""
         async with asyncio.TaskGroup() as tasks:
             telling = tasks.create_task(self._tell())
-            async for raw in self._connection:
+            async for message in self._connection:
+                if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                    break  # what aiohttp found to be no message has ended the connection
                 with contextlib.suppress(NotTaken):  # said by the command gate
-                    await self._take(raw, tasks)
+                    await self._take(message.data, tasks)
             telling.cancel()
 
     async def _tell(self) -> None:
@@ -69,7 +74,7 @@ class RosbridgeClient:
             self._news.clear()
             newest, self._newest = self._newest, {}
             for text in newest.values():
-                await self._connection.send(text)
+                await self._connection.send_str(text)
 
     # -------------------------------------------------------------------------------------- asking
     async def _take(self, raw: str | bytes, tasks: asyncio.TaskGroup) -> None:
@@ -172,7 +177,7 @@ class RosbridgeClient:
         await self._send({"op": "status", "level": level, "msg": text, "id": tag(number)})
 
     async def _send(self, message: dict[str, Any]) -> None:
-        await self._connection.send(json.dumps(json_form.plain(message), allow_nan=False))
+        await self._connection.send_str(json.dumps(json_form.plain(message), allow_nan=False))
 
 
 def _name(value: object) -> str:

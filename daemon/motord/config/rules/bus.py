@@ -38,7 +38,6 @@ _PACKAGES = {
     "mqtt": "aiomqtt",
     "mcap": "mcap",
     "foxglove": "foxglove",
-    "rosbridge": "websockets",
     "joystick": "evdev",
 }
 TokenBus = MqttBroker | RosbridgeInput | FoxgloveInput

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A port of the second process that speaks HTTP: figures and WebSockets, by aiohttp.
+
+Who has connected and asked nothing yet is a stranger: there are at most STRANGERS_MAX of them, each
+for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import ssl
+from collections.abc import Awaitable, Callable
+
+from aiohttp import web
+from aiohttp.web_protocol import RequestHandler
+
+from motord.base.rate_limited_log import RateLimitedLog
+
+STRANGERS_MAX = 32
+"""One more, and the oldest has to go: each costs a descriptor."""
+ANSWER_WITHIN_S = 5.0
+LISTEN_AGAIN_S = 5.0
+
+Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
+
+_log = logging.getLogger(__name__)
+_silent = logging.getLogger(f"{__name__}.aiohttp")
+"""aiohttp tells each request that is none with a traceback: a stranger could fill the journal."""
+_silent.setLevel(logging.CRITICAL)
+
+
+class HttpServer:
+    """`where`: the table of the robot file, for the log. `answer` is asked in a task of its own for
+    each request."""
+
+    def __init__(
+        self, where: str, host: str, port: int, answer: Answer, tls: ssl.SSLContext | None = None
+    ) -> None:
+        self._where = where
+        self._host, self._port = host, port
+        self._answer = answer
+        self._tls = tls
+        self._failures = RateLimitedLog(_log)
+
+    async def run(self) -> None:
+        """Listen until cancelled; tried again where the port is taken."""
+        failing = False
+        while True:
+            protocols = _Protocols(self._answered)
+            try:
+                server = await self._listen(protocols)
+            except OSError as error:
+                if not failing:
+                    failing = True
+                    _log.warning("%s: cannot listen: %s", self._where, error)
+                await asyncio.sleep(LISTEN_AGAIN_S)
+                continue
+            try:
+                await asyncio.get_running_loop().create_future()
+            finally:
+                server.close()
+                protocols.end()
+
+    async def _listen(self, protocols: _Protocols) -> asyncio.Server:
+        within_s = ANSWER_WITHIN_S if self._tls else None
+        return await asyncio.get_running_loop().create_server(
+            protocols, self._host, self._port, ssl=self._tls, ssl_handshake_timeout=within_s
+        )
+
+    async def _answered(self, request: web.BaseRequest) -> web.StreamResponse:
+        try:
+            response = await self._answer(request)
+        except OSError:
+            raise  # it went away, which aiohttp knows
+        except Exception as error:  # noqa: BLE001  one request must not end the others
+            self._failures.say(f"{self._where}: a request failed: {error!r}")
+            response = web.Response(status=500, text="see the log of motord-bus\n")
+        if not isinstance(response, web.WebSocketResponse):
+            response.force_close()
+        return response
+
+
+class _Protocols(web.Server):
+    """Makes a protocol for each connection, and knows the strangers among them, oldest first."""
+
+    def __init__(self, answer: Answer) -> None:
+        super().__init__(
+            self._known, access_log=None, logger=_silent, lingering_time=0.0,
+            keepalive_timeout=ANSWER_WITHIN_S,
+        )  # fmt: skip
+        self._asked = answer
+        self._strangers: dict[RequestHandler, asyncio.Transport] = {}
+
+    def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
+        super().connection_made(handler, transport)
+        self._strangers[handler] = transport
+        asyncio.get_running_loop().call_later(ANSWER_WITHIN_S, self._drop, handler)
+        if len(self._strangers) > STRANGERS_MAX:
+            self._drop(next(iter(self._strangers)))
+
+    def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
+        self._strangers.pop(handler, None)
+        super().connection_lost(handler, exc)
+
+    def end(self) -> None:
+        """All connections, at once."""
+        for handler in self.connections:
+            if handler.transport is not None:
+                handler.transport.abort()
+
+    def _drop(self, handler: RequestHandler) -> None:
+        """Unless it is no stranger any more."""
+        if (transport := self._strangers.pop(handler, None)) is not None:
+            transport.abort()
+
+    async def _known(self, request: web.BaseRequest) -> web.StreamResponse:
+        self._strangers.pop(request.protocol, None)
+        return await self._asked(request)

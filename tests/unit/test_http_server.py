@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The second process's HTTP port, and who must not be able to fill it."""
+
+import asyncio
+import contextlib
+import socket
+
+import pytest
+from aiohttp import ClientSession, web
+
+from motord.bus import http_server
+from motord.bus.http_server import HttpServer
+
+DEADLINE_S = 60.0
+
+
+async def greet(request):
+    if request.path == "/broken":
+        raise LookupError("no such figure")
+    return web.Response(text=f"hello {request.path}")
+
+
+@pytest.fixture
+async def port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        number = probe.getsockname()[1]
+    async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+        serving = tasks.create_task(HttpServer("publish.test", "127.0.0.1", number, greet).run())
+        while True:
+            with contextlib.suppress(ConnectionRefusedError):
+                (await connection(number))[1].close()
+                break
+            await asyncio.sleep(0.01)
+        yield number
+        serving.cancel()
+
+
+async def connection(port):
+    return await asyncio.open_connection("127.0.0.1", port)
+
+
+async def asked(port, path):
+    async with ClientSession() as client, client.get(f"http://127.0.0.1:{port}{path}") as answer:
+        return answer.status, await answer.text()
+
+
+async def test_a_request_is_answered_and_the_connection_ends_with_it(port):
+    reader, writer = await connection(port)
+    writer.write(b"GET /a HTTP/1.1\r\nHost: x\r\n\r\n")
+    answer = await reader.read()
+    assert answer.startswith(b"HTTP/1.1 200 OK")
+    assert answer.endswith(b"hello /a")
+    writer.close()
+
+
+async def test_a_request_that_fails_ends_no_other_and_is_said(port, caplog):
+    assert (await asked(port, "/broken"))[0] == 500
+    assert "publish.test: a request failed: LookupError('no such figure')" in caplog.text
+    assert await asked(port, "/b") == (200, "hello /b")
+
+
+@pytest.mark.parametrize("junk", [b"\x16\x03\x01\x00\xa5", b"GET\r\n\r\n", b"{}\n" * 50000])
+async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
+    for _ in range(3):
+        reader, writer = await connection(port)
+        with contextlib.suppress(ConnectionError):
+            writer.write(junk)
+            writer.write_eof()
+            await reader.read()
+        writer.close()
+    assert await asked(port, "/c") == (200, "hello /c")
+    assert caplog.text == ""
+
+
+async def test_who_asks_nothing_is_ended_in_time(monkeypatch, port):
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 0.1)
+    reader, writer = await connection(port)
+    with contextlib.suppress(ConnectionError):
+        assert await reader.read() == b""
+    writer.close()
+
+
+async def test_the_oldest_of_too_many_who_ask_nothing_makes_room(monkeypatch, port):
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)
+    strangers = [await connection(port) for _ in range(http_server.STRANGERS_MAX + 3)]
+    for reader, _ in strangers[:3]:
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read() == b""
+    assert await asked(port, "/d") == (200, "hello /d")
+    for _, writer in strangers:
+        writer.close()
