@@ -9,11 +9,12 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check san bench soak fuzz mutants coverage wheel deb vm arm64 clean
+.PHONY: help demo test test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
 	@echo "make test      all tests                       make test ARGS=\"tests/unit -k wrap\"" >&2
+	@echo "make test-fast the inner loop: a minute        make test-fast ARGS=\"-k wrap\"" >&2
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
 	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
@@ -51,6 +52,10 @@ demo: $(VENV)/built
 
 test: $(VENV)/built $(VENV)/test
 	@$(PYTHON) -m pytest -n 4 --dist loadgroup $(ARGS)
+
+# For the inner loop: no other process, no simulated robot.
+test-fast: $(VENV)/built $(VENV)/test
+	@FAST=1 $(PYTHON) -m pytest -q -n 4 --dist loadgroup tests/unit $(ARGS)
 
 check: $(VENV)/built $(VENV)/check
 	@$(VENV)/bin/ruff format --check . >&2

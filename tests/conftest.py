@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
 san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases, half
-as many in `make test` as in `make san`. Programs that tests start read their modules from
-bytecode: without it, each of some thousand starts compiles a hundred modules anew."""
+as many in `make test` as in `make san`, and few in `make test-fast`. Programs that tests start read
+their modules from bytecode: without it, each of some thousand starts compiles a hundred modules
+anew."""
 
 import os
 import sys
@@ -10,7 +11,7 @@ import sys
 import pytest
 from hypothesis import settings
 
-EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 50
+EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 50
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
 sys.dont_write_bytecode = False

@@ -13,9 +13,8 @@ import ssl
 from collections.abc import Awaitable, Callable
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.web_protocol import RequestHandler
-
-from motord.base.rate_limited_log import RateLimitedLog
 
 STRANGERS_MAX = 32
 """One more, and the oldest has to go: each costs a descriptor."""
@@ -25,9 +24,18 @@ LISTEN_AGAIN_S = 5.0
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 _log = logging.getLogger(__name__)
-_silent = logging.getLogger(f"{__name__}.aiohttp")
-"""aiohttp tells each request that is none with a traceback: a stranger could fill the journal."""
-_silent.setLevel(logging.CRITICAL)
+
+
+class _OurOwn(logging.Filter):
+    """aiohttp tells what is no request with a traceback: a stranger could fill the journal."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return not isinstance(error, HttpProcessingError)
+
+
+_requests_log = logging.getLogger(f"{__name__}.requests")
+_requests_log.addFilter(_OurOwn())
 
 
 class HttpServer:
@@ -41,7 +49,6 @@ class HttpServer:
         self._host, self._port = host, port
         self._answer = answer
         self._tls = tls
-        self._failures = RateLimitedLog(_log)
 
     async def run(self) -> None:
         """Listen until cancelled; tried again where the port is taken."""
@@ -69,13 +76,7 @@ class HttpServer:
         )
 
     async def _answered(self, request: web.BaseRequest) -> web.StreamResponse:
-        try:
-            response = await self._answer(request)
-        except OSError:
-            raise  # it went away, which aiohttp knows
-        except Exception as error:  # noqa: BLE001  one request must not end the others
-            self._failures.say(f"{self._where}: a request failed: {error!r}")
-            response = web.Response(status=500, text="see the log of motord-bus\n")
+        response = await self._answer(request)
         if not isinstance(response, web.WebSocketResponse):
             response.force_close()
         return response
@@ -86,7 +87,7 @@ class _Protocols(web.Server):
 
     def __init__(self, answer: Answer) -> None:
         super().__init__(
-            self._known, access_log=None, logger=_silent, lingering_time=0.0,
+            self._known, access_log=None, logger=_requests_log, lingering_time=0.0,
             keepalive_timeout=ANSWER_WITHIN_S,
         )  # fmt: skip
         self._asked = answer

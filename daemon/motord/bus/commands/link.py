@@ -84,7 +84,7 @@ async def _ask(
         line = await reader.readuntil(b"\n")
     except (OSError, EOFError, asyncio.LimitOverrunError) as error:
         raise ClientError(f"{method}: the daemon did not answer: {error}") from error
-    answer = answer_to(1, line, method)
+    answer = answer_to(1, line, f"the daemon ({method})")
     if answer is None:
         raise ClientError(f"{method}: the daemon answered another call")
     return result_of(answer)
