@@ -182,7 +182,7 @@ typedef struct {
     int64_t offset_ns[BOARD_CLOCK_SAMPLES];
 } board_clock;
 
-/* When a frame with the board's time was made, CLOCK_MONOTONIC: hal/motord_hal/mcu/stamps.py. Zeroed: a new board. */
+/* When a frame with the board's time was made, CLOCK_MONOTONIC. Zeroed: a new board. */
 int64_t board_clock_stamp(board_clock *clock, uint32_t time_us, int64_t came_ns);
 
 /* A frame between zeros as it goes out: bytes of out[BOARD_WIRE_MAX]; 0: the payload is too long. */

@@ -2,36 +2,23 @@
 """The board's clock on ours: what waited in a buffer is as old as it is."""
 
 import pytest
-from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.mcu.stamps import SAMPLES_KEPT, BoardClock
+from motord_hal.realtime.board import BoardClock
 
 MS = 1_000_000
+SAMPLES_KEPT = 32
+"""BOARD_CLOCK_SAMPLES: csrc/api_board.h."""
 WRAP_US = 1 << 32
 
 
-class ClockInC:
-    """csrc/fieldbus/board/board_clock.c."""
-
-    def __init__(self):
-        self._clock = ffi.new("board_clock *")
-
-    def stamp_ns(self, time_us, came_ns):
-        return lib.board_clock_stamp(self._clock, time_us, came_ns)
-
-
-both = pytest.mark.parametrize("clock_of", [BoardClock, ClockInC])
-
-
-@both
 @given(
     start_us=st.integers(0, WRAP_US - 1),
     steps=st.lists(st.tuples(st.integers(1, 50), st.integers(0, 30)), min_size=1, max_size=60),
 )
-def test_a_stamp_is_never_later_than_the_frame_came(clock_of, start_us, steps):
-    clock, board_ms = clock_of(), 0
+def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
+    clock, board_ms = BoardClock(), 0
     for step_ms, delay_ms in steps:
         board_ms += step_ms
         came_ns = (board_ms + delay_ms) * MS
@@ -39,10 +26,9 @@ def test_a_stamp_is_never_later_than_the_frame_came(clock_of, start_us, steps):
         assert stamp_ns <= came_ns
 
 
-@both
 @given(late_ms=st.integers(1, 60), frames=st.integers(1, 60))
-def test_when_the_delay_falls_no_way_is_squeezed_into_a_shorter_time(clock_of, late_ms, frames):
-    clock = clock_of()
+def test_when_the_delay_falls_no_way_is_squeezed_into_a_shorter_time(late_ms, frames):
+    clock = BoardClock()
     newest = None
     for n in range(SAMPLES_KEPT + frames):
         delay_ms = late_ms if n < SAMPLES_KEPT + frames // 2 else 0
@@ -54,9 +40,8 @@ def test_when_the_delay_falls_no_way_is_squeezed_into_a_shorter_time(clock_of, l
             newest = (stamp_ns, n * 10 * MS, came_ns)
 
 
-@both
-def test_frames_that_waited_get_the_time_at_which_they_were_made(clock_of):
-    clock = clock_of()
+def test_frames_that_waited_get_the_time_at_which_they_were_made():
+    clock = BoardClock()
     for n in range(10):
         assert clock.stamp_ns(n * 20_000, n * 20 * MS) == n * 20 * MS
     late_ns = 1000 * MS  # the process was stopped; all came at once
@@ -64,36 +49,22 @@ def test_frames_that_waited_get_the_time_at_which_they_were_made(clock_of):
     assert stamps == [n * 20 * MS for n in range(10, 20)]
 
 
-@both
-def test_the_clock_of_the_board_goes_round_without_a_jump(clock_of):
-    clock = clock_of()
+def test_the_clock_of_the_board_goes_round_without_a_jump():
+    clock = BoardClock()
     first_ns = clock.stamp_ns(WRAP_US - 10_000, 0)
     assert clock.stamp_ns(10_000, 20 * MS) - first_ns == 20 * MS
 
 
-@both
-def test_a_clock_that_is_slow_makes_stamps_older_by_little(clock_of):
-    clock = clock_of()
+def test_a_clock_that_is_slow_makes_stamps_older_by_little():
+    clock = BoardClock()
     for n in range(1, 1000):
         came_ns = n * 20 * MS
         age_ns = came_ns - clock.stamp_ns(round(n * 20_000 * 0.995), came_ns)
         assert 0 <= age_ns <= 0.006 * SAMPLES_KEPT * 20 * MS
 
 
-@both
-def test_a_board_that_was_restarted_is_believed_at_once(clock_of):
-    clock = clock_of()
+def test_a_board_that_was_restarted_is_believed_at_once():
+    clock = BoardClock()
     for n in range(50):
         clock.stamp_ns(600_000_000 + n * 20_000, n * 20 * MS)
     assert clock.stamp_ns(0, 2000 * MS) == pytest.approx(2000 * MS)
-
-
-@given(
-    st.integers(0, WRAP_US - 1),
-    st.lists(st.tuples(st.integers(0, 3_000_000), st.integers(-40 * MS, 900 * MS)), max_size=120),
-)
-def test_both_clocks_give_the_same_stamps(start_us, steps):
-    python, c, time_us, came_ns = BoardClock(), ClockInC(), start_us, 0
-    for step_us, step_ns in steps:
-        time_us, came_ns = (time_us + step_us) % WRAP_US, max(came_ns + step_ns, 0)
-        assert c.stamp_ns(time_us, came_ns) == python.stamp_ns(time_us, came_ns)

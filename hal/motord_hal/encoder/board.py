@@ -27,8 +27,10 @@ from motord_hal.mcu.frames import (
     setpoints_payload,
 )
 from motord_hal.mcu.link import Stream
-from motord_hal.mcu.stamps import NS_PER_US, BoardClock
+from motord_hal.realtime.board import BoardClock
 from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
+
+NS_PER_US = 1000
 
 FEEDBACK_S = 0.01
 ASK_EVERY_S = 0.05

@@ -27,7 +27,9 @@ from motord_hal.mcu.frames import (
     wire_bytes,
 )
 from motord_hal.mcu.pace import period_s
-from motord_hal.mcu.stamps import NS_PER_US, BoardClock
+from motord_hal.realtime.board import BoardClock
+
+NS_PER_US = 1000
 
 SEQUENCES_KEPT = 256
 HELD_TOLERANCE_S = 0.002

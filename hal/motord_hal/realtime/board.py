@@ -27,6 +27,19 @@ from motord_hal.realtime.thread import (
 )
 
 
+class BoardClock:
+    """A board's clock on ours, csrc/fieldbus/board/board_clock.c: what waited in a buffer
+    is as old as it is."""
+
+    def __init__(self) -> None:
+        self._clock = ffi.new("board_clock *")
+
+    def stamp_ns(self, time_us: int, came_ns: int) -> int:
+        """When a frame with the board's time `time_us` (32 bits) was made; never after it came. Not
+        later than the stamp before: it is no news, and the next one will hold what it held."""
+        return int(lib.board_clock_stamp(self._clock, time_us, came_ns))
+
+
 @dataclass(frozen=True, slots=True)
 class BoardSays:
     """The board, as its thread sees it."""
