@@ -45,12 +45,24 @@ static void the_numbers_of_a_board(void)
     GOOD(t.said_bytes, BOARD_PAYLOAD_MAX);
     BAD(t.said_bytes, BOARD_PAYLOAD_MAX + 1, "said_bytes");
     BAD(t.setpoint_count, 0, "setpoint_count");
+    GOOD(t.setpoint_count, 1);
     BAD(t.setpoint_count, BOARD_SETPOINTS_MAX + 1, "setpoint_count");
     BAD(t.field_count, BOARD_FIELDS_MAX + 1, "field_count");
     BAD(t.quick_stop_count, BOARD_WRITES_MAX + 1, "quick_stop_count");
     BAD(t.disarm_count, BOARD_WRITES_MAX + 1, "disarm_count");
     GOOD(t.watchdog_ns, 0);
     BAD(t.watchdog_ns, -1, "watchdog_ns");
+    GOOD(t.rest_velocity_rad_s, 1e-9);
+    BAD(t.rest_velocity_rad_s, 0.0, "rest_velocity_rad_s");
+    BAD(t.rest_velocity_rad_s, -0.1, "rest_velocity_rad_s");
+    BAD(t.rest_velocity_rad_s, (double)INFINITY, "rest_velocity_rad_s");
+    BAD(t.rest_velocity_rad_s, (double)NAN, "rest_velocity_rad_s");
+    t = frames_table(); /* the shortest payload that there is */
+    t.payload_bytes = t.setpoint_count = 1;
+    t.quick_stop_count = t.disarm_count = 0;
+    t.setpoint[0].place = at(0, 1, 1);
+    t.setpoint[0].scale.raw_min = -100.0, t.setpoint[0].scale.raw_max = 100.0;
+    CHECK(is_good());
 }
 
 static void its_times(void)
@@ -65,6 +77,10 @@ static void its_times(void)
         GOOD(*times[i].time_ns, LONGEST_NS);
         BAD(*times[i].time_ns, LONGEST_NS + 1, times[i].name);
     }
+    GOOD(t.gap_ns, 0);
+    BAD(t.gap_ns, -1, "gap_ns");
+    GOOD(t.gap_ns, LONGEST_NS);
+    BAD(t.gap_ns, LONGEST_NS + 1, "gap_ns");
 }
 
 static void full_lists_are_looked_at_to_their_last_entry(void)
@@ -225,6 +241,13 @@ static void templates_have_parts_of_known_forms(void)
     t.read.part_count = 0;
     CHECK(is_good());
     TEXT_BAD(t.written.part_count, BOARD_PARTS_MAX + 1, "written.part_count");
+    TEXT_GOOD(t.read.part_count, 1);
+    begin_text();
+    for (uint32_t i = t.written.part_count; i < BOARD_PARTS_MAX; i++) {
+        t.written.part[i] = (board_part){.form = NUMBER_INTEGER};
+    }
+    t.written.part_count = BOARD_PARTS_MAX;
+    CHECK(is_good());
     TEXT_BAD(t.read.part_count, BOARD_PARTS_MAX + 1, "read.part_count");
     TEXT_GOOD(t.written.part[1].form, NUMBER_GENERAL);
     TEXT_BAD(t.written.part[1].form, NUMBER_GENERAL + 1, "written.part.form");
@@ -271,7 +294,10 @@ static void what_is_written_is_exact_and_of_a_width_that_fits(void)
     t.written.part[0].number_per_raw[0] = 1e9;
     t.setpoint[0].scale.raw_max = 2e6;
     CHECK(refused("written.part.number_per_raw"));
-    TEXT_GOOD(t.written.part[0].number_per_raw[2], 1e300); /* there is no third set-point */
+    begin_text(); /* of set-points that there are */
+    t.setpoint[t.setpoint_count] = t.setpoint[0];
+    t.written.part[0].number_per_raw[t.setpoint_count] = 1e300;
+    CHECK(is_good());
 }
 
 static void a_number_that_is_read_ends_where_no_number_goes_on(void)
@@ -285,6 +311,9 @@ static void a_number_that_is_read_ends_where_no_number_goes_on(void)
     }
     TEXT_BAD(t.read.part[1].literal_bytes, 0, "read.part.literal_bytes");
     TEXT_GOOD(t.read.part[0].literal_bytes, 0);
+    begin_text();
+    t.read.part[1] = (board_part){.form = NUMBER_NONE}; /* nothing parts it from the number before */
+    CHECK(refused("read.part.literal_bytes"));
     TEXT_BAD(t.read.part[0].raw_per_number, (double)INFINITY, "read.part.raw_per_number");
     TEXT_BAD(t.read.part[1].place.byte, 33, "read.place.byte");
     begin_text();
