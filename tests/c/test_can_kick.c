@@ -2,15 +2,21 @@
  * Drives on a bus whose line the loop has woken: what is new does not wait for its cycle. */
 #include "can_wire.h"
 
-/* The loop has woken the line. */
-static void kick(double velocity_rad_s)
+/* The loop has woken the line; the first joint is to do something else than the others. */
+static void kick_apart(double first_rad_s, double velocity_rad_s)
 {
     w.velocity_rad_s = velocity_rad_s;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        w.machine.newest.joint[j] = (joint_setpoint){velocity_rad_s, velocity_rad_s, velocity_rad_s};
+        double wanted_rad_s = j == 0 ? first_rad_s : velocity_rad_s;
+        w.machine.newest.joint[j] = (joint_setpoint){wanted_rad_s, wanted_rad_s, wanted_rad_s};
     }
     can_machine_kick(&w.machine, w.now_ns);
+}
+
+static void kick(double velocity_rad_s)
+{
+    kick_apart(velocity_rad_s, velocity_rad_s);
 }
 
 static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
@@ -34,6 +40,40 @@ static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
     CHECK(w.machine.cycle.due_ns == due_ns);
     step(); /* once */
     CHECK(w.sent_count == 2);
+}
+
+static void one_new_set_point_is_enough_for_all_and_all_do_it_at_once(void)
+{
+    begin_with(2);
+    arm(0);
+    arm(1);
+    go_on(100 * MS);
+    w.machine.table.sync_count = 1;
+    w.machine.table.sync[0] = packet_of(0x80, 0);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    forget_sent();
+    kick_apart(2.0, 1.0); /* the second one's is as it was */
+    (void)can_machine_step(&w.machine, w.now_ns);
+    CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 100);
+    CHECK(count_sent(0x80) == 1 && w.sent[2].id == 0x80);
+}
+
+static void a_kick_when_the_cycle_is_due_is_the_cycle_s(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    forget_sent();
+    w.now_ns = w.machine.cycle.due_ns;
+    kick(2.0);
+    step();
+    CHECK(count_sent(SPEED) == 1 && speed_in(newest_of(0)) == 200);
+    step();
+    CHECK(count_sent(SPEED) == 1);
 }
 
 static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
@@ -109,6 +149,8 @@ static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
 int main(void)
 {
     a_new_set_point_goes_out_at_once_to_all_that_are_armed();
+    one_new_set_point_is_enough_for_all_and_all_do_it_at_once();
+    a_kick_when_the_cycle_is_due_is_the_cycle_s();
     set_points_that_change_all_the_time_double_the_frames_at_most();
     a_stop_goes_out_at_once_however_much_was_said_before();
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
