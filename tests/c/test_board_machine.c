@@ -1,0 +1,180 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_board_machine: what a board says that it has heard, and what a line keeps of what it sent. */
+#include <stdlib.h>
+
+#include "board_wire.h"
+
+enum { SAID_BYTES = 36, HELD_UNIT_US = 100 };
+
+static histogram trips;
+
+/* A word of the board, made at `time_us`: which frame it has heard, and how many 0.1 ms ago. */
+static void hear_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
+{
+    uint8_t payload[SAID_BYTES] = {0}, frame[BOARD_WIRE_MAX];
+    payload[10] = 1; /* what follows is a fault word */
+    board_put(payload, &(board_place){.byte = 6, .bytes = 2}, sequence);
+    board_put(payload, &(board_place){.byte = 8, .bytes = 2}, ago);
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, SAID_BYTES, frame);
+    uint64_t before = w.machine.received;
+    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    CHECK(w.machine.received == before + 1);
+}
+
+static int64_t knows_after(uint16_t sequence, uint16_t ago)
+{
+    hear_that(sequence, ago, (uint32_t)(w.now_ns / 1000));
+    return w.machine.knows_ns;
+}
+
+/* One frame has gone out, at the time that it returns. */
+static int64_t send_one(void)
+{
+    w.now_ns = w.machine.cycle.due_ns;
+    uint64_t before = w.machine.sent;
+    step();
+    CHECK(w.machine.sent == before + 1 && w.machine.sent_ns[w.machine.sequence % BOARD_SEQUENCES_KEPT] == w.now_ns);
+    return w.now_ns;
+}
+
+static void begin_again(void)
+{
+    begin();
+    histogram_clear(&trips);
+    w.machine.round_trips = &trips;
+}
+
+static void a_machine_begins_with_nothing_but_what_it_is_told(void)
+{
+    board_machine *m = malloc(sizeof *m), *untouched = malloc(sizeof *m);
+    memset(m, 0xA5, sizeof *m);
+    memcpy(untouched, m, sizeof *m);
+    board_table table = frames_table();
+    table.tries = 0;
+    CHECK(board_machine_init(m, &table, 7, 0xFFFF, 55) == -22); /* EINVAL */
+    CHECK(memcmp(m, untouched, sizeof *m) == 0);
+    table = frames_table();
+    table.setpoint[table.setpoint_count] = table.setpoint[0];
+    table.setpoint[table.setpoint_count].scale.joint = 5; /* there is no such set-point */
+    CHECK(board_machine_init(m, &table, 7, 0xFFFF, 55) == 0);
+    CHECK(m->state.epoch == 7 && m->sequence == 0xFFFF && m->next == 0 && m->cycle.due_ns == 55 && m->joints == 3);
+    CHECK(m->state.mode == DRIVE_OFF && m->state.enabled == 2 && m->sent == 0 && m->received == 0 && m->end.stage == END_NOT);
+    CHECK(m->state.told_motion == 0 && m->tail.count == 0 && m->clock.samples == 0 && !m->has_order && m->sent_ns[3] == 0);
+    CHECK(isnan(m->joint[0].feedback.velocity_rad_s) && isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
+    CHECK(memcmp(m->held + 1, table.payload + 1, BOARD_PAYLOAD_MAX - 1) == 0);
+    free(untouched);
+    free(m);
+}
+
+static void a_frame_that_was_heard_is_known_by_when_it_went_out(void)
+{
+    begin_again();
+    int64_t first_ns = send_one(), second_ns = send_one();
+    uint16_t newest = w.machine.sequence;
+    w.now_ns += 3 * MS;
+    CHECK(knows_after(newest, 0) == second_ns && trips.samples == 1 && trips.max_ns == 3 * MS);
+    CHECK(knows_after((uint16_t)(newest - 1), 30) == first_ns && trips.samples == 2 && trips.max_ns == 10 * MS);
+    CHECK(knows_after((uint16_t)(newest - 2), 0) == 0 && trips.samples == 2); /* that was never sent */
+    w.machine.sent_ns[(uint16_t)(newest - 2) % BOARD_SEQUENCES_KEPT] = 1;
+    CHECK(knows_after((uint16_t)(newest - 2), 0) == 1 && trips.samples == 3);
+}
+
+/* Clocks differ a little; what was heard long before it was sent is of an earlier program. */
+static void what_was_heard_before_it_was_sent_is_another_frame(void)
+{
+    begin_again();
+    int64_t sent_ns = send_one();
+    uint16_t newest = w.machine.sequence;
+    w.now_ns = sent_ns + MS;
+    CHECK(knows_after(newest, 30) == sent_ns);
+    CHECK(knows_after(newest, 31) == 0);
+    w.now_ns--;
+    CHECK(knows_after(newest, 30) == 0);
+    w.now_ns = sent_ns + 65535 * HELD_UNIT_US * INT64_C(1000) - 2 * MS;
+    CHECK(knows_after(newest, 65535) == sent_ns && trips.max_ns == 0);
+    w.now_ns--;
+    CHECK(knows_after(newest, 65535) == 0);
+}
+
+static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
+{
+    begin_again();
+    (void)send_one();
+    uint16_t first = w.machine.sequence;
+    int64_t second_ns = send_one();
+    for (uint32_t i = 2; i <= BOARD_SEQUENCES_KEPT; i++) {
+        (void)send_one();
+    }
+    CHECK(w.machine.sequence == (uint16_t)(first + BOARD_SEQUENCES_KEPT));
+    CHECK(knows_after((uint16_t)(first + 1), 0) == second_ns);
+    CHECK(knows_after(first, 0) == 0); /* another stands in its place */
+}
+
+/* A board takes no frame that is older than the newest it has heard, of whomever. */
+static void a_line_goes_on_ahead_of_what_the_board_has_heard(void)
+{
+    begin_again();
+    int64_t sent_ns = send_one();
+    uint16_t newest = w.machine.sequence;
+    CHECK(knows_after(newest, 0) == sent_ns && w.machine.next == (uint16_t)(newest + 1));
+    CHECK(knows_after((uint16_t)(newest + 1), 0) == 0 && w.machine.next == (uint16_t)(newest + 2));
+    (void)send_one();
+    CHECK(w.machine.sequence == (uint16_t)(newest + 2) && w.machine.next == (uint16_t)(newest + 3));
+    CHECK(knows_after(newest, 0) == 0); /* its row has ended */
+    CHECK(knows_after((uint16_t)(newest + 1), 0) == 0);
+    CHECK(knows_after((uint16_t)(newest + 40000), 0) == 0 && w.machine.next == (uint16_t)(newest + 3)); /* that is behind */
+}
+
+static void a_word_is_of_the_board_s_time(void)
+{
+    static const uint32_t TIMES_US[] = {0, 0x00FFFF00, 0x01020304, 0xFFFFFF00};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin_again();
+        hear_that(0, 0, TIMES_US[i]);
+        int64_t first_ns = w.machine.stamp_ns;
+        CHECK(first_ns == w.now_ns);
+        w.now_ns += 25 * MS;
+        hear_that(0, 0, TIMES_US[i] + 20000);
+        CHECK(w.machine.stamp_ns == first_ns + 20 * MS);
+    }
+}
+
+static void a_frame_carries_our_time_and_what_the_port_refuses_is_counted(void)
+{
+    uint8_t raw[BOARD_FRAME_MAX];
+    begin_again();
+    w.machine.cycle.due_ns += 123456;
+    (void)send_one();
+    CHECK(board_frame_parse(w.sent + 1, w.sent_bytes - 2, raw) > 0);
+    CHECK(board_get(raw, &(board_place){.byte = 4, .bytes = 4}) == (uint32_t)(w.now_ns / 1000));
+    w.full = true;
+    for (uint64_t n = 1; n <= 3; n++) {
+        uint16_t sequence = w.machine.sequence;
+        w.now_ns = w.machine.cycle.due_ns;
+        step();
+        CHECK(w.machine.no_room == n && w.machine.sent == 1 && w.machine.sequence == sequence);
+    }
+}
+
+static void an_order_to_a_board_that_was_stopped_is_dropped_and_told(void)
+{
+    begin_again();
+    board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = 1}, .guarded = 1, .stops = w.machine.stops + 1};
+    CHECK(board_machine_order(&w.machine, &one) && !board_machine_order(&w.machine, &one));
+    w.machine.notify = false;
+    (void)send_one();
+    CHECK(!w.machine.has_order && w.machine.orders_dropped == 1 && w.machine.notify);
+}
+
+int main(void)
+{
+    a_machine_begins_with_nothing_but_what_it_is_told();
+    a_frame_that_was_heard_is_known_by_when_it_went_out();
+    what_was_heard_before_it_was_sent_is_another_frame();
+    a_frame_is_remembered_until_so_many_more_have_gone_out();
+    a_line_goes_on_ahead_of_what_the_board_has_heard();
+    a_word_is_of_the_board_s_time();
+    a_frame_carries_our_time_and_what_the_port_refuses_is_counted();
+    an_order_to_a_board_that_was_stopped_is_dropped_and_told();
+    return checks_report("test_board_machine");
+}
