@@ -58,6 +58,11 @@ static void one_new_set_point_is_enough_for_all_and_all_do_it_at_once(void)
     (void)can_machine_step(&w.machine, w.now_ns);
     CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 100);
     CHECK(count_sent(0x80) == 1 && w.sent[2].id == 0x80);
+    forget_sent();
+    w.now_ns += MS;
+    kick_apart(2.0, 3.0); /* and now the first one's */
+    (void)can_machine_step(&w.machine, w.now_ns);
+    CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 300);
 }
 
 static void a_kick_when_the_cycle_is_due_is_the_cycle_s(void)
