@@ -179,10 +179,12 @@ static board_imu mounted(void)
     return (board_imu){.used = 1, .epoch = 3, .axis = {2, 0, 1}, .backward = {0, 0, 1}};
 }
 
+static int64_t sensor_flags = 1;
+
 static bool say_with_sensor(uint32_t size)
 {
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {16, MOTORS};
-    const int64_t raw[] = {1000000, -2000000, INT32_MIN, 9807, -1000, INT16_MIN, 1};
+    const int64_t raw[] = {1000000, -2000000, INT32_MIN, 9807, -1000, INT16_MIN, sensor_flags};
     uint32_t byte = 36;
     for (uint32_t i = 0; i < 7; i++) {
         board_place place = at(byte, i < 3 ? 4 : 2, i < 6);
@@ -206,6 +208,9 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     CHECK(isnan(imu->acceleration_m_s2[0]) && is_near(imu->acceleration_m_s2[1], 9.807));
     CHECK(is_near(imu->acceleration_m_s2[2], 1.0) && imu->saturated == 1 && imu->epoch == 3);
     CHECK(imu->stamp_ns == w.machine.stamp_ns);
+    sensor_flags = 0;
+    CHECK(say_with_sensor(56) && imu->saturated == 0);
+    sensor_flags = 1;
     CHECK(!say_with_sensor(55) && w.machine.bad_frames == 1); /* it says that it has one, and ends before */
     table.imu.used = 0;
     begin_with(table);
@@ -224,6 +229,7 @@ static void a_text_has_its_rate_about_z(void)
     begin_with(table);
     hear("\nv 500\n");
     CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) && isnan(w.machine.imu.angular_rad_s[1]));
+    CHECK(w.machine.imu.saturated == 0);
     table.imu.rate_z.byte = 1;
     char name[FIELD_NAME_BYTES];
     CHECK(board_table_check(&table, name) != NULL);
