@@ -20,7 +20,7 @@ static board board_at(uint32_t began_us)
     return (board){.time_us = began_us - PERIOD_US, .true_ns = BEGIN_NS - PERIOD_US * (int64_t)US};
 }
 
-/* Its next feedback, so long on the way; returns how much later than the truth the stamp is. */
+/* Its next feedback, which arrives `delay_ns` late; returns how much later than the truth the stamp is. */
 static int64_t stamped_late_ns(board *b, int64_t delay_ns)
 {
     b->time_us += PERIOD_US;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_frame: frames of docs/mcu-frame.md, built and read, and what is none. Buffers are as long as what is in them,
- * so that a sanitizer sees one byte more. */
+ * test_board_frame: frames of docs/mcu-frame.md, built and parsed, and input that is not a frame. Each buffer is
+ * as long as its content, so that a sanitizer sees one byte more. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -121,7 +121,7 @@ static void what_is_cut_short_or_damaged_is_no_frame(void)
     }
 }
 
-/* A right check sum does not make it one: a zero ends a frame, so there is none within. */
+/* Not even with a correct check sum: a zero ends a frame. */
 static void a_zero_within_a_block_is_no_part_of_a_frame(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[256];

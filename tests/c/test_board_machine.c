@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_machine: what a board says that it has heard, and what a line keeps of what it sent. */
+ * test_board_machine: which frames a board reports as received, and what a line remembers of those it sent. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -8,7 +8,7 @@ enum { SAID_BYTES = 36, HELD_UNIT_US = 100 };
 
 static histogram trips;
 
-/* A word of the board, made at `time_us`: which frame it has heard, and how many 0.1 ms ago. */
+/* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms ago. */
 static void hear_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 {
     uint8_t payload[SAID_BYTES] = {0}, frame[BOARD_WIRE_MAX];
@@ -79,7 +79,7 @@ static void a_frame_that_was_heard_is_known_by_when_it_went_out(void)
     CHECK(knows_after((uint16_t)(newest - 2), 0) == 1 && trips.samples == 3);
 }
 
-/* Clocks differ a little; what was heard long before it was sent is of an earlier program. */
+/* Clocks differ a little; a frame received long before we sent it is one of an earlier program. */
 static void what_was_heard_before_it_was_sent_is_another_frame(void)
 {
     begin_again();
@@ -110,7 +110,7 @@ static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
     CHECK(knows_after(first, 0) == 0); /* another stands in its place */
 }
 
-/* A board takes no frame that is older than the newest it has heard, of whomever. */
+/* A board refuses frames that are older than the newest it received, whichever program sent that. */
 static void a_line_goes_on_ahead_of_what_the_board_has_heard(void)
 {
     begin_again();

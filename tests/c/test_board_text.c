@@ -250,7 +250,12 @@ static void white_space_fits_any_other_and_need_not_be_at_the_ends(void)
     }
 }
 
-static void each_number_goes_to_its_place_and_the_last_place_is_told(void)
+static uint32_t read_text(const board_text *text, const char *line, uint8_t *payload)
+{
+    return board_text_read(text, (const uint8_t *)line, (uint32_t)strlen(line), payload);
+}
+
+static void each_number_goes_to_its_place_and_the_length_ends_with_the_last_place(void)
 {
     board_text text = {0};
     const board_place far = {.byte = 6, .bytes = 2}, near = {.byte = 1, .bytes = 1, .is_signed = 1};
@@ -258,19 +263,17 @@ static void each_number_goes_to_its_place_and_the_last_place_is_told(void)
     add(&text, " ", (board_part){.form = NUMBER_INTEGER, .place = near, .raw_per_number = -2.0});
     add(&text, ">", (board_part){.form = NUMBER_NONE});
     uint8_t payload[8] = {0};
-    const char *line = "<65536 30>";
-    CHECK(board_text_read(&text, (const uint8_t *)line, (uint32_t)strlen(line), payload) == 8);
+    CHECK(read_text(&text, "<65536 30>", payload) == 8);
     CHECK(board_get(payload, &far) == 65535 && board_get(payload, &near) == -60);
-    line = "<-1 -99>";
-    CHECK(board_text_read(&text, (const uint8_t *)line, (uint32_t)strlen(line), payload) == 8);
+    CHECK(read_text(&text, "<-1 -99>", payload) == 8);
     CHECK(board_get(payload, &far) == 0 && board_get(payload, &near) == 127);
-    text.part[1].place = far, text.part[0].place = near; /* the other way round */
-    CHECK(board_text_read(&text, (const uint8_t *)line, (uint32_t)strlen(line), payload) == 8);
-    text.part[1].place = (board_place){.byte = 2, .bytes = 2, .is_signed = 1}; /* behind the first, and not by much */
-    CHECK(board_text_read(&text, (const uint8_t *)line, (uint32_t)strlen(line), payload) == 4);
+    text.part[1].place = far, text.part[0].place = near; /* swapped */
+    CHECK(read_text(&text, "<-1 -99>", payload) == 8);
+    text.part[1].place = (board_place){.byte = 2, .bytes = 2, .is_signed = 1}; /* the last byte moves from 7 to 3 */
+    CHECK(read_text(&text, "<-1 -99>", payload) == 4);
     board_text without = {0};
     add(&without, "ok", (board_part){.form = NUMBER_NONE});
-    CHECK(board_text_read(&without, (const uint8_t *)"ok", 2, payload) == 0); /* it says nothing */
+    CHECK(read_text(&without, "ok", payload) == 0); /* a line without numbers */
 }
 
 int main(void)
@@ -282,6 +285,6 @@ int main(void)
     what_is_no_number_is_another_text();
     an_exponent_is_read_as_far_as_numbers_go();
     white_space_fits_any_other_and_need_not_be_at_the_ends();
-    each_number_goes_to_its_place_and_the_last_place_is_told();
+    each_number_goes_to_its_place_and_the_length_ends_with_the_last_place();
     return checks_report("test_board_text");
 }

@@ -33,7 +33,7 @@ static void a_number_of_each_length_is_read_as_it_was_written(void)
 
 static board_machine *m;
 
-/* Two joints, 10 and 20 raw a rad/s; what stands behind the last one is none. */
+/* Two joints, 10 and 20 raw a rad/s; the third set-point is not counted. */
 static void begin(void)
 {
     memset(m, 0, sizeof *m);

@@ -203,7 +203,7 @@ static void what_is_within_a_step_is_reached_exactly(void)
         limit_state axis[AXES] = {{goal[0] + any(-0.009, 0.009), 0.0}, {goal[1] + any(-0.02, 0.02), 0.0}};
         CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0);
         CHECK(axis[0].velocity_u_s == goal[0] && axis[1].velocity_u_s == goal[1]);
-        double dt_s = any(0.001, 0.05); /* a way over this and times this is rounded */
+        double dt_s = any(0.001, 0.05); /* a distance divided by it and multiplied by it is rounded */
         axis[0] = axis[1] = (limit_state){0};
         goal[0] = any(-0.9, 0.9) * dt_s, goal[1] = any(-0.9, 0.9) * dt_s;
         CHECK(ramp_step(axis, &PLAIN, NULL, goal, dt_s, false) == 0);
@@ -221,11 +221,11 @@ static void the_largest_numbers_that_there_are_are_numbers(void)
     CHECK(near(axis[0].velocity_u_s, 0.01));
     axis[0] = (limit_state){0};
     CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){1.0, 0.0}, DBL_MAX, true) == 0 && axis[0].velocity_u_s == 1.0);
-    axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the way is more than there is */
+    axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the distance overflows */
     CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
     base_limits any_way = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
-    axis[0] = (limit_state){0}; /* an acceleration that is more than there is */
+    axis[0] = (limit_state){0}; /* the acceleration overflows */
     CHECK(ramp_step(axis, &any_way, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
 }

@@ -34,7 +34,7 @@ class Bus:
         self.end = None
         self.state = IDLE
         self.said_ns = 0
-        self.heard = []
+        self.received = []
 
     def accept(self):
         self.end, _ = self.door.accept()
@@ -65,16 +65,16 @@ class Bus:
                 return  # the line has gone
             identifier, size, data = FRAME.unpack(frame)
             if not identifier & 0x40000000:
-                self.heard.append((identifier & 0x1F, data[:size]))
+                self.received.append((identifier & 0x1F, data[:size]))
             if identifier & 0x1F == STATE:
                 self.state = int.from_bytes(data[:4], "little")
 
     def velocities(self):
-        told = [data for command, data in self.heard if command == INPUT_VELOCITY]
-        return [struct.unpack("<ff", data)[0] for data in told]
+        sent = [data for command, data in self.received if command == INPUT_VELOCITY]
+        return [struct.unpack("<ff", data)[0] for data in sent]
 
     def states(self):
-        return [int.from_bytes(data[:4], "little") for c, data in self.heard if c == STATE]
+        return [int.from_bytes(data[:4], "little") for c, data in self.received if c == STATE]
 
     def live(self, seconds):
         """The axis lives, and nothing else in this process does."""

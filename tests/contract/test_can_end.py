@@ -69,7 +69,7 @@ async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_told_again(
             await opened(rig, bus)
             await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
             await fill(rig, bus)
-            bus.heard.clear()
+            bus.received.clear()
             hearing = group.create_task(hear_late())
         bus.hear()
         hearing.cancel()

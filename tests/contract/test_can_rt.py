@@ -36,7 +36,7 @@ async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
     bus.live(PATIENT_S + 0.3)  # set-points grow old meanwhile, and nobody runs
     assert bus.velocities()[-1] == 0.0
     assert bus.states()[-1] == IDLE
-    bus.heard.clear()
+    bus.received.clear()
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY} and bus.velocities())
     assert set(bus.velocities()) == {0.0}
 
@@ -55,7 +55,7 @@ async def test_a_set_point_that_is_no_number_is_zero_on_the_bus(rig, bus, bad):
     await arm(rig, bus)
     rig.loop.velocity_rad_s = {0: bad}
     rig.loop.put()
-    bus.heard.clear()
+    bus.received.clear()
     bus.live(0.05)
     assert set(bus.velocities()[1:]) == {0.0}
 
@@ -72,7 +72,7 @@ async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_ne
     rig.loop.velocity_rad_s = {0: 3 * TURN}
     rig.loop.put()
     bus.hear()  # what was on its way
-    bus.heard.clear()
+    bus.received.clear()
     await lively(rig, bus, lambda: len(bus.velocities()) > 2)
     assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
 
@@ -93,7 +93,7 @@ async def test_a_stop_that_the_bus_did_not_take_is_told_as_soon_as_it_does(rig, 
 
     await until(disarmed)
     assert bus.states()[-1] == CLOSED_LOOP
-    bus.heard.clear()
+    bus.received.clear()
     await lively(rig, bus, lambda: bus.state == IDLE)
     assert bus.states()[-1] == IDLE
 
@@ -103,7 +103,7 @@ async def test_a_bus_that_goes_away_is_reopened_and_the_drive_is_new_and_disarme
     epoch = rig.loop.exchange.take_feedback(0).epoch
     bus.end.close()
     bus.state = IDLE
-    bus.heard.clear()
+    bus.received.clear()
     await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
     bus.accept()
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})

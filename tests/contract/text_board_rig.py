@@ -17,7 +17,7 @@ WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, r
 
 
 class Reader:
-    """The board's end: keeps the lines that came, says what it is told to say."""
+    """The board's end: keeps the lines that it receives, and sends what a test gives it."""
 
     def __init__(self, link):
         self.link = link

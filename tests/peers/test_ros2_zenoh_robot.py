@@ -11,14 +11,14 @@ from motord.bus.ros2.types.table import type_hash
 __all__ = ["robot"]
 
 
-def test_another_node_arms_drives_and_hears_the_way(robot):
+def test_another_node_arms_drives_and_receives_the_distance(robot):
     stage, driver = robot
     with armed(stage, driver):
-        before_m = driver.heard[-1].pose.pose.position.x
+        before_m = driver.received[-1].pose.pose.position.x
         driver.drive_until(
-            lambda: driver.heard[-1].pose.pose.position.x > before_m + 0.1, "a way of 0.1 m"
+            lambda: driver.received[-1].pose.pose.position.x > before_m + 0.1, "a distance of 0.1 m"
         )
-        assert driver.heard[-1].header.frame_id == "r2/odom"
+        assert driver.received[-1].header.frame_id == "r2/odom"
 
 
 def test_the_robot_stops_when_the_other_node_says_nothing_more(robot):

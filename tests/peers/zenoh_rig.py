@@ -29,13 +29,13 @@ async def until(condition):
 
 @contextlib.contextmanager
 def peer(port):
-    said = {
+    settings = {
         "mode": "client",
         "connect": {"endpoints": [endpoint(port)]},
         "scouting": {"multicast": {"enabled": False}},
         "timestamping": {"enabled": True},
     }
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))) as session:
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as session:
         yield session
 
 
@@ -75,9 +75,9 @@ def attached(sequence=1):
     return Attachment(sequence, time.time_ns(), GID).encode()
 
 
-def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **said):
+def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **more):
     """In a thread: it waits for all answers."""
-    return list(session.get(key, target=target, timeout=10.0, **said))
+    return list(session.get(key, target=target, timeout=10.0, **more))
 
 
 REQUEST = b"\x00\x01\x00\x00\x00"

@@ -44,12 +44,12 @@ class Driver:
 
     def __init__(self, session):
         self.session = session
-        self.heard = []
+        self.received = []
         self._kept = session.declare_subscriber(ODOM_KEY, self._take)
 
     def _take(self, sample):
         message = STORE.deserialize_cdr(sample.payload.to_bytes(), "nav_msgs/msg/Odometry")
-        self.heard.append(message)
+        self.received.append(message)
 
     def drive_until(self, condition, what, linear_m_s=0.3, age_s=0.0):
         def step():
@@ -88,7 +88,7 @@ def robot(tmp_path_factory):
         stage.wait_for("idle")
         driver = Driver(session)
         wait_until(lambda: figures(stage).get("lease"), "a lease")
-        wait_until(lambda: driver.heard, "odometry")
+        wait_until(lambda: driver.received, "odometry")
         yield stage, driver
 
 

@@ -21,7 +21,7 @@ def supervised(tmp_path):
     return supervisor, environ
 
 
-def said(supervisor):
+def notifications(supervisor):
     words = []
     try:
         while True:
@@ -31,4 +31,4 @@ def said(supervisor):
 
 
 def fed(supervisor):
-    return any("WATCHDOG=1" in word for word in said(supervisor))
+    return any("WATCHDOG=1" in word for word in notifications(supervisor))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from command_source import INPUTS, Source, free_udp_port, wheels_turn
 from daemon_stage import ROBOT, running, wait_until
-from supervised_daemon import PATIENCE_S, fed, said, supervised
+from supervised_daemon import PATIENCE_S, fed, notifications, supervised
 
 HOGGED = (str(Path(__file__).with_name("hogged_daemon.py")),)
 
@@ -47,7 +47,7 @@ def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_pa
             wait_until(lambda: stage.sim.call("truth")["at_rest"], "rest", 10.0)
             joints = lambda: stage.sim.call("truth")["joints"].values()  # noqa: E731  # one line
             wait_until(lambda: not any(j["enabled"] for j in joints()), "the power is off", 10.0)
-            said(supervisor)  # what came before and during the stop
+            notifications(supervisor)  # what came before and during the stop
             quiet_since_s = time.monotonic()
             wait_until(lambda: time.monotonic() - quiet_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from daemon_stage import running, set_off, wait_until
-from supervised_daemon import PATIENCE_S, fed, said, supervised
+from supervised_daemon import PATIENCE_S, fed, notifications, supervised
 
 LIBC = ctypes.CDLL(None, use_errno=True)
 LIBC.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
@@ -59,7 +59,7 @@ def test_the_watchdog_is_not_fed_for_a_thread_that_stands_still(tmp_path, which)
             wait_until(lambda: f"{heart} has not moved" in stage.said(), "it is missed")
             stage.wait_for("fault")
             wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
-            said(supervisor)  # what was on its way
+            notifications(supervisor)  # what was on its way
             quiet_since_s = time.monotonic()
             wait_until(lambda: time.monotonic() - quiet_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)

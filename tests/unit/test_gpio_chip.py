@@ -73,5 +73,5 @@ class Gone:
 def test_a_chip_that_says_no_owner_any_more_is_named_with_its_lines():
     chip = Chip(Gone(), ONE, "pinctrl-rp1", 54)
     taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
-    said = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
-    assert '/dev/gpiochip1 "pinctrl-rp1", lines GPIO5' in said
+    refusal = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)
+    assert '/dev/gpiochip1 "pinctrl-rp1", lines GPIO5' in refusal

@@ -37,7 +37,7 @@ class _Figures(Collector):
         self._view = view
 
     def collect(self) -> Iterator[Metric]:
-        """Without a view: that there is none."""
+        """All figures; without a view only that the loop does not run."""
         for family in _families(self._body, self._view):
             metric = Metric(family.name.removesuffix("_total"), family.text, family.kind)
             for labels, value in family.values:
