@@ -7,7 +7,6 @@ python bus_encode.py [ROUNDS]: one JSON object, µs a message, each the best of 
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import sys
@@ -16,10 +15,10 @@ from collections.abc import Callable
 from typing import Any
 
 from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
-from motord.bus.messages import json_direct
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages import json_form
+from motord.bus.messages.forms import as_cdr, as_json, as_message
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import TOPICS, View, wall_offset_ns
-from motord.bus.ros2.types import direct
 
 BODY = Body(robot="bench", joints=("left", "right"))
 CALLS = 2000
@@ -67,15 +66,15 @@ def moving() -> View:
 
 def cyclone(topic: str) -> Callable[[], Any]:
     """The message, built and serialized as a program on the Cyclone DDS binding does it."""
+    from motord.bus.messages.table import TYPES
     from motord.bus.ros2.dds.cyclone_types import cyclone_type
-    from motord.bus.ros2.types.table import TYPES
 
     view, offset_ns = moving(), wall_offset_ns()
 
     def made(name: str, value: Any) -> Any:
         fields = {}
         for field in TYPES[name]:
-            item = getattr(value, field.name)
+            item = value[field.name] if isinstance(value, dict) else getattr(value, field.name)
             if field.count is None:
                 item = item if field.primitive else made(field.kind, item)
             elif not field.primitive:
@@ -86,27 +85,26 @@ def cyclone(topic: str) -> Callable[[], Any]:
         return cyclone_type(name)(**fields)
 
     chosen = TOPICS[topic]
-    message = made(chosen.type_name, chosen.build(view, BODY, offset_ns))
+    message = made(chosen.type_name, as_message(chosen, BODY)(view, offset_ns))
     return lambda: message.serialize(use_version_2=False)
 
 
 def ways(topic: str) -> dict[str, Callable[[], Any]]:
     view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
-    cdr, text = direct.encoder(chosen, BODY), json_direct.encoder(chosen, BODY)
+    cdr, text = as_cdr(chosen, BODY), as_json(chosen, BODY)
+    build = as_message(chosen, BODY)
     return {
         "cdr": lambda: cdr(view, offset_ns),
         "cdr, cyclone": cyclone(topic),
         "json": lambda: text(view, offset_ns),
-        "json, stdlib": lambda: json.dumps(
-            dataclasses.asdict(chosen.build(view, BODY, offset_ns))
-        ).encode(),
+        "json, stdlib": lambda: json_form.encode_slowly(build(view, offset_ns)),
     }
 
 
 def measure(rounds: int) -> dict[str, dict[str, float]]:
     """µs a message, by topic and way; ways take turns and each keeps its best round."""
     view = moving()
-    told = [name for name, topic in TOPICS.items() if topic.build(view, BODY, 0) is not None]
+    told = [name for name, topic in TOPICS.items() if as_message(topic, BODY)(view, 0) is not None]
     all_ways = {topic: ways(topic) for topic in told}
     best = {topic: dict.fromkeys(found, math.inf) for topic, found in all_ways.items()}
     for _ in range(rounds):

@@ -18,7 +18,7 @@ from tests.peers.ros2_stage import (
 )
 from tests.sim.daemon_stage import wait_until
 
-from motord.bus.ros2.types.table import type_hash
+from motord.bus.messages.table import type_hash
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 

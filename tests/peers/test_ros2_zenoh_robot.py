@@ -6,7 +6,7 @@ from tests.peers.zenoh_rig import STORE, ask, attached
 from tests.peers.zenoh_robot_rig import armed, figures, lapsed, robot
 from tests.sim.daemon_stage import wait_until
 
-from motord.bus.ros2.types.table import type_hash
+from motord.bus.messages.table import type_hash
 
 __all__ = ["robot"]
 

@@ -3,13 +3,27 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 from motord.api.snapshot import GYRO_STATES, ImuSnapshot, JointSnapshot, Snapshot
-from motord.bus.messages.from_snapshot import Body
-from motord.bus.messages.topics import View
+from motord.bus.messages.forms import as_message
+from motord.bus.messages.sources import Body
+from motord.bus.messages.topics import TOPICS, View
 
 MS = 1_000_000
 BODY = Body(robot="r2", joints=("left", "right"))
+
+
+def as_object(value):
+    """A message's dictionary with its fields as attributes."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: as_object(part) for key, part in value.items()})
+    return [as_object(part) for part in value] if isinstance(value, list) else value
+
+
+def message(name, one, body, offset_ns):
+    """Of that topic, as an object. None: there is none."""
+    return as_object(as_message(TOPICS[name], body)(one, offset_ns))
 
 
 def joint(**changes):

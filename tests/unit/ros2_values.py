@@ -5,7 +5,7 @@ import math
 import struct
 from types import SimpleNamespace
 
-from motord.bus.ros2.types.table import TYPES
+from motord.bus.messages.table import TYPES
 
 # A byte has 7 bits here: rosbags writes it as a signed number.
 _BITS = {"char": 8, "byte": 7, "uint8": 8, "uint16": 16, "uint32": 32, "uint64": 64}

@@ -4,11 +4,11 @@
 import math
 
 import pytest
-from bus_views import BODY, LOOP, joint, view
+from bus_views import BODY, LOOP, joint, message, view
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.bus.messages import from_snapshot as messages
+from motord.bus.messages.sources import PowerSupply
 from motord.bus.prometheus.metrics import exposition
 from motord.config import DrivesBattery
 from motord.control.battery import BatteryLevel, BatteryWatch, Measure, of_drives
@@ -142,27 +142,31 @@ def report(**changes):
 
 
 def test_the_message_has_the_sensors_word_and_not_that_of_the_drives():
-    sample = view(1, joints=(joint(voltage_v=1.0),) * 2).snapshot
-    message = messages.battery_state(sample, 0, report())
-    assert (message.voltage, message.current, message.design_capacity) == (24.5, -2.0, 10.0)
-    assert message.power_supply_status == messages.PowerSupply.DISCHARGING
-    assert len(message.cell_voltage) == 6
-    assert all(map(math.isnan, (*message.cell_voltage, message.percentage, message.temperature)))
-    charging = messages.battery_state(sample, 0, report(current_a=0.1))
-    assert charging.power_supply_status == messages.PowerSupply.CHARGING
+    def found(**changes):
+        joints = (joint(voltage_v=1.0),) * 2
+        one = view(1, status={"battery": report(**changes)}, joints=joints)
+        return message("battery_state", one, BODY, 0)
+
+    battery = found()
+    assert (battery.voltage, battery.current, battery.design_capacity) == (24.5, -2.0, 10.0)
+    assert battery.power_supply_status == PowerSupply.DISCHARGING
+    assert len(battery.cell_voltage) == 6
+    assert all(map(math.isnan, (*battery.cell_voltage, battery.percentage, battery.temperature)))
+    assert found(current_a=0.1).power_supply_status == PowerSupply.CHARGING
 
 
 def test_an_unknown_battery_is_no_message_though_a_drive_measures_something():
-    sample = view(1, joints=(joint(voltage_v=24.0),) * 2).snapshot
-    assert messages.battery_state(sample, 0, report(voltage_v=None)) is None
+    unknown = {"battery": report(voltage_v=None)}
+    one = view(1, status=unknown, joints=(joint(voltage_v=24.0),) * 2)
+    assert message("battery_state", one, BODY, 0) is None
 
 
 @pytest.mark.parametrize(
     ("state", "level"), [("normal", 0), ("warning", 1), ("critical", 2), ("unknown", 3)]
 )
 def test_diagnostics_show_the_battery_by_severity(state, level):
-    sample = view(1).snapshot
-    *_, battery = messages.diagnostics(sample, BODY, 0, report(state=state)).status
+    one = view(1, status={"battery": report(state=state)})
+    *_, battery = message("diagnostics", one, BODY, 0).status
     assert (battery.name, battery.level, battery.message) == ("r2: battery", level, state)
 
 

@@ -21,8 +21,8 @@ from tests.unit.bus_views import LOOP, MS, view
 from motord.bus.mcap.files import Entry, Folder
 from motord.bus.mcap.recorder import McapRecorder
 from motord.bus.mcap.waiting import ENTRY_BYTES, Waiting
+from motord.bus.messages.forms import as_cdr
 from motord.bus.messages.topics import TOPICS
-from motord.bus.ros2.types.direct import encoder
 from motord.bus.runtime import Runtime
 from motord.config import McapPublish, load_robot
 from motord.config.rules.recording import MESSAGE_BYTES
@@ -340,7 +340,7 @@ def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_pa
     sizes = [
         ENTRY_BYTES + len(made)
         for topic in TOPICS.values()
-        if topic.name not in SLOW and (made := encoder(topic, stage.runtime.body)(shown, 0))
+        if topic.name not in SLOW and (made := as_cdr(topic, stage.runtime.body)(shown, 0))
     ]
     assert len(sizes) >= 4
     assert max(sizes) <= MESSAGE_BYTES

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 from tests.unit.bus_views import BODY, LOOP, joint, view
 
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.sources import Body
 from motord.bus.prometheus.metrics import STALE_S, exposition
 
 STATUS = {

@@ -16,8 +16,8 @@ from tests.unit.gate_rig import gate
 
 from motord.bus.commands.gate import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTaken
 from motord.bus.commands.link import Source
+from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.commands import _as_mapping
-from motord.bus.ros2.types.cdr import decode, encode
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 TOKENS = b"a" * 16, b"b" * 16

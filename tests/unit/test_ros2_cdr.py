@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.unit.ros2_values import any_message, same
 
-from motord.bus.ros2.types.cdr import HEADER, decode, encode
-from motord.bus.ros2.types.table import TYPES, definition
+from motord.bus.messages.cdr import HEADER, decode, encode
+from motord.bus.messages.table import TYPES, definition
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 ROUNDS = 20

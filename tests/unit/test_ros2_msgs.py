@@ -7,7 +7,7 @@ from xml.etree.ElementTree import fromstring
 import pytest
 from click.testing import CliRunner
 
-from motord.bus.ros2.types.table import TYPES, type_hash
+from motord.bus.messages.table import TYPES, type_hash
 from motord.cli import cli
 from motord.cli.common import Exit
 

@@ -4,8 +4,8 @@
 import asyncio
 import logging
 
+from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.rosout import LOG, Rosout
-from motord.bus.ros2.types.cdr import decode, encode
 
 log = logging.getLogger("motord.test")
 

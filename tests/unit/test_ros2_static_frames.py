@@ -3,18 +3,18 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.bus.messages.types import Time
 from motord.bus.ros2.static_frames import static_transforms
 from motord.bus.ros2.urdf import urdf
 from motord.config import load_robot
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
-STAMP = Time(1, 2)
+STAMP_NS = 1_000_000_002
 ANGLES = st.floats(-4.0, 4.0)
 
 
@@ -23,21 +23,21 @@ def fixed(origin="", kind="fixed", ends='<parent link="base_link"/><child link="
 
 
 def test_the_description_that_is_made_has_the_footprint_and_no_wheels():
-    (frame,) = static_transforms(urdf(load_robot(DEMO)), STAMP).transforms
+    (frame,) = static_transforms(urdf(load_robot(DEMO)), STAMP_NS).transforms
     assert (frame.header.frame_id, frame.child_frame_id) == ("base_link", "base_footprint")
     place, turn = frame.transform.translation, frame.transform.rotation
     assert (place.x, place.y, place.z) == (0.0, 0.0, 0.0)
     assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
-    assert frame.header.stamp == STAMP
+    assert frame.header.stamp == SimpleNamespace(sec=1, nanosec=2)
 
 
 def test_frames_have_the_prefix_that_tells_robots_apart():
-    (frame,) = static_transforms(fixed(), STAMP, "r2/").transforms
+    (frame,) = static_transforms(fixed(), STAMP_NS, "r2/").transforms
     assert (frame.header.frame_id, frame.child_frame_id) == ("r2/base_link", "r2/lidar")
 
 
 def test_a_sensor_is_where_the_users_own_description_says():
-    (frame,) = static_transforms(fixed('<origin xyz="0.1 -0.2 0.3"/>'), STAMP).transforms
+    (frame,) = static_transforms(fixed('<origin xyz="0.1 -0.2 0.3"/>'), STAMP_NS).transforms
     place = frame.transform.translation
     assert (place.x, place.y, place.z) == (0.1, -0.2, 0.3)
     assert frame.child_frame_id == "lidar"
@@ -67,14 +67,14 @@ def about(axis, angle_rad, vector):
 @given(ANGLES, ANGLES, ANGLES)
 def test_angles_are_turns_about_x_then_y_then_z(roll_rad, pitch_rad, yaw_rad):
     origin = f'<origin rpy="{roll_rad} {pitch_rad} {yaw_rad}"/>'
-    (frame,) = static_transforms(fixed(origin), STAMP).transforms
+    (frame,) = static_transforms(fixed(origin), STAMP_NS).transforms
     vector = (0.3, -1.2, 0.7)
     theirs = about(2, yaw_rad, about(1, pitch_rad, about(0, roll_rad, vector)))
     assert turned(frame.transform.rotation, vector) == pytest.approx(theirs, abs=1e-12)
 
 
 def test_joints_that_turn_are_left_to_who_reads_joint_states():
-    assert static_transforms(fixed(kind="continuous"), STAMP).transforms == ()
+    assert static_transforms(fixed(kind="continuous"), STAMP_NS).transforms == ()
 
 
 @pytest.mark.parametrize(
@@ -86,4 +86,4 @@ def test_joints_that_turn_are_left_to_who_reads_joint_states():
 )  # fmt: skip
 def test_what_is_no_description_is_said(wrong):
     with pytest.raises(ValueError):
-        static_transforms(wrong, STAMP)
+        static_transforms(wrong, STAMP_NS)

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from motord.bus.ros2.types.cdr import decode, encode
-from motord.bus.ros2.types.descriptions import SERVICE, serve_types
-from motord.bus.ros2.types.table import TYPES, type_hash
+from motord.bus.messages.cdr import decode, encode
+from motord.bus.messages.table import TYPES, type_hash
+from motord.bus.ros2.type_description import SERVICE, serve_types
 
 
 class Served:

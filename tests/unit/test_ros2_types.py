@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 types: their hashes, and their definitions as others read them."""
 
+from pathlib import Path
+
 import pytest
 
+from motord.bus.messages import table as types
+from motord.bus.messages.__main__ import page as messages_page
+from motord.bus.messages.description import DESCRIPTIONS, descriptions
+from motord.bus.messages.table import TYPES, definition, type_hash
 from motord.bus.messages.topics import TOPICS
-from motord.bus.ros2.types import table as types
-from motord.bus.ros2.types.table import TYPES, definition, type_hash
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 
@@ -88,6 +92,22 @@ def test_an_actions_definition_has_its_three_parts(name):
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_a_published_message_has_the_fields_of_its_type_in_their_order(topic):
-    fields = TOPICS[topic].message.__dataclass_fields__
-    assert list(fields) == [field.name for field in TYPES[TOPICS[topic].type_name]]
+def test_every_row_of_a_description_names_a_field_of_the_type_once(topic):
+    described = DESCRIPTIONS[topic]
+    paths = [row.path for row in described.rows]
+    assert len(set(paths)) == len(paths)
+    for path in paths:
+        kind = described.type_name
+        for name in path.split("."):
+            (field,) = [f for f in TYPES[kind] if f.name == name.removesuffix("[0]")]
+            kind = field.kind
+
+
+def test_a_line_that_is_none_of_a_description_is_refused():
+    with pytest.raises(ValueError, match=r"odom: 'header . = x' is no line"):
+        descriptions("=== odom nav_msgs/msg/Odometry\nheader . = x")
+
+
+def test_the_page_of_messages_is_what_the_descriptions_say():
+    page = Path(__file__).resolve().parents[2] / "docs/messages.md"
+    assert page.read_text() == messages_page(), "python -m motord.bus.messages > docs/messages.md"

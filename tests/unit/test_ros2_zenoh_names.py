@@ -4,8 +4,8 @@ those of its design document."""
 
 import pytest
 
-from motord.bus.ros2.types import table as types
-from motord.bus.ros2.types.table import Field, type_hash
+from motord.bus.messages import table as types
+from motord.bus.messages.table import Field, type_hash
 from motord.bus.ros2.zenoh.names import (
     PUBLISHER,
     Attachment,

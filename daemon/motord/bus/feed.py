@@ -5,24 +5,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.forms import Form, as_message
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import TOPICS, Topic, View, wall_offset_ns
 
-Make = Callable[[View, int], Any]
-"""From a view and the wall clock's offset to what a bus takes; None: it cannot be said. Raises
-ValueError for what does not fit."""
-Form = Callable[[Topic, Body], Make]
-
 _log = logging.getLogger(__name__)
-
-
-def as_message(topic: Topic, body: Body) -> Make:
-    """The form of buses that encode by themselves."""
-    return lambda view, wall_offset_ns: topic.build(view, body, wall_offset_ns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,10 @@ from motord.base.extras import how_to_install
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.commands.gap import Gap
 from motord.bus.commands.link import Source, StopSender, call
-from motord.bus.feed import Feed, Form, as_message
+from motord.bus.feed import Feed
 from motord.bus.guard import keep
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.forms import Form, as_message
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import View
 from motord.client import ClientError, Refused
 

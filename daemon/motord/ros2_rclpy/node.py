@@ -32,10 +32,10 @@ from rclpy.signals import SignalHandlerOptions
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import NotTaken
 from motord.bus.inbox import Inbox, ThreadBridge
+from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
-from motord.bus.ros2.types.cdr import decode, encode
 
 ANSWER_WITHIN_S = 30.0
 """Of a call; the daemon's own deadlines are shorter."""

@@ -9,7 +9,7 @@ import re
 from importlib import metadata
 from pathlib import Path
 
-from motord.bus.ros2.types.table import TYPES, action_definition, message_definition
+from motord.bus.messages.table import TYPES, action_definition, message_definition
 
 PACKAGE = "motord_msgs"
 _ACTIONS_NEED = "action_msgs"

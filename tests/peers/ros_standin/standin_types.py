@@ -8,7 +8,7 @@ import importlib.util
 import sys
 from types import SimpleNamespace
 
-from motord.bus.ros2.types.table import PLACEHOLDER, TYPES
+from motord.bus.messages.table import PLACEHOLDER, TYPES
 
 _ZERO = {"string": "", "bool": False, "float64": 0.0, "float32": 0.0}
 _made = {}

@@ -17,9 +17,9 @@ from foxglove.websocket import Capability, WebSocketServer
 
 from motord.api.deadline import within
 from motord.bus.foxglove.clients import ENCODING, Commands, Looks
+from motord.bus.messages.forms import as_cdr, stamp_ns
+from motord.bus.messages.table import definition
 from motord.bus.messages.topics import TOPICS
-from motord.bus.ros2.types.direct import encoder, stamp_ns
-from motord.bus.ros2.types.table import definition
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
 from motord.config import FoxgloveInput, FoxgloveServer
 
@@ -48,7 +48,7 @@ class FoxgloveAdapter:
             self._where = f"input.{name}"
         self._listener = self._commands or Looks(looks)
         self._feed = runtime.feed(
-            self._where if self._commands else name, section.rates_hz(), encoder
+            self._where if self._commands else name, section.rates_hz(), as_cdr
         )
         self._channels: dict[str, Channel] = {
             topic: self._channel(topic, TOPICS[topic].type_name) for topic in section.topics

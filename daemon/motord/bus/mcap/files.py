@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from motord.api.snapshot import SNAPSHOT_VERSION
 from motord.bus.mcap.rosbag2 import METADATA, RECORD, channel_metadata
-from motord.bus.ros2.types.table import definition
+from motord.bus.messages.table import definition
 
 MB = 1_000_000
 ALL = "all"

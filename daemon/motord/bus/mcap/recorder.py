@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING
 from motord.bus.feed import Sample
 from motord.bus.mcap.files import ALL, Entry, Folder, Recording
 from motord.bus.mcap.waiting import Waiting
-from motord.bus.messages.from_snapshot import wall_time
+from motord.bus.messages.cdr import encode
+from motord.bus.messages.forms import as_cdr, stamp_ns
 from motord.bus.messages.journal import TOPIC, TYPE_NAME, Journal, NoJournal
 from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.static_frames import STATIC, static_transforms
-from motord.bus.ros2.types.cdr import encode
-from motord.bus.ros2.types.direct import encoder, stamp_ns
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
 from motord.config import McapPublish
 from motord.config.rules.recording import memory_bytes
@@ -46,7 +45,7 @@ class McapRecorder:
         self._name = name
         self._section = section
         self._runtime = runtime
-        self._feed = runtime.feed(name, section.rates_hz(), encoder)
+        self._feed = runtime.feed(name, section.rates_hz(), as_cdr)
         self._folder = Folder(
             runtime.beside_robot_file(section.folder),
             runtime.body.robot,
@@ -57,7 +56,7 @@ class McapRecorder:
         self._latched = [(DESCRIPTION, STRING, description(runtime.robot))]
         if "tf" in section.topics:
             kind = TOPICS["tf"].type_name
-            frames = static_transforms(urdf(runtime.robot), wall_time(time.time_ns(), 0))
+            frames = static_transforms(urdf(runtime.robot), time.time_ns())
             self._latched.append((STATIC, kind, bytes(encode(kind, frames))))
         self._waiting = Waiting(memory_bytes(runtime.robot))
         self._armed = False

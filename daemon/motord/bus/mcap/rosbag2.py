@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import json
 
+from motord.bus.messages.table import type_hash
 from motord.bus.ros2.quality import offered
-from motord.bus.ros2.types.table import type_hash
 
 RECORD = "rosbag2"
 """Name of the record that holds `METADATA`."""

@@ -13,7 +13,7 @@ from typing import Self
 import zstandard
 
 from motord.api.page_file import JOURNAL, find_page
-from motord.bus.ros2.types.cdr import HEADER
+from motord.bus.messages.cdr import HEADER
 
 TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"

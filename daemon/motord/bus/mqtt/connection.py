@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 import aiomqtt
 
 from motord.base.rate_limited_log import RateLimitedFilter
-from motord.bus.feed import Form, Make, as_message
 from motord.bus.guard import first, raise_if_cancelled
 from motord.bus.messages import json_form
-from motord.bus.messages.from_snapshot import Body
-from motord.bus.messages.json_direct import encoder as json_encoder
+from motord.bus.messages.forms import Form, Make, as_json, as_message
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import Topic, View
 from motord.bus.mqtt.names import names_of
 from motord.bus.secret import read_secret
@@ -56,7 +55,7 @@ class MqttConnection:
         self._library_log.addFilter(RateLimitedFilter(self._library_log, where))
         self.encode = encoder(section.encoding)
         self.names = names_of(section, robot, self.encode)
-        self.form: Form = json_encoder if section.encoding == "json" else self._as_cbor
+        self.form: Form = as_json if section.encoding == "json" else self._as_cbor
         self.decode = decoder(section.encoding)
 
     def _as_cbor(self, topic: Topic, body: Body) -> Make:

@@ -14,7 +14,7 @@ from prometheus_client import CollectorRegistry, Metric, generate_latest
 from prometheus_client.registry import Collector
 
 from motord.api.snapshot import STATES
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import View
 
 Labels = Mapping[str, str]

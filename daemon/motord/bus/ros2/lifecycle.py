@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from motord.api.deadline import within
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import CommandGate, NotTaken
-from motord.bus.messages.from_snapshot import state_name
+from motord.bus.messages.sources import state_name
 from motord.bus.ros2.nodes import Node
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.types.descriptions import TypedNode, serve_types
+from motord.bus.ros2.type_description import TypedNode, serve_types
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -36,7 +36,7 @@ class Node(Protocol):
         ...
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
-        """Of a type of `types.TYPES`."""
+        """Of a type of `table.TYPES`."""
         ...
 
     def subscribe(

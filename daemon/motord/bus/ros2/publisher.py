@@ -10,14 +10,13 @@ import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.bus.messages.from_snapshot import wall_time
+from motord.bus.messages.forms import as_cdr
 from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.names import full_name
 from motord.bus.ros2.nodes import Teller, node_of
 from motord.bus.ros2.quality import offered
 from motord.bus.ros2.rosout import LOG, ROSOUT, Rosout
 from motord.bus.ros2.static_frames import STATIC, static_transforms
-from motord.bus.ros2.types.direct import encoder
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, urdf
 from motord.config import Ros2Publish, RosTopics, ZenohPublish
 
@@ -46,7 +45,7 @@ class Ros2Publisher:
         self._node = node_of(runtime, section)
         self._prefix = section.prefix_of_frames()
         body = runtime.body.with_frames(self._prefix)
-        self._feed = runtime.feed(name, section.rates_hz(), encoder, body)
+        self._feed = runtime.feed(name, section.rates_hz(), as_cdr, body)
         self._publishers: dict[str, Teller] = {
             topic: self._node.publisher(
                 robot_topic(topic, section), TOPICS[topic].type_name, offered(topic)
@@ -87,8 +86,7 @@ class Ros2Publisher:
         if self._static is None:
             return
         try:
-            stamp = wall_time(time.time_ns(), 0)
-            frames = static_transforms(self._description, stamp, self._prefix)
+            frames = static_transforms(self._description, time.time_ns(), self._prefix)
         except ValueError as error:
             _log.warning("no tf_static: %s", error)
         else:

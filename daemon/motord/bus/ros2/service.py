@@ -20,13 +20,13 @@ from cyclonedds.core import DDSException
 
 from motord.api.deadline import within
 from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.messages.cdr import HEADER, decode, encode
+from motord.bus.messages.table import type_hash
 from motord.bus.ros2 import names
 from motord.bus.ros2.dds.discovered import client_of
 from motord.bus.ros2.dds.participant import Participant
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import asker
-from motord.bus.ros2.types.cdr import HEADER, decode, encode
-from motord.bus.ros2.types.table import type_hash
 
 WAITING_MAX = 32
 """Requests; more are not answered."""

@@ -5,33 +5,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from types import SimpleNamespace
 from xml.etree.ElementTree import Element, ParseError, fromstring
-
-from motord.bus.messages.types import (
-    Header,
-    Quaternion,
-    TFMessage,
-    Time,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
 
 STATIC = "tf_static"
 """Its topic."""
 
 
-def static_transforms(description: str, stamp: Time, prefix: str = "") -> TFMessage:
+def static_transforms(description: str, stamp_ns: int, prefix: str = "") -> SimpleNamespace:
     """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for who reads
-    joint_states. `prefix` goes before each frame name. Raises ValueError for what is no URDF."""
+    joint_states. `stamp_ns`: wall time; `prefix` goes before each frame name. Raises ValueError for
+    what is no URDF."""
     try:
         root = fromstring(description)
     except ParseError as error:
         raise ValueError(f"the robot description is no XML: {error}") from error
-    return TFMessage(tuple(_frames(root, stamp, prefix)))
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+    return SimpleNamespace(transforms=tuple(_frames(root, stamp, prefix)))
 
 
-def _frames(root: Element, stamp: Time, prefix: str) -> Iterator[TransformStamped]:
+def _frames(root: Element, stamp: SimpleNamespace, prefix: str) -> Iterator[SimpleNamespace]:
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed":
             continue
@@ -39,8 +33,12 @@ def _frames(root: Element, stamp: Time, prefix: str) -> Iterator[TransformStampe
         origin = joint.find("origin")
         x_m, y_m, z_m = _three(joint, origin, "xyz")
         turn = _quaternion(*_three(joint, origin, "rpy"))
-        place = Vector3(x_m, y_m, z_m)
-        yield TransformStamped(Header(stamp, names[0]), names[1], Transform(place, turn))
+        place = SimpleNamespace(x=x_m, y=y_m, z=z_m)
+        yield SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp, frame_id=names[0]),
+            child_frame_id=names[1],
+            transform=SimpleNamespace(translation=place, rotation=turn),
+        )
 
 
 def _link(joint: Element, end: str) -> str:
@@ -63,13 +61,13 @@ def _three(joint: Element, origin: Element | None, key: str) -> tuple[float, flo
     return numbers[0], numbers[1], numbers[2]
 
 
-def _quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+def _quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> SimpleNamespace:
     """Turns about the fixed x, then y, then z axis (wiki.ros.org/urdf/XML/joint: rpy)."""
     (sx, cx), (sy, cy), (sz, cz) = (
         (math.sin(angle_rad / 2.0), math.cos(angle_rad / 2.0))
         for angle_rad in (roll_rad, pitch_rad, yaw_rad)
     )
-    return Quaternion(
+    return SimpleNamespace(
         x=sx * cy * cz - cx * sy * sz,
         y=cx * sy * cz + sx * cy * sz,
         z=cx * cy * sz - sx * sy * cz,

@@ -9,7 +9,7 @@ import math
 from types import SimpleNamespace
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from motord.bus.ros2.types.cdr import encode
+from motord.bus.messages.cdr import encode
 from motord.config import Joint, Robot
 
 DESCRIPTION, STRING = "robot_description", "std_msgs/msg/String"

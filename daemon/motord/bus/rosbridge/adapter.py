@@ -15,7 +15,7 @@ from aiohttp import web
 
 from motord.bus.commands.gate import CommandGate, NotTaken
 from motord.bus.http_server import HttpServer
-from motord.bus.messages.json_direct import encoder as json_encoder
+from motord.bus.messages.forms import as_json
 from motord.bus.rosbridge.client import RosbridgeClient
 from motord.config import RosbridgeInput, RosbridgeServer
 
@@ -39,9 +39,7 @@ class RosbridgeAdapter:
         if isinstance(section, RosbridgeInput):
             self._gate, table = CommandGate(name, section, runtime), "input"
         self._where = f"{table}.{name}"
-        self._feed = runtime.feed(
-            self._where if self._gate else name, section.rates_hz(), json_encoder
-        )
+        self._feed = runtime.feed(self._where if self._gate else name, section.rates_hz(), as_json)
         self._clients: set[RosbridgeClient] = set()
         tls = _tls_context(section, runtime)
         self._server = HttpServer(self._where, section.host, section.port, self._answer, tls)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages as bytes."""
 
-from motord.bus.ros2.types.cdr import decode, encode
+from motord.bus.messages.cdr import decode, encode
 
 
 def serialize_message(message):

@@ -9,8 +9,8 @@ from typing import Any
 
 from cyclonedds.idl import IdlStruct, make_idl_struct, types
 
+from motord.bus.messages.table import TYPES, Field
 from motord.bus.ros2.names import dds_type
-from motord.bus.ros2.types.table import TYPES, Field
 
 idl: Any = types
 """Its generic types are no classes for a type checker."""
@@ -34,7 +34,7 @@ _PRIMITIVES: dict[str, Any] = {
 
 @cache
 def cyclone_type(name: str, *, service: bool = False) -> type[IdlStruct]:
-    """The class for a type of `types.TYPES`. A request or reply of a service has, before its own
+    """The class for a type of `table.TYPES`. A request or reply of a service has, before its own
     fields, who asks and the question's number: rmw_cyclonedds."""
     header = {"guid": idl.uint64, "seq": idl.int64} if service else {}
     fields = header | {field.name: _annotation(field) for field in TYPES[name]}

@@ -12,14 +12,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.messages.cdr import decode, encode
+from motord.bus.messages.table import type_hash, with_parts
 from motord.bus.ros2 import names
 from motord.bus.ros2.dds.participant import Discovery, Participant, Reader, Writer
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service
-from motord.bus.ros2.types.cdr import decode, encode
-from motord.bus.ros2.types.table import type_hash, with_parts
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
@@ -101,7 +101,7 @@ class Node:
         return names.remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
-        """Of a type of `types.TYPES`. Raises DdsError."""
+        """Of a type of `table.TYPES`. Raises DdsError."""
         topic = names.topic(self.full(name))
         writer = self._participant.writer(topic, kind, quality or Quality(), _typed(kind))
         self.types.add(kind)

@@ -238,7 +238,7 @@ class Participant:
     def writer(
         self, topic: str, kind: str, quality: Quality, user_data: str, service: str | None = None
     ) -> Writer:
-        """Of a type of `types.TYPES`; `service`: whose replies it writes. Raises DdsError."""
+        """Of a type of `table.TYPES`; `service`: whose replies it writes. Raises DdsError."""
         entity = self._writer(topic, kind, quality, user_data, service)
         if service is None:
             self._written[topic] = kind

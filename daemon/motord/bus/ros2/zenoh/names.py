@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import xxhash
 
+from motord.bus.messages.table import type_hash
 from motord.bus.ros2.names import dds_type
-from motord.bus.ros2.types.table import type_hash
 
 NODE, PUBLISHER, SUBSCRIPTION, SERVER = "NN", "MP", "MS", "SS"
 _SPACE = "@ros2_lv"

@@ -15,9 +15,9 @@ from typing import Any
 import zenoh
 
 from motord.api.deadline import within
+from motord.bus.messages.table import with_parts
 from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Distribution, Quality
-from motord.bus.ros2.types.table import with_parts
 from motord.bus.ros2.zenoh.endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh.names import NodeNames
 
@@ -105,7 +105,7 @@ class ZenohNode:
         return remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
-        """Of a type of `types.TYPES`."""
+        """Of a type of `table.TYPES`."""
         self.types.add(kind)
         publisher = Publisher(self.full(name), kind, quality or Quality())
         self._endpoints.append(publisher)

@@ -12,11 +12,11 @@ from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
 
-from motord.bus.ros2.types.table import TYPES, Field
+from motord.bus.messages.table import TYPES, Field
 
 HEADER = b"\x00\x01\x00\x00"
 """CDR_LE, no options: RTPS 2.5, 10.2.1.2."""
-_CODES = {
+CODES = {
     "int8": "b",
     "uint8": "B",
     "char": "B",
@@ -74,7 +74,7 @@ def _writers(name: str) -> tuple[Write, ...]:
     for kind, run in groupby(_flat(name), lambda found: _kind(found[1])):
         paths, fields = zip(*run, strict=True)
         if kind == "fixed":
-            writers.append(_fixed(paths, "".join(_CODES[field.kind] for field in fields)))
+            writers.append(_fixed(paths, "".join(CODES[field.kind] for field in fields)))
         elif kind == "string":
             writers.append(_strings(paths))
         else:
@@ -107,19 +107,23 @@ def _fixed(paths: Sequence[str], codes: str) -> Write:
 def _strings(paths: Sequence[str]) -> Write:
     get: Callable[[Any], Any] = attrgetter(*paths)
     if len(paths) == 1:
-        return lambda out, message: _write_strings(out, (get(message),))
-    return lambda out, message: _write_strings(out, get(message))
+        return lambda out, message: write_strings(out, (get(message),))
+    return lambda out, message: write_strings(out, get(message))
 
 
 def _variable(path: str, field: Field) -> Write:
     """Several of a kind."""
-    get = attrgetter(path)
+    get, write = attrgetter(path), values_writer(field)
+    return lambda out, message: write(out, get(message))
+
+
+def values_writer(field: Field) -> Write:
+    """Writes the values of a field that has several, behind what is there."""
     write_items = _items(field)
     if not field.sequence:
-        return lambda out, message: write_items(out, get(message))
+        return write_items
 
-    def write(out: bytearray, message: Any) -> None:
-        items = get(message)
+    def write(out: bytearray, items: Any) -> None:
         out.extend(bytes(-len(out) % 4))
         out.extend(_UINT32.pack(len(items)))
         if items:
@@ -130,9 +134,9 @@ def _variable(path: str, field: Field) -> Write:
 
 def _items(field: Field) -> Write:
     if field.kind == "string":
-        return _write_strings
+        return write_strings
     if field.primitive:
-        code = _CODES[field.kind]
+        code = CODES[field.kind]
         return lambda out, items: out.extend(
             _struct(
                 code * (field.count if field.count and not field.bounded else len(items)),
@@ -150,7 +154,8 @@ def _items(field: Field) -> Write:
     return write_nested
 
 
-def _write_strings(out: bytearray, texts: Sequence[str]) -> None:
+def write_strings(out: bytearray, texts: Sequence[str]) -> None:
+    """Each with its length before it, behind what is there."""
     for text in texts:
         out += _PADS[len(out) & 3]
         out += _word(text) if len(text) < _WORD_CHARS else _string(text)
@@ -188,9 +193,9 @@ def _steps(name: str) -> tuple[Step, ...]:
         if field.count is not None or field.kind == "string":
             steps.append(field)
         elif steps and isinstance(steps[-1], str):
-            steps[-1] += _CODES[field.kind]
+            steps[-1] += CODES[field.kind]
         else:
-            steps.append(_CODES[field.kind])
+            steps.append(CODES[field.kind])
     return tuple(steps)
 
 
@@ -231,7 +236,7 @@ class _Reader:
             return self._string()
         count = self._values("I", 1)[0] if field.sequence else field.count
         if field.primitive and field.kind != "string":
-            return self._values(_CODES[field.kind], count)
+            return self._values(CODES[field.kind], count)
         if count > len(self._raw) - self._at:  # each takes a byte at least
             raise IndexError("longer than its bytes")
         read = self._string if field.kind == "string" else partial(self.message, field.kind)

@@ -13,7 +13,8 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from motord.bus.ros2.types.definitions import ACTIONS, COMMON, GRAPH, OWN, SERVICES
+from motord.bus.messages.definitions import ACTIONS, COMMON, GRAPH, OWN, SERVICES
+from motord.bus.messages.description import DESCRIPTIONS
 
 # type_description_interfaces/msg/FieldType
 _IDS = {
@@ -134,7 +135,8 @@ def _actions(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]
         yield f"{action}_FeedbackMessage", (goal_id, feedback)
 
 
-_DEFINED = dict(_parsed(COMMON + OWN + SERVICES + ACTIONS + GRAPH))
+_PUBLISHED = "".join(described.definition() for described in DESCRIPTIONS.values())
+_DEFINED = dict(_parsed(COMMON + OWN + _PUBLISHED + SERVICES + ACTIONS + GRAPH))
 _MESSAGES = _DEFINED | dict(_actions(_DEFINED))
 TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 """Fields by the type's name."""

@@ -2,8 +2,8 @@
 """The ROS 2 types that motord speaks, in the notation of .msg files without comments, constants and
 defaults (which neither the encoding nor the type hash knows). `===` begins a type; a name without a
 package is of the same one. Interfaces: common_interfaces, geometry2, rcl_interfaces, rmw_dds_common
-as of Jazzy (the graph also as of Humble); motord_msgs is our own. Of an action only its three
-parts are here."""
+as of Jazzy (the graph also as of Humble); motord_msgs is our own; what it publishes is defined in
+`motord.bus.messages.tree`. Of an action only its three parts are here."""
 
 from __future__ import annotations
 
@@ -107,50 +107,12 @@ DiagnosticStatus[] status
 """
 
 OWN = """
-=== motord_msgs/msg/MotorStatus
-std_msgs/Header header
-string state
-bool armed
-bool at_rest
-string[] faults
-string[] why
-string[] reasons
-string commander
-int32 commander_priority
-string commander_why
-float64 command_age_s
-float64 setpoint_linear_m_s
-float64 setpoint_angular_rad_s
-string[] name
-float64[] setpoint_rad_s
-float64[] duty
-float64[] current_a
-float64[] voltage_v
-float64[] temperature_c
-float64[] feedback_age_s
-uint32[] drive_faults
-bool[] stale
 === motord_msgs/msg/CoreJournal
 uint32 layout_version
 uint32 record_bytes
 uint32 checkpoint_bytes
 uint8[] checkpoints
 uint8[] records
-=== motord_msgs/msg/LoopStatistics
-std_msgs/Header header
-float64 rate_hz
-string policy
-uint64 ticks
-uint64 overruns
-uint64 page_faults
-float64 lateness_p50_us
-float64 lateness_p99_us
-float64 lateness_p99_9_us
-float64 lateness_max_us
-float64 step_p50_ns
-float64 step_p99_ns
-float64 step_p99_9_ns
-float64 step_max_ns
 """
 
 SERVICES = """

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The short way from a snapshot to CDR says what the long way says, byte for byte."""
+"""The compiled encoders write what the message says, byte for byte."""
 
 import math
 import random
 
 import pytest
-from tests.unit.bus_views import LOOP, any_body, any_view, joint, view
+from tests.unit.bus_views import LOOP, any_body, any_view, joint, message, view
 
-from motord.bus.messages import json_direct
-from motord.bus.messages.from_snapshot import Body
+from motord.bus.messages import cdr
+from motord.bus.messages.forms import as_cdr, as_json, stamp_ns
+from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import TOPICS, View
-from motord.bus.ros2.types import cdr, direct
 
 OFFSET_NS = 1_700_000_000_000_000_000
 OFFSETS_NS = (OFFSET_NS, OFFSET_NS, OFFSET_NS - 1, -1)
@@ -34,16 +34,16 @@ def test_it_says_what_the_message_says_byte_for_byte(name):
         count = rng.choice((0, 1, 2, 2, 4, 5))
         body = any_body(rng, count)
 
-        def long_way(one, offset_ns, body=body):
-            message = topic.build(one, body, offset_ns)
-            return None if message is None else bytes(cdr.encode(topic.type_name, message))
+        def field_by_field(one, offset_ns, body=body):
+            found = message(name, one, body, offset_ns)
+            return None if found is None else bytes(cdr.encode(topic.type_name, found))
 
-        short_way = direct.encoder(topic, body)
+        compiled = as_cdr(topic, body)
         for offset_ns in OFFSETS_NS:
             one = any_view(rng, count)
-            expected = outcome(long_way, one, offset_ns)
+            expected = outcome(field_by_field, one, offset_ns)
             said += isinstance(expected, bytes)
-            assert outcome(short_way, one, offset_ns) == expected
+            assert outcome(compiled, one, offset_ns) == expected
     assert said > ROUNDS
 
 
@@ -56,27 +56,16 @@ WORDS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("form", [direct, json_direct])
+@pytest.mark.parametrize("form", [as_cdr, as_json])
 @pytest.mark.parametrize("change", WORDS, ids=lambda change: next(iter(change)))
 def test_a_word_that_has_changed_alone_is_told_at_once(form, change):
     topic, body = TOPICS["motor_status"], Body(robot="r2", joints=("left", "right"))
-    encode = form.encoder(topic, body)
+    encode = form(topic, body)
     words = {"owner": 1 if "status" in change else 2}
     before = view(5, status=LEASES, **words)
     after = view(5, **{"status": LEASES} | words | change)
     assert encode(before, OFFSET_NS) != encode(after, OFFSET_NS)
-    assert encode(after, OFFSET_NS) == form.encoder(topic, body)(after, OFFSET_NS)
-
-
-@pytest.mark.parametrize("name", ["odom", "tf", "joint_states", "motor_status", "imu"])
-def test_the_usual_case_builds_no_message(name, monkeypatch):
-    body = Body(robot="r2", joints=("left", "right"))
-    built = []
-    topic = TOPICS[name]
-    plain = type(topic)(name=name, type_name=topic.type_name, message=topic.message,
-                        build=lambda *words: built.append(words))  # fmt: skip
-    assert direct.encoder(plain, body)(view(5, x_m=1.0), OFFSET_NS)
-    assert not built
+    assert encode(after, OFFSET_NS) == form(topic, body)(after, OFFSET_NS)
 
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
@@ -85,14 +74,14 @@ def test_a_stamp_is_read_from_the_bytes_as_the_message_has_it(name):
     joints = (joint(voltage_v=24.0),) * 2
     one = View(snapshot=view(7, joints=joints).snapshot,
                status={"leases": (), "loop": LOOP}, status_ns=9)  # fmt: skip
-    message = TOPICS[name].build(one, body, OFFSET_NS)
-    raw = direct.encoder(TOPICS[name], body)(one, OFFSET_NS)
-    stamp = (message.transforms[0] if name == "tf" else message).header.stamp
-    assert direct.stamp_ns(name, raw) == stamp.sec * 10**9 + stamp.nanosec
+    found = message(name, one, body, OFFSET_NS)
+    raw = as_cdr(TOPICS[name], body)(one, OFFSET_NS)
+    stamp = (found.transforms[0] if name == "tf" else found).header.stamp
+    assert stamp_ns(name, raw) == stamp.sec * 10**9 + stamp.nanosec
 
 
 @pytest.mark.parametrize("name", ["odom", "tf", "joint_states", "motor_status", "imu"])
 def test_a_stamp_that_the_message_cannot_hold_is_refused(name):
     body = Body(robot="r2", joints=("left", "right"))
     with pytest.raises(ValueError, match=TOPICS[name].type_name):
-        direct.encoder(TOPICS[name], body)(view(5, x_m=math.pi), 2**31 * 10**9)
+        as_cdr(TOPICS[name], body)(view(5, x_m=math.pi), 2**31 * 10**9)

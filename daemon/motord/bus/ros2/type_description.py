@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from types import SimpleNamespace
 from typing import Any, Protocol
 
-from motord.bus.ros2.types.table import (
+from motord.bus.messages.table import (
     PLACEHOLDER,
     TYPES,
     description,

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the expressions of `motord.bus.messages.tree` know besides Python: names of frames and
+joints, constants, and pure functions of a snapshot."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import cos, isfinite, nan, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+from motord.api.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
+
+if TYPE_CHECKING:
+    from motord.bus.messages.topics import View
+
+__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions
+UNMEASURED = 1e6
+"""Variance of what wheels cannot tell: height, roll, pitch. Filters give it no weight."""
+NOT_MEASURED = (-1.0, *[0.0] * 8)
+"""Covariance of what an Imu does not measure (sensor_msgs/Imu)."""
+ERROR_UNKNOWN = (0.0,) * 9
+"""Covariance of what is measured with an unknown error (sensor_msgs/Imu)."""
+NOT_PUBLISHED = ("stale", "reversed")
+"""States of a sensor that nobody should believe."""
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Body:
+    """What a snapshot does not say of its robot: names. REP-105 has those of the frames."""
+
+    robot: str
+    joints: tuple[str, ...]
+    odom_frame: str = "odom"
+    base_frame: str = "base_link"
+
+    def with_frames(self, prefix: str) -> Body:
+        """The same, with the prefix before each frame name."""
+        return replace(
+            self, odom_frame=prefix + self.odom_frame, base_frame=prefix + self.base_frame
+        )
+
+
+class Commander(NamedTuple):
+    """Who is in command: a lease's owner, its priority, and why it is that one."""
+
+    owner: str
+    priority: int
+    why: str
+
+
+NOBODY = Commander(owner="", priority=0, why="")
+
+
+class Level(enum.IntEnum):
+    """Of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class PowerSupply(enum.IntEnum):
+    """Of sensor_msgs/BatteryState: status; health and technology are unknown to us."""
+
+    UNKNOWN = 0
+    CHARGING = 1
+    DISCHARGING = 2
+
+
+@dataclass(frozen=True, slots=True)
+class KeyValue:
+    """diagnostic_msgs/KeyValue."""
+
+    key: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticStatus:
+    """diagnostic_msgs/DiagnosticStatus."""
+
+    level: Level
+    name: str
+    message: str
+    hardware_id: str
+    values: tuple[KeyValue, ...]
+
+
+class Battery(NamedTuple):
+    """NaN: not measured. `current_a` flows into the battery."""
+
+    voltage_v: float
+    current_a: float = nan
+    temperature_c: float = nan
+    capacity_ah: float = nan
+    cells: int = 0
+
+
+def finite(*values: float) -> bool:
+    """None of them is NaN or infinity."""
+    return all(map(isfinite, values))
+
+
+def or_zero(value: float) -> float:
+    """Zero for what is not measured."""
+    return value if isfinite(value) else 0.0
+
+
+def all_joints(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[JointSnapshot]]:
+    """Names and joints. Raises ValueError: the daemon runs another robot file of this name."""
+    names, joints = body.joints, now.joints
+    if len(names) != len(joints):
+        raise ValueError(f"{len(joints)} joints, and the robot file has {len(names)}")
+    return names, joints
+
+
+def with_position(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[JointSnapshot]]:
+    """Those that were received and have a position; a velocity may be NaN. Raises ValueError as
+    `all_joints` does."""
+    names, joints = all_joints(now, body)
+    for joint in joints:
+        if not (isfinite(joint.position_rad) and isfinite(joint.feedback_age_s)):
+            break
+    else:
+        return names, joints
+    found = [
+        (name, joint)
+        for name, joint in zip(names, joints, strict=True)
+        if finite(joint.position_rad, joint.feedback_age_s)
+    ]
+    return tuple(name for name, _ in found), tuple(joint for _, joint in found)
+
+
+def oldest_ns(joints: Sequence[JointSnapshot]) -> int:
+    """The age of the oldest feedback."""
+    return round(max([joint.feedback_age_s for joint in joints]) * _NS)
+
+
+def rate_variance(rate_rad_s: float, yaw_variance: float) -> float:
+    """An axis without a known error counts as good as the yaw rate, and one that is not measured
+    not at all. Zero: before the gyro has a zero, nobody knows how good it is."""
+    if not isfinite(yaw_variance):
+        return 0.0
+    return yaw_variance if isfinite(rate_rad_s) else UNMEASURED
+
+
+def battery_of(view: View) -> Battery | None:
+    """[battery] of the robot file by the daemon's status; without one the lowest supply voltage
+    that a fresh drive measures. None: nothing measures it. The motors' current is not the
+    battery's, and stays NaN."""
+    found = view.battery()
+    if found is not None:
+        if found["voltage_v"] is None:
+            return None
+        return Battery(
+            voltage_v=found["voltage_v"],
+            current_a=_or_nan(found["current_a"]),
+            temperature_c=_or_nan(found["temperature_c"]),
+            capacity_ah=_or_nan(found["capacity_ah"]),
+            cells=found["cells"] or 0,
+        )
+    volts = [
+        joint.voltage_v
+        for joint in view.snapshot.joints
+        if isfinite(joint.voltage_v) and not joint.stale
+    ]
+    return Battery(voltage_v=min(volts)) if volts else None
+
+
+def _or_nan(value: float | None) -> float:
+    return nan if value is None else value
+
+
+def power_supply_status(current_a: float) -> PowerSupply:
+    """By the current into the battery."""
+    if current_a == 0.0 or not isfinite(current_a):
+        return PowerSupply.UNKNOWN
+    return PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
+
+
+_BATTERY_LEVELS = {"normal": Level.OK, "warning": Level.WARN, "critical": Level.ERROR}
+
+
+def diagnostics(view: View, body: Body) -> tuple[DiagnosticStatus, ...]:
+    """The base, each joint, and the inertial sensor and the battery where there are such."""
+    snapshot, battery = view.snapshot, view.battery()
+    statuses = (_base_diagnostic(snapshot, body), *_joint_diagnostics(snapshot, body))
+    if snapshot.imu is not None:
+        statuses += (_imu_diagnostic(snapshot.imu, body),)
+    if battery is not None:
+        level, measured = _BATTERY_LEVELS.get(battery["state"], Level.STALE), dict(battery)
+        state = measured.pop("state")
+        values = {key: _word(_or_nan(value)) for key, value in measured.items()}
+        name = f"{body.robot}: battery"
+        statuses += (DiagnosticStatus(level, name, state, body.robot, _pairs(values)),)
+    return statuses
+
+
+def _base_diagnostic(snapshot: Snapshot, body: Body) -> DiagnosticStatus:
+    level, message = Level.OK, state_name(snapshot)
+    if snapshot.odometry_degraded:
+        level, message = Level.WARN, f"{message}; odometry is degraded"
+    if snapshot.faults:
+        level, message = Level.ERROR, f"{message}: {', '.join(snapshot.faults)}"
+    values = {
+        "state": state_name(snapshot),
+        "armed": _word(snapshot.armed),
+        "at_rest": _word(snapshot.at_rest),
+        "faults": " ".join(snapshot.faults),
+        "reasons": " ".join(snapshot.reasons),
+        "saturation": _word(snapshot.saturation),
+        "command_age_s": _word(snapshot.command_age_s),
+    }
+    return DiagnosticStatus(level, f"{body.robot}: base", message, body.robot, _pairs(values))
+
+
+def _joint_diagnostics(snapshot: Snapshot, body: Body) -> Iterator[DiagnosticStatus]:
+    for name, joint in zip(*all_joints(snapshot, body), strict=True):
+        level, message = _joint_level(joint)
+        values = {
+            "enabled": "unknown" if joint.enabled is None else _word(joint.enabled),
+            "drive_faults": f"0x{joint.drive_faults:x}",
+            "feedback_age_s": _word(joint.feedback_age_s),
+            "current_a": _word(joint.current_a),
+            "voltage_v": _word(joint.voltage_v),
+            "temperature_c": _word(joint.temperature_c),
+            "jumps": str(joint.jumps),
+        }
+        said = f"{body.robot}: joint {name}"
+        yield DiagnosticStatus(level, said, message, f"{body.robot}/{name}", _pairs(values))
+
+
+_IMU_LEVELS = {"used": Level.OK, "unbiased": Level.WARN, "stale": Level.STALE}
+
+
+def _imu_diagnostic(found: ImuSnapshot, body: Body) -> DiagnosticStatus:
+    values = {
+        "heading_by_gyro": _word(found.heading_by_gyro),
+        "still": _word(found.still),
+        "bias_rad_s": _word(found.bias_rad_s),
+        "refused": str(found.refused),
+    }
+    level = _IMU_LEVELS.get(found.state, Level.ERROR)
+    return DiagnosticStatus(level, f"{body.robot}: imu", found.state, body.robot, _pairs(values))
+
+
+def _joint_level(joint: JointSnapshot) -> tuple[Level, str]:
+    if joint.stale:
+        return Level.STALE, "not heard"
+    if joint.drive_faults:
+        return Level.ERROR, f"the drive reports fault 0x{joint.drive_faults:x}"
+    return Level.OK, "ok"
+
+
+def _word(value: bool | float) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
+
+
+def _pairs(values: Mapping[str, str]) -> tuple[KeyValue, ...]:
+    return tuple(KeyValue(key, value) for key, value in values.items())
+
+
+def state_name(snapshot: Snapshot) -> str:
+    """The state machine's word; a number that this version does not know is shown as it is."""
+    number = snapshot.machine_state
+    return STATES[number] if 0 <= number < len(STATES) else f"state {number}"

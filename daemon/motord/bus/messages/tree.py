@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one description of what motord publishes: `motord.bus.messages.description` reads it, and
+dictionaries, JSON, CDR, type hashes, schemas and docs/messages.md are made from it.
+
+`=== TOPIC TYPE` begins a topic. Its lines, in their order:
+
+    let NAMES = EXPRESSION         a value that several fields need
+    needs EXPRESSION               where it is false there is no message
+    joints EXPRESSION              names and joints that the message is about; all, unless given
+    FIELD = EXPRESSION  # UNIT     a field of the type; what is not named is zero or empty
+    TYPE FIELD = EXPRESSION  # …   the same, and the type is our own: these lines define it
+
+An expression is Python's. It knows `view` (motord.bus.messages.topics.View), `now` (its snapshot),
+`body` (names of frames and joints), `names`, and what `motord.bus.messages.sources` defines. One
+that mentions `joint` is a list with one value for each joint. A stamp is a moment of
+CLOCK_MONOTONIC in nanoseconds; the message has it as wall time.
+
+Frames: REP 105. Units: REP 103. NaN is what was not measured, as sensor_msgs has it.
+"""
+
+TREE = """
+=== odom nav_msgs/msg/Odometry
+needs now.odometry_stamp_ns
+needs finite(now.x_m, now.y_m, now.heading_rad, now.linear_m_s, now.angular_rad_s)
+let xx, xy, xh, yy, yh, hh = now.pose_covariance
+let vv, vw, ww = now.twist_covariance
+header.stamp = now.odometry_stamp_ns  # of the newest feedback in the pose
+header.frame_id = body.odom_frame
+child_frame_id = body.base_frame
+pose.pose.position.x = now.x_m  # m
+pose.pose.position.y = now.y_m  # m
+pose.pose.orientation.z = sin(now.heading_rad / 2.0)
+pose.pose.orientation.w = cos(now.heading_rad / 2.0)
+pose.covariance = [
+    xx, xy, 0.0, 0.0, 0.0, xh,
+    xy, yy, 0.0, 0.0, 0.0, yh,
+    0.0, 0.0, UNMEASURED, 0.0, 0.0, 0.0,
+    0.0, 0.0, 0.0, UNMEASURED, 0.0, 0.0,
+    0.0, 0.0, 0.0, 0.0, UNMEASURED, 0.0,
+    xh, yh, 0.0, 0.0, 0.0, hh,
+]  # m², m·rad, rad²; x, y, z, about x, about y, about z
+twist.twist.linear.x = now.linear_m_s  # m/s
+twist.twist.angular.z = now.angular_rad_s  # rad/s
+twist.covariance = [
+    vv, 0.0, 0.0, 0.0, 0.0, vw,
+    0.0, vv, 0.0, 0.0, 0.0, 0.0,
+    0.0, 0.0, UNMEASURED, 0.0, 0.0, 0.0,
+    0.0, 0.0, 0.0, UNMEASURED, 0.0, 0.0,
+    0.0, 0.0, 0.0, 0.0, UNMEASURED, 0.0,
+    vw, 0.0, 0.0, 0.0, 0.0, ww,
+]  # m²/s², m·rad/s², rad²/s²; sideways the base rests as surely as its speed is known
+
+=== tf tf2_msgs/msg/TFMessage
+needs now.odometry_stamp_ns
+needs finite(now.x_m, now.y_m, now.heading_rad)
+transforms[0].header.stamp = now.odometry_stamp_ns
+transforms[0].header.frame_id = body.odom_frame
+transforms[0].child_frame_id = body.base_frame
+transforms[0].transform.translation.x = now.x_m  # m
+transforms[0].transform.translation.y = now.y_m  # m
+transforms[0].transform.rotation.z = sin(now.heading_rad / 2.0)
+transforms[0].transform.rotation.w = cos(now.heading_rad / 2.0)
+
+=== joint_states sensor_msgs/msg/JointState
+joints with_position(now, body)
+needs names
+header.stamp = now.stamp_ns - oldest_ns(joints)  # of the oldest feedback among the joints
+name = names
+position = joint.position_rad  # rad
+velocity = joint.velocity_rad_s  # rad/s
+
+=== imu sensor_msgs/msg/Imu
+let imu = now.imu
+needs imu is not None and imu.state not in NOT_PUBLISHED and isfinite(imu.angular_rad_s[2])
+let x_rad_s, y_rad_s, z_rad_s = imu.angular_rad_s
+let x_m_s2, y_m_s2, z_m_s2 = imu.acceleration_m_s2
+let variance = imu.rate_variance_rad2_s2 + imu.bias_variance_rad2_s2
+let accelerates = finite(x_m_s2, y_m_s2, z_m_s2)
+header.stamp = imu.stamp_ns
+header.frame_id = body.base_frame
+orientation.w = 1.0
+orientation_covariance = NOT_MEASURED
+angular_velocity.x = or_zero(x_rad_s)  # rad/s
+angular_velocity.y = or_zero(y_rad_s)  # rad/s
+angular_velocity.z = z_rad_s  # rad/s
+angular_velocity_covariance = [
+    rate_variance(x_rad_s, variance), 0.0, 0.0,
+    0.0, rate_variance(y_rad_s, variance), 0.0,
+    0.0, 0.0, rate_variance(z_rad_s, variance),
+]  # rad²/s²; zeros: the error is not known
+linear_acceleration.x = x_m_s2 if accelerates else 0.0  # m/s²
+linear_acceleration.y = y_m_s2 if accelerates else 0.0  # m/s²
+linear_acceleration.z = z_m_s2 if accelerates else 0.0  # m/s²
+linear_acceleration_covariance = ERROR_UNKNOWN if accelerates else NOT_MEASURED
+
+=== battery_state sensor_msgs/msg/BatteryState
+let battery = battery_of(view)
+needs battery is not None
+header.stamp = now.stamp_ns
+voltage = battery.voltage_v  # V
+temperature = battery.temperature_c  # °C
+current = battery.current_a  # A, into the battery
+charge = nan  # Ah
+capacity = nan  # Ah
+design_capacity = battery.capacity_ah  # Ah
+percentage = nan  # 0 to 1
+power_supply_status = power_supply_status(battery.current_a)  # 0 unknown, 1 charging, 2 discharging
+present = True
+cell_voltage = (nan,) * battery.cells  # V
+
+=== diagnostics diagnostic_msgs/msg/DiagnosticArray
+header.stamp = now.stamp_ns
+status = diagnostics(view, body)
+
+=== motor_status motord_msgs/msg/MotorStatus
+let commander = view.commander() or NOBODY
+std_msgs/Header header
+header.stamp = now.stamp_ns
+header.frame_id = body.base_frame
+string state = state_name(now)  # of the state machine
+bool armed = now.armed
+bool at_rest = now.at_rest
+string[] faults = now.faults  # latched
+string[] why = view.why()  # what led to the faults
+string[] reasons = now.reasons  # why the set-point is not what was asked for
+string commander = commander.owner  # who holds the lease in command; empty: nobody
+int32 commander_priority = commander.priority
+string commander_why = commander.why  # why that one is in command
+float64 command_age_s = now.command_age_s  # s; infinity: no command ever
+float64 setpoint_linear_m_s = now.setpoint_linear_m_s  # m/s
+float64 setpoint_angular_rad_s = now.setpoint_angular_rad_s  # rad/s
+string[] name = names
+float64[] setpoint_rad_s = joint.setpoint_rad_s  # rad/s
+float64[] duty = joint.duty  # -1 to 1
+float64[] current_a = joint.current_a  # A
+float64[] voltage_v = joint.voltage_v  # V
+float64[] temperature_c = joint.temperature_c  # °C
+float64[] feedback_age_s = joint.feedback_age_s  # s; infinity: never received
+uint32[] drive_faults = joint.drive_faults  # bits of the drive's fault register
+bool[] stale = joint.stale  # the newest feedback is too old
+
+=== loop_statistics motord_msgs/msg/LoopStatistics
+let loop = view.loop()
+needs loop is not None
+let lateness_us, step_ns = loop["lateness_us"], loop["step_ns"]
+std_msgs/Header header
+header.stamp = view.status_ns
+float64 rate_hz = loop["rate_hz"]  # Hz
+string policy = loop["policy"]  # of the scheduler
+uint64 ticks = loop["ticks"]  # since the loop's start
+uint64 overruns = loop["overruns"]  # ticks that began after the next one was due
+uint64 page_faults = loop["page_faults"]
+float64 lateness_p50_us = lateness_us["p50"]  # µs
+float64 lateness_p99_us = lateness_us["p99"]  # µs
+float64 lateness_p99_9_us = lateness_us["p99_9"]  # µs
+float64 lateness_max_us = lateness_us["max"]  # µs
+float64 step_p50_ns = step_ns["p50"]  # ns
+float64 step_p99_ns = step_ns["p99"]  # ns
+float64 step_p99_9_ns = step_ns["p99_9"]  # ns
+float64 step_max_ns = step_ns["max"]  # ns
+"""
