@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the core knows after a tick, as plain Python values.
 
-The names are those of `robot_state` in csrc/api.h, and so are the meanings. The folder `realtime`
-fills it; everybody else, the second process too, only reads it: hence no import of the C core.
+Names, meanings and order are those of `robot_state` in csrc/api.h: `motord.api.state_page` decodes
+by them. Everybody but the core only reads a snapshot: hence no import of the C core.
 """
 
 from __future__ import annotations
@@ -20,6 +20,20 @@ GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
 """By GYRO_* of csrc/api_imu.h."""
 
 
+I64 = int
+U64 = int
+U32 = int
+Vector3 = tuple[float, ...]
+Planar6 = tuple[float, ...]
+"""Upper triangle of a symmetric 3 × 3 matrix, row by row."""
+Planar3 = tuple[float, ...]
+"""Upper triangle of a symmetric 2 × 2 matrix, row by row."""
+Reasons = tuple[str, ...]
+Faults = tuple[str, ...]
+FirstFault = str
+GyroState = str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointSnapshot:
     """One wheel. NaN: its drive does not measure that. `enabled` None: the drive cannot say."""
@@ -33,10 +47,10 @@ class JointSnapshot:
     temperature_c: float
     feedback_age_s: float
     """Infinity: never heard."""
-    drive_faults: int
+    drive_faults: U32
     enabled: bool | None
     stale: bool
-    jumps: int
+    jumps: U32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,23 +58,23 @@ class ImuSnapshot:
     """The inertial measurement unit, about the base's x, y, z. NaN: not measured, or not known
     yet."""
 
-    stamp_ns: int
-    angular_rad_s: tuple[float, ...]
+    stamp_ns: I64
+    angular_rad_s: Vector3
     """About z without the zero-rate offset."""
-    acceleration_m_s2: tuple[float, ...]
+    acceleration_m_s2: Vector3
     bias_rad_s: float
     """Zero-rate offset about z, estimated while the base stood."""
     bias_variance_rad2_s2: float
     rate_variance_rad2_s2: float
     """Of a sample about z, measured while the base stood."""
-    state: str
+    state: GyroState
     """"unbiased" (the base has not stood still yet), "used", "stale", or "reversed" (it has turned
     against the wheels)."""
     heading_by_gyro: bool
     """The newest turn in the pose is the gyro's; else the wheels'."""
     still: bool
     """The base stands, by wheels and gyro: the heading is held."""
-    refused: int
+    refused: U32
     """Samples that were no numbers, off the scale or out of order."""
 
 
@@ -68,15 +82,15 @@ class ImuSnapshot:
 class DoubtSnapshot:
     """Why a fault says that the feedback is not believed; of the first such fault."""
 
-    since_ns: int
+    since_ns: I64
     setpoint_rad_s: float
     measured_rad_s: float
     """By its counter where it has one, smoothed."""
     reported_rad_s: float
     """The drive's own measure. NaN: none."""
-    fault: str
+    fault: FirstFault
     """`direction`, `stall`, `following_error`, `runaway` or `implausible_feedback`."""
-    joint: int
+    joint: U32
     """Its place in the robot file."""
 
 
@@ -84,20 +98,20 @@ class DoubtSnapshot:
 class Snapshot:
     """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall time."""
 
-    stamp_ns: int
-    tick: int
-    machine_state: int
+    stamp_ns: I64
+    tick: U64
+    machine_state: U32
     """The number of the state machine's state: docs/architecture.md."""
-    owner: int
-    reasons: tuple[str, ...]
+    owner: U32
+    reasons: Reasons
     """Why the set-point is not what was asked for: `linear_jerk`, `command_stale`, ..."""
-    faults: tuple[str, ...]
+    faults: Faults
     """What is latched: `estop`, `feedback_stale`, ..."""
     armed: bool
     enabled: bool
     at_rest: bool
     odometry_degraded: bool
-    odometry_epoch: int
+    odometry_epoch: U32
     dt_s: float
     command_age_s: float
     """Infinity: no command ever."""
@@ -106,7 +120,7 @@ class Snapshot:
     setpoint_linear_m_s: float
     setpoint_angular_rad_s: float
     saturation: float
-    odometry_stamp_ns: int
+    odometry_stamp_ns: I64
     x_m: float
     y_m: float
     heading_rad: float
@@ -114,9 +128,9 @@ class Snapshot:
     turned_rad: float
     linear_m_s: float
     angular_rad_s: float
-    pose_covariance: tuple[float, ...]
+    pose_covariance: Planar6
     """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
-    twist_covariance: tuple[float, ...]
+    twist_covariance: Planar3
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
     joints: tuple[JointSnapshot, ...]
     imu: ImuSnapshot | None = None

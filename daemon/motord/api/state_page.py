@@ -8,14 +8,23 @@ is the same before and after is whole.
 
 from __future__ import annotations
 
+import dataclasses
 import mmap
 import os
 import struct
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
 from motord.api.page_file import find_page
-from motord.api.snapshot import DoubtSnapshot, ImuSnapshot, JointSnapshot, Snapshot, gyro_word
+from motord.api.snapshot import (
+    GYRO_STATES,
+    DoubtSnapshot,
+    ImuSnapshot,
+    JointSnapshot,
+    Snapshot,
+    gyro_word,
+)
 
 REASONS = {
     0: "linear_velocity",
@@ -57,20 +66,100 @@ FAULTS = {
 
 _MAGIC = b"MOTORD\0\1"
 _LAYOUT_VERSION = 1
+_ENABLED_UNKNOWN = 2
 _PAGE_BYTES = 16384
 _HEADER = struct.Struct("=8s6I")
 _PUBLISHED = struct.Struct("=Q")
 _PUBLISHED_OFFSET = 32
-_STATE = struct.Struct("=qQ10I7dq7d6d3d")
-_JOINT = struct.Struct("=8d4I")
-_IMU = struct.Struct("=q9d4I")
-_DOUBT = struct.Struct("=q3d2I")
-_JOINTS_MAX = 8
-_IMU_OFFSET = _STATE.size + _JOINTS_MAX * _JOINT.size
-_DOUBT_OFFSET = _IMU_OFFSET + _IMU.size
-_PAYLOAD_BYTES = _DOUBT_OFFSET + _DOUBT.size
-_ENABLED_UNKNOWN = 2
 _TRIES = 8
+
+
+def _words(bits: int, names: Mapping[int, str]) -> tuple[str, ...]:
+    return tuple(name for bit, name in names.items() if bits >> bit & 1)
+
+
+def _reasons(bits: int) -> tuple[str, ...]:
+    return _words(bits, REASONS)
+
+
+def _faults(bits: int) -> tuple[str, ...]:
+    return _words(bits, FAULTS)
+
+
+def _first_fault(bits: int) -> str:
+    return next(iter(_faults(bits)), "")
+
+
+def _known(number: int) -> bool | None:
+    return None if number == _ENABLED_UNKNOWN else number != 0
+
+
+_FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
+    "I64": ("q", None),
+    "U64": ("Q", None),
+    "U32": ("I", None),
+    "float": ("d", None),
+    "bool": ("I", bool),
+    "bool | None": ("I", _known),
+    "Vector3": ("3d", None),
+    "Planar3": ("3d", None),
+    "Planar6": ("6d", None),
+    "Reasons": ("I", _reasons),
+    "Faults": ("I", _faults),
+    "FirstFault": ("I", _first_fault),
+    "GyroState": ("I", gyro_word),
+}
+"""How csrc/api.h has what a dataclass calls by that type, and what it is in Python."""
+
+
+class _Record:
+    """Decodes a structure of csrc/api.h: the fields of its dataclass, in their order."""
+
+    def __init__(self, kind: type, *, hidden: tuple[str, str] = ("", "")) -> None:
+        """`hidden`: a field of the structure alone, and the one that it stands before."""
+        names = [(f.name, str(f.type)) for f in dataclasses.fields(kind) if f.type in _FORMS]
+        if hidden[0]:
+            names.insert([name for name, _ in names].index(hidden[1]), (hidden[0], "U32"))
+        self._struct = struct.Struct("=" + "".join(_FORMS[form][0] for _, form in names))
+        self._places: list[tuple[str, int | slice, Callable[[Any], Any] | None]] = []
+        at = 0
+        for name, form in names:
+            code, meaning = _FORMS[form]
+            count = int(code[:-1] or 1)
+            self._places.append((name, slice(at, at + count) if code[:-1] else at, meaning))
+            at += count
+        self.bytes = self._struct.size
+
+    def values(self, payload: bytes, at: int) -> dict[str, Any]:
+        """By the names of the fields."""
+        raw = self._struct.unpack_from(payload, at)
+        return {
+            name: raw[place] if meaning is None else meaning(raw[place])
+            for name, place, meaning in self._places
+        }
+
+
+_JOINT, _IMU, _DOUBT = map(_Record, (JointSnapshot, ImuSnapshot, DoubtSnapshot))
+_STATE = _Record(Snapshot, hidden=("joint_count", "odometry_degraded"))
+_JOINTS_MAX = 8
+_IMU_OFFSET = _STATE.bytes + _JOINTS_MAX * _JOINT.bytes
+_DOUBT_OFFSET = _IMU_OFFSET + _IMU.bytes
+_PAYLOAD_BYTES = _DOUBT_OFFSET + _DOUBT.bytes
+
+
+def decode(payload: bytes) -> Snapshot:
+    """A `robot_state`, byte for byte as the page has it."""
+    state = _STATE.values(payload, 0)
+    imu, doubt = _IMU.values(payload, _IMU_OFFSET), _DOUBT.values(payload, _DOUBT_OFFSET)
+    return Snapshot(
+        joints=tuple(
+            JointSnapshot(**_JOINT.values(payload, _STATE.bytes + place * _JOINT.bytes))
+            for place in range(min(state.pop("joint_count"), _JOINTS_MAX))
+        ),
+        imu=ImuSnapshot(**imu) if imu["state"] != GYRO_STATES[0] else None,
+        doubt=DoubtSnapshot(**doubt) if doubt["fault"] else None,
+        **state,
+    )
 
 
 class NoPage(Exception):
@@ -146,101 +235,3 @@ class StatePage:
             if before == after == 2 * number:
                 return decode(payload)
         return None
-
-
-def decode(payload: bytes) -> Snapshot:
-    """A `robot_state`, byte for byte as the page has it."""
-    raw = _STATE.unpack_from(payload)
-    state, owner, reasons, faults, armed, enabled, at_rest, count, degraded, epoch = raw[2:12]
-    dt_s, age_s, wanted_v, wanted_w, setpoint_v, setpoint_w, saturation = raw[12:19]
-    x_m, y_m, heading_rad, distance_m, turned_rad, linear_m_s, angular_rad_s = raw[20:27]
-    return Snapshot(
-        stamp_ns=raw[0],
-        tick=raw[1],
-        machine_state=state,
-        owner=owner,
-        reasons=_words(reasons, REASONS),
-        faults=_words(faults, FAULTS),
-        armed=armed != 0,
-        enabled=enabled != 0,
-        at_rest=at_rest != 0,
-        odometry_degraded=degraded != 0,
-        odometry_epoch=epoch,
-        dt_s=dt_s,
-        command_age_s=age_s,
-        wanted_linear_m_s=wanted_v,
-        wanted_angular_rad_s=wanted_w,
-        setpoint_linear_m_s=setpoint_v,
-        setpoint_angular_rad_s=setpoint_w,
-        saturation=saturation,
-        odometry_stamp_ns=raw[19],
-        x_m=x_m,
-        y_m=y_m,
-        heading_rad=heading_rad,
-        distance_m=distance_m,
-        turned_rad=turned_rad,
-        linear_m_s=linear_m_s,
-        angular_rad_s=angular_rad_s,
-        pose_covariance=raw[27:33],
-        twist_covariance=raw[33:36],
-        joints=tuple(
-            _joint(_JOINT.unpack_from(payload, _STATE.size + index * _JOINT.size))
-            for index in range(min(count, _JOINTS_MAX))
-        ),
-        imu=_imu(_IMU.unpack_from(payload, _IMU_OFFSET)),
-        doubt=_doubt(_DOUBT.unpack_from(payload, _DOUBT_OFFSET)),
-    )
-
-
-def _words(bits: int, names: dict[int, str]) -> tuple[str, ...]:
-    return tuple(name for bit, name in names.items() if bits >> bit & 1)
-
-
-def _imu(raw: tuple[Any, ...]) -> ImuSnapshot | None:
-    state, by_gyro, still, refused = raw[10:]
-    if state == 0:
-        return None
-    return ImuSnapshot(
-        stamp_ns=raw[0],
-        angular_rad_s=raw[1:4],
-        acceleration_m_s2=raw[4:7],
-        bias_rad_s=raw[7],
-        bias_variance_rad2_s2=raw[8],
-        rate_variance_rad2_s2=raw[9],
-        state=gyro_word(state),
-        heading_by_gyro=by_gyro != 0,
-        still=still != 0,
-        refused=refused,
-    )
-
-
-def _doubt(raw: tuple[Any, ...]) -> DoubtSnapshot | None:
-    words = _words(raw[4], FAULTS)
-    if not words:
-        return None
-    return DoubtSnapshot(
-        since_ns=raw[0],
-        setpoint_rad_s=raw[1],
-        measured_rad_s=raw[2],
-        reported_rad_s=raw[3],
-        fault=words[0],
-        joint=raw[5],
-    )
-
-
-def _joint(raw: tuple[float, ...]) -> JointSnapshot:
-    faults, enabled, stale, jumps = map(int, raw[8:])
-    return JointSnapshot(
-        position_rad=raw[0],
-        velocity_rad_s=raw[1],
-        setpoint_rad_s=raw[2],
-        duty=raw[3],
-        current_a=raw[4],
-        voltage_v=raw[5],
-        temperature_c=raw[6],
-        feedback_age_s=raw[7],
-        drive_faults=faults,
-        enabled=None if enabled == _ENABLED_UNKNOWN else enabled != 0,
-        stale=stale != 0,
-        jumps=jumps,
-    )

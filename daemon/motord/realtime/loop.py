@@ -25,13 +25,14 @@ from motord.api.commands import (
     TOKEN_BYTES,
     CommandReport,
     LeaseGrant,
+    LeaseState,
     Refusal,
     datagram,
 )
 from motord.api.page_file import JOURNAL, PageFile, PageInUse
 from motord.api.snapshot import Snapshot
+from motord.api.state_page import decode
 from motord.realtime import permissions
-from motord.realtime.snapshot import lease_state_of, snapshot_of
 from motord.realtime.types import (
     AxisLimits,
     BaseLimits,
@@ -57,8 +58,6 @@ __all__ = [
     "StopAction",
     "ConfigRefused",
     "limits_problem",
-    "Reason",
-    "Fault",
     "HistogramKind",
     "Percentiles",
     "Bucket",
@@ -110,59 +109,6 @@ def _core_config(config: CoreConfig) -> Any:
     if bad := _named(lib.core_config_check, raw):
         raise ConfigRefused(bad)
     return raw
-
-
-class Reason(enum.IntFlag):
-    """Why the set-point of this tick is not what was asked for."""
-
-    LINEAR_VELOCITY = lib.REASON_LINEAR_VELOCITY
-    LINEAR_ACCELERATION = lib.REASON_LINEAR_ACCELERATION
-    LINEAR_DECELERATION = lib.REASON_LINEAR_DECELERATION
-    LINEAR_JERK = lib.REASON_LINEAR_JERK
-    ANGULAR_VELOCITY = lib.REASON_ANGULAR_VELOCITY
-    ANGULAR_ACCELERATION = lib.REASON_ANGULAR_ACCELERATION
-    ANGULAR_DECELERATION = lib.REASON_ANGULAR_DECELERATION
-    ANGULAR_JERK = lib.REASON_ANGULAR_JERK
-    WHEEL_SATURATED = lib.REASON_WHEEL_SATURATED
-    DUTY_CLAMPED = lib.REASON_DUTY_CLAMPED
-    DUTY_SLEW = lib.REASON_DUTY_SLEW
-    NOT_ARMED = lib.REASON_NOT_ARMED
-    STOP_REQUESTED = lib.REASON_STOP_REQUESTED
-    COMMAND_STALE = lib.REASON_COMMAND_STALE
-    COMMAND_NOT_FINITE = lib.REASON_COMMAND_NOT_FINITE
-    FAULT = lib.REASON_FAULT
-
-    def words(self) -> list[str]:
-        """`command_stale`, ... by the bits' order."""
-        return _words(self)
-
-
-class Fault(enum.IntFlag):
-    """What is latched until a reset."""
-
-    ESTOP = lib.FAULT_ESTOP
-    HEARTBEAT_LOST = lib.FAULT_HEARTBEAT_LOST
-    FEEDBACK_STALE = lib.FAULT_FEEDBACK_STALE
-    DRIVE = lib.FAULT_DRIVE
-    DRIVE_DISABLED = lib.FAULT_DRIVE_DISABLED
-    TIME_STEP = lib.FAULT_TIME_STEP
-    EXTERNAL = lib.FAULT_EXTERNAL
-    STATE = lib.FAULT_STATE
-    OVERSPEED = lib.FAULT_OVERSPEED
-    DIRECTION = lib.FAULT_DIRECTION
-    STALL = lib.FAULT_STALL
-    FOLLOWING_ERROR = lib.FAULT_FOLLOWING_ERROR
-    RUNAWAY = lib.FAULT_RUNAWAY
-    IMPLAUSIBLE_FEEDBACK = lib.FAULT_IMPLAUSIBLE_FEEDBACK
-    SUSPENDED = lib.FAULT_SUSPENDED
-
-    def words(self) -> list[str]:
-        """`feedback_stale`, ... by the bits' order."""
-        return _words(self)
-
-
-def _words(flags: enum.IntFlag) -> list[str]:
-    return [flag.name.lower() for flag in flags if flag.name]
 
 
 class HistogramKind(enum.IntEnum):
@@ -323,7 +269,7 @@ class Loop:
             commander=raw.commander,
             accepted=raw.accepted,
             refused={kind: raw.refused[kind] for kind in Refusal},
-            leases={lease.number: lease_state_of(lease) for lease in raw.lease if lease.number},
+            leases={lease.number: _lease_state(lease) for lease in raw.lease if lease.number},
         )
 
     def open_lease(self, priority: int = 100, lifetime_s: float = 0.3) -> LoopLease:
@@ -467,6 +413,20 @@ def _raise_for(code: int, what: str) -> None:
         raise OSError(-code, f"{what}: {os.strerror(-code)}")
 
 
+def _lease_state(raw: Any) -> LeaseState:
+    return LeaseState(
+        number=raw.number,
+        held=raw.held != 0,
+        sequence=raw.sequence,
+        stamp_ns=raw.stamp_ns,
+        expires_ns=raw.expires_ns,
+        since=raw.since,
+        priority=raw.priority,
+        interval_ns=raw.interval_ns,
+        linear_m_s=raw.linear_m_s,
+        angular_rad_s=raw.angular_rad_s,
+    )
+
+
 def _snapshot(raw: Any) -> Snapshot:
-    doubts = Fault(raw.doubt.fault).words()
-    return snapshot_of(raw, Reason(raw.reasons).words(), Fault(raw.faults).words(), doubts)
+    return decode(bytes(ffi.buffer(raw, ffi.sizeof("robot_state"))))
