@@ -5,8 +5,10 @@ import math
 import random
 import struct
 import threading
+from types import SimpleNamespace
 
 import pytest
+from smbus2.smbus2 import I2C_SMBUS
 
 from motord_hal.base.errors import BadReply, NoReply, PortError
 from motord_hal.fieldbus.ports import AXES, Mounting
@@ -185,6 +187,25 @@ def test_the_lsm_samples_at_least_twice_as_often_as_it_is_read(rate_hz):
 def test_a_bus_that_is_not_there_names_the_way_to_it(tmp_path):
     with pytest.raises(PortError, match="there is no such bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-7", 0x68)
+
+
+def test_a_row_that_the_adapter_has_cut_short_is_a_bad_reply(monkeypatch):
+    """An SMBus controller may end a transfer early and say so in the count alone."""
+    adapter = SimpleNamespace(fd=-1)
+    device = I2cDevice(adapter, 0x68, "i2c-1 at 0x68")
+
+    def answering(count):
+        def ioctl(fd, request, argument):
+            if request == I2C_SMBUS:
+                argument.data.contents.block[:4] = [count, 7, 8, 9]
+
+        monkeypatch.setattr("motord_hal.i2c.bus.fcntl.ioctl", ioctl)
+
+    answering(3)
+    assert device.read_row(0x3B, 3) == bytes([7, 8, 9])
+    answering(2)
+    with pytest.raises(BadReply, match="register 0x3b: 2 bytes of 3"):
+        device.read_row(0x3B, 3)
 
 
 # ------------------------------------------------------------------------------------ the thread

@@ -8,10 +8,11 @@ same bus, and other drivers other devices on it.
 from __future__ import annotations
 
 import errno
+import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self, cast
 
 from motord_hal.base.errors import BadReply, HalError, NoReply, PortError
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 ROW_BYTES_MAX = 32
 """I2C_SMBUS_BLOCK_MAX."""
+_I2C_SLAVE = 0x0703
+"""linux/i2c-dev.h."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
 """No acknowledge, or a bus that somebody holds: Documentation/i2c/fault-codes.rst."""
 
@@ -97,8 +100,26 @@ class I2cDevice:
 
     def read_row(self, register: int, size: int) -> bytes:
         """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        from smbus2.smbus2 import (
+            I2C_SMBUS,
+            I2C_SMBUS_I2C_BLOCK_DATA,
+            I2C_SMBUS_READ,
+            i2c_smbus_ioctl_data,
+        )
+
+        # not read_i2c_block_data: it takes what an adapter has not filled for zeros
+        message = i2c_smbus_ioctl_data.create(
+            read_write=I2C_SMBUS_READ, command=register, size=I2C_SMBUS_I2C_BLOCK_DATA
+        )
+        message.data.contents.byte = size
         with self._transfer(register):
-            return bytes(self._bus.read_i2c_block_data(self._address, register, size))
+            fd = cast("int", self._bus.fd)
+            fcntl.ioctl(fd, _I2C_SLAVE, self._address)
+            fcntl.ioctl(fd, I2C_SMBUS, message)
+        count, *row = message.data.contents.block[: size + 1]
+        if count != size:
+            raise BadReply(f"{self._where}, register 0x{register:02x}: {count} bytes of {size}")
+        return bytes(row)
 
     def close(self) -> None:
         """Once."""
