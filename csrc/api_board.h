@@ -91,7 +91,7 @@ typedef struct {
     uint32_t reserved;
     int64_t period_ns;           /* of the cycle: > 0 */
     int64_t gap_ns;              /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
-    int64_t silence_ns;          /* so long without a word, and it is quiet: > 0 */
+    int64_t silence_ns;          /* so long without a word, and it is unresponsive: > 0 */
     int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     int64_t watchdog_ns;         /* told nothing for so long while armed: it has stopped; 0: never */
@@ -131,8 +131,8 @@ typedef struct {
     uint32_t stops;          /* how often it was told to stop, by C or by a request */
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
-    uint32_t orders_dropped; /* guarded, and it was stopped; or it is quiet */
-    uint32_t said_bytes;     /* of said[]; 0: it has not spoken since it was quiet, or ever */
+    uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
+    uint32_t said_bytes;     /* of said[]; 0: it has not spoken since it was unresponsive, or ever */
     uint32_t stop_waits;     /* the port has not taken its newest stop */
     uint32_t reserved;
     uint64_t cycles;
@@ -141,11 +141,11 @@ typedef struct {
     uint64_t bad_frames; /* pieces of the stream that said nothing */
     uint64_t received;
     uint64_t published;              /* feedback that the core was given since the start */
-    uint64_t quiet;                  /* how often it became QUIET */
+    uint64_t unresponsive;           /* how often it became UNRESPONSIVE */
     int64_t cycle_ns;                /* smoothed time between two cycles */
     int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
-    int64_t heard_ns;                /* its newest word came */
-    int64_t knows_ns;                /* when it said it, it had heard what was sent then; TEXT cannot say: heard_ns */
+    int64_t received_ns;             /* its newest word came */
+    int64_t knows_ns;                /* when it said it, it had heard what was sent then; TEXT cannot say: received_ns */
     int64_t written_ns;              /* what stays in its payload was changed last */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     uint8_t said[BOARD_PAYLOAD_MAX]; /* the newest */

@@ -76,7 +76,7 @@ typedef struct {
 
 /* A frame of the drive that the cycle lives on. */
 typedef struct {
-    int64_t silence_ns; /* so long without it, and the drive is quiet; 0: it is not waited for */
+    int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited for */
     int64_t spacing_ns; /* one sooner after the other tells nothing new: frames that the bus has held up */
     uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
@@ -98,12 +98,12 @@ typedef struct {
     uint32_t slow_every;     /* cycles between two of what may wait: 1.. */
     uint32_t idle_setpoints; /* 1: zero is told in READY, too */
     uint32_t says_enabled;   /* 0: it cannot say, so it is told to disarm again now and then in READY */
-    uint32_t hello;          /* 1 + number of the input that alone says whether a quiet drive is back; 0: all that are
+    uint32_t hello;          /* 1 + number of the input that alone says whether an unresponsive drive is back; 0: all that are
                                    waited for */
     uint32_t output_count;
     uint32_t ask_count;   /* asked in each cycle */
     uint32_t slow_count;  /* by turns */
-    uint32_t probe_count; /* asked of a quiet drive */
+    uint32_t probe_count; /* asked of an unresponsive drive */
     uint32_t match_count;
     uint32_t input_count;
     uint32_t quick_stop_count;
@@ -158,15 +158,15 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;     /* 1, 0, 2: it has not said */
-    uint32_t stopping;    /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion; /* its newest set-points are not zero */
-    uint32_t missing;     /* 1 + number of the input that is not there; 0: none */
-    uint32_t stops;       /* how often it was told to stop, by C or by a request */
-    uint64_t cycles;      /* feedback that was made of it */
-    uint64_t received;    /* frames */
-    uint64_t quiet;       /* how often it became QUIET */
-    int64_t heard_ns;
+    uint32_t enabled;      /* 1, 0, 2: it has not said */
+    uint32_t stopping;     /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t told_motion;  /* its newest set-points are not zero */
+    uint32_t missing;      /* 1 + number of the input that is not there; 0: none */
+    uint32_t stops;        /* how often it was told to stop, by C or by a request */
+    uint64_t cycles;       /* feedback that was made of it */
+    uint64_t received;     /* frames */
+    uint64_t unresponsive; /* how often it became UNRESPONSIVE */
+    int64_t received_ns;
     uint32_t epoch; /* of its feedback */
     uint32_t orders_sent;
     uint32_t orders_dropped; /* too late, or guarded and the drive was stopped */

@@ -145,7 +145,7 @@ typedef struct {
 } line_way;
 
 typedef struct {
-    uint32_t tries;           /* failures in a row until it counts as quiet: 1.. */
+    uint32_t tries;           /* failures in a row until it counts as unresponsive: 1.. */
     uint32_t extra_every;     /* cycles between two extra exchanges: 1.. */
     int64_t period_ns;        /* wanted time between two cycles: > 0 */
     int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the profile's bound */
@@ -158,7 +158,7 @@ typedef struct {
     uint32_t disarm_count;
     uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
     uint32_t reserved;
-    uint32_t probe; /* 1 + number of the cyclic exchange that asks whether a quiet drive is back; 0: extra[0],
+    uint32_t probe; /* 1 + number of the cyclic exchange that asks whether an unresponsive drive is back; 0: extra[0],
                                    or the first cyclic one, with zeros, where there is no other */
     line_exchange cyclic[DRIVE_CYCLIC_MAX]; /* in their order: set-points first */
     line_exchange extra[DRIVE_EXTRA_MAX];
@@ -184,13 +184,13 @@ typedef struct {
 /* OFF     not set up: nothing cyclic is said to it
  * READY   cyclic, every set-point zero
  * ARMED   cyclic, with the core's set-points while they are fresh and enabled
- * QUIET   it did not answer `tries` times: probed with back-off, told to stop where it may turn
- * BACK    a quiet drive has answered, and was told to disarm: as OFF, until Python has set it up */
+ * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, told to stop where it may turn
+ * BACK    an unresponsive drive has answered, and was told to disarm: as OFF, until Python has set it up */
 typedef enum {
     DRIVE_OFF = 0,
     DRIVE_READY = 1,
     DRIVE_ARMED = 2,
-    DRIVE_QUIET = 3,
+    DRIVE_UNRESPONSIVE = 3,
     DRIVE_BACK = 4,
     DRIVE_STAND_DOWN = 5 /* only as a request: from ARMED to READY, else nothing */
 } drive_mode;
@@ -202,7 +202,7 @@ enum {
     DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
     DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
     DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
-    DRIVE_FAULT_QUIET = 1 << 5,
+    DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
     DRIVE_FAULT_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
 };
 
@@ -271,8 +271,8 @@ typedef struct {
     uint64_t bad_reply;
     uint64_t refused;
     uint64_t late;         /* replies that came after their time: nobody was told what they said */
-    uint64_t quiet;        /* how often it became QUIET */
-    int64_t heard_ns;      /* last good reply */
+    uint64_t unresponsive; /* how often it became UNRESPONSIVE */
+    int64_t received_ns;   /* last good reply */
     int64_t turnaround_ns; /* smoothed */
     int64_t deadline_ns;   /* in force, from the request's last byte to the reply's first */
     int64_t cycle_ns;      /* smoothed time between two cycles */

@@ -429,15 +429,15 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     }
 }
 
-static bool both_sides_heard(const core_config *config, const uint32_t *stale)
+static bool both_sides_received(const core_config *config, const uint32_t *stale)
 {
-    bool heard[2] = {false, false};
+    bool received[2] = {false, false};
     for (uint32_t j = 0; j < config->joint_count; j++) {
         if (!stale[j]) {
-            heard[config->joint[j].side > 0.0] = true;
+            received[config->joint[j].side > 0.0] = true;
         }
     }
-    return heard[0] && heard[1];
+    return received[0] && received[1];
 }
 
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
@@ -461,7 +461,7 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
     if (silent != 0) {
         state->degraded = 1;
     }
-    state->blind = silent != 0 && !both_sides_heard(config, stale);
+    state->blind = silent != 0 && !both_sides_received(config, stale);
     if (missing == 0 && !state->blind) {
         integrate(state, config, stale);
     }

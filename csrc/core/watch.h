@@ -101,11 +101,11 @@ static inline void read_feedback(core_state *state, tick *t)
         enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
     /* all of it fresh, as in the tick before: no joint needs a closer look */
-    bool heard = state->silent == 0 && now_ns >= newest_ns && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
-    if (!heard) {
+    bool received = state->silent == 0 && now_ns >= newest_ns && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
+    if (!received) {
         judge_feedback(state, t);
     }
-    t->news = news != 0 || !heard;
+    t->news = news != 0 || !received;
     t->any_stale = state->silent != 0;
     t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
     t->drive_fault = faults != 0;

@@ -107,12 +107,12 @@ void motord_board_init(motord_board *board, uint8_t motors, uint32_t now_us)
     board->restarted = 1;
     board->watchdog_ms = FIRST_WATCHDOG_MS;
     board->feedback_ms = FIRST_FEEDBACK_MS;
-    board->heard_us = board->fed_us = now_us;
+    board->received_us = board->fed_us = now_us;
 }
 
 static int is_silent(const motord_board *board, uint32_t now_us)
 {
-    return now_us - board->heard_us > (uint32_t)board->watchdog_ms * 1000u;
+    return now_us - board->received_us > (uint32_t)board->watchdog_ms * 1000u;
 }
 
 void motord_board_watch(motord_board *board, uint32_t now_us)
@@ -120,8 +120,8 @@ void motord_board_watch(motord_board *board, uint32_t now_us)
     if (!is_silent(board, now_us)) {
         return;
     }
-    board->has_heard = 0;                                                 /* whoever speaks next may begin with any sequence */
-    board->heard_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u; /* silent also when the clock has gone round */
+    board->has_received = 0;                                                 /* whoever speaks next may begin with any sequence */
+    board->received_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u; /* silent also when the clock has gone round */
     if (board->enabled) {
         board->stopped_by_silence = 1;
         switch_off(board, 1);
@@ -162,8 +162,8 @@ static void obey(motord_board *board, const uint8_t *payload, uint8_t motors, ui
 {
     const uint8_t *motor = payload + SETPOINTS_HEAD;
     const uint16_t watchdog_ms = get16(payload + 2);
-    board->heard_us = now_us;
-    board->has_heard = 1;
+    board->received_us = now_us;
+    board->has_received = 1;
     board->watchdog_ms = watchdog_ms < MOTORD_WATCHDOG_MS_MAX ? watchdog_ms : MOTORD_WATCHDOG_MS_MAX;
     board->feedback_ms = get16(payload + 4);
     obey_control(board, payload[0], all_zero(motor, (size_t)motors * SETPOINTS_MOTOR));
@@ -193,10 +193,10 @@ static int take(motord_board *board, uint32_t now_us)
         return 0;
     }
     const uint16_t sequence = get16(raw + 2);
-    if (board->has_heard && (int16_t)(sequence - board->heard_sequence) <= 0) {
+    if (board->has_received && (int16_t)(sequence - board->received_sequence) <= 0) {
         return 0; /* old, or heard already */
     }
-    board->heard_sequence = sequence;
+    board->received_sequence = sequence;
     obey(board, raw + HEAD_BYTES, motors, now_us);
     return 1;
 }
@@ -259,7 +259,7 @@ size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_
     }
     board->fed_us = now_us;
 
-    const uint32_t held = (now_us - board->heard_us) / 100u;
+    const uint32_t held = (now_us - board->received_us) / 100u;
     raw[0] = VERSION;
     raw[1] = FEEDBACK;
     put16(raw + 2, board->sequence++);
@@ -268,7 +268,7 @@ size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_
     payload[1] = board->motors;
     put16(payload + 2, board->watchdog_ms);
     put16(payload + 4, board->feedback_ms);
-    put16(payload + 6, board->heard_sequence);
+    put16(payload + 6, board->received_sequence);
     put16(payload + 8, (uint16_t)(held < 0xFFFF ? held : 0xFFFF));
     put16(payload + 10, board->faults);
     put16(payload + 12, health->voltage_10mv);

@@ -56,9 +56,9 @@ typedef struct {
     motord_setpoint setpoint[MOTORD_MOTORS_MAX];
     uint32_t frames_good, frames_bad;
     /* its own */
-    uint8_t motors, control, stopped_by_silence, restarted, has_heard;
-    uint16_t watchdog_ms, feedback_ms, heard_sequence, sequence, faults;
-    uint32_t heard_us, fed_us;
+    uint8_t motors, control, stopped_by_silence, restarted, has_received;
+    uint16_t watchdog_ms, feedback_ms, received_sequence, sequence, faults;
+    uint32_t received_us, fed_us;
     motord_imu imu;
     uint8_t has_imu;
     uint8_t received[MOTORD_SENT_BYTES_MAX];

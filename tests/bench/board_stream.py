@@ -55,9 +55,9 @@ async def drive(port: str, seconds: float) -> dict[str, float]:
         await asyncio.sleep(seconds)
         spent_ns, stats = time.process_time_ns() - before[0], line.stats()
         running.cancel()
-    heard = stats.exchanges - before[1]
+    received = stats.exchanges - before[1]
     return {
-        "cpu_us": spent_ns * 1e-3 / max(heard, 1),
+        "cpu_us": spent_ns * 1e-3 / max(received, 1),
         "p50_us": stats.round_trip.p50_us,
         "p99_us": stats.round_trip.p99_us,
     }

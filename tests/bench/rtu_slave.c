@@ -232,9 +232,9 @@ static void serve(int fd)
             }
         }
         if ((fds[0].revents & POLLIN) != 0) {
-            int64_t heard_ns = now_ns();
+            int64_t received_ns = now_ns();
             ssize_t came = read(fd, frame + count, sizeof frame - (size_t)count);
-            request_ns = count == 0 ? heard_ns : request_ns;
+            request_ns = count == 0 ? received_ns : request_ns;
             count += came > 0 ? (int)came : 0;
             if (count >= request_bytes(frame, count)) {
                 answer(fd, frame, count);

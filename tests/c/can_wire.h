@@ -177,11 +177,11 @@ static inline const can_drive_state *state_of(uint32_t drive)
     return &w.machine.drive[drive];
 }
 
-static inline void become_quiet(void)
+static inline void become_unresponsive(void)
 {
     w.silent = true;
     go_on(320 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE);
 }
 
 static inline void forget_sent(void)

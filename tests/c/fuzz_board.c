@@ -33,7 +33,7 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
         return true;
     }
     CHECK(may_move() || (told(TARGET, 4, 1) == 0 && told(TARGET + 6, 4, 1) == 0));
-    CHECK(w.machine.state.mode != DRIVE_QUIET || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
+    CHECK(w.machine.state.mode != DRIVE_UNRESPONSIVE || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
           w.machine.end.stage != END_NOT);
     return true;
 }
@@ -48,8 +48,8 @@ static void say_something(void)
     }
     payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU; /* a sensor, too, where it is long enough */
     payload[WATCHDOG] = WATCHDOG_MS;
-    board_place heard = at(6, 2, 0);
-    board_put(payload, &heard, w.machine.sequence - next_byte() % 4);
+    board_place received = at(6, 2, 0);
+    board_put(payload, &received, w.machine.sequence - next_byte() % 4);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 0, (uint32_t)(w.now_ns / 1000), payload, size, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
 }

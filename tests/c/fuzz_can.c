@@ -63,7 +63,7 @@ static bool offer(void *sink, const can_packet *packet)
 }
 
 /* Three kinds: one is told zero when it rests, one must not be and cannot say whether it has power, one has a watchdog,
- * two frames to a stop, and is quiet until it answers. */
+ * two frames to a stop, and is unresponsive until it answers. */
 static void begin(void)
 {
     begin_with(DRIVES);
@@ -205,12 +205,12 @@ static void judge_modes(void)
     CHECK((w.machine.feedback_mask & ~7U) == 0);
 }
 
-/* Whoever has been told to move and may not any more has been told so, if the bus takes anything: a quiet one in its
+/* Whoever has been told to move and may not any more has been told so, if the bus takes anything: an unresponsive one in its
  * next cycle, by the probe. */
 static void judge_stops(bool cycled)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
-        bool waits = w.machine.drive[i].state.mode == DRIVE_QUIET && !cycled;
+        bool waits = w.machine.drive[i].state.mode == DRIVE_UNRESPONSIVE && !cycled;
         CHECK(told[i] == 0 || may_move(i) || waits);
     }
 }

@@ -31,7 +31,7 @@ static void set_points(uint8_t choice)
 static void requests(uint8_t choice)
 {
     uint32_t drive = choice % UNITS, what = choice / 8;
-    if (what < DRIVE_QUIET || what == DRIVE_STAND_DOWN) {
+    if (what < DRIVE_UNRESPONSIVE || what == DRIVE_STAND_DOWN) {
         request(drive, what);
     } else if (what == 8) {
         line_ask ask = {.id = choice,

@@ -37,26 +37,26 @@ static line_frame frame_of(const uint8_t *data)
     return frame;
 }
 
-static void judge(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count, heard found)
+static void judge(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count, received found)
 {
-    if (found.kind == HEARD_ANSWER) {
+    if (found.kind == RECEIVED_ANSWER) {
         const uint8_t *at = bytes + found.offset;
         CHECK(found.offset + frame->reply_bytes <= count);
         CHECK(memcmp(at, frame->echo_bytes > 0 ? frame->request : frame->match,
                      frame->echo_bytes > 0 ? frame->echo_bytes : frame->match_bytes) == 0);
         CHECK(sealed(at, frame->reply_bytes, frame->reply_seal));
-    } else if (found.kind == HEARD_REFUSED) {
+    } else if (found.kind == RECEIVED_REFUSED) {
         const uint8_t *at = bytes + found.offset;
         CHECK(frame->has_exceptions && found.offset + 5 <= count);
         CHECK(at[0] == frame->request[0] && at[1] == (frame->request[1] | 0x80) && at[2] == found.exception);
         CHECK(sealed(at, 5, SEAL_CRC16));
     }
-    if (echo == 1 && found.kind != HEARD_BAD) {
+    if (echo == 1 && found.kind != RECEIVED_BAD) {
         uint32_t same = count < frame->request_bytes ? count : frame->request_bytes;
         CHECK(memcmp(bytes, frame->request, same) == 0);
-        CHECK(found.kind == HEARD_MORE || found.offset >= frame->request_bytes);
+        CHECK(found.kind == RECEIVED_MORE || found.offset >= frame->request_bytes);
     }
-    CHECK(found.kind != HEARD_BAD || echo == 1);
+    CHECK(found.kind != RECEIVED_BAD || echo == 1);
 }
 
 static void once(const uint8_t *given, size_t size)
@@ -80,11 +80,11 @@ static void once(const uint8_t *given, size_t size)
         bool whole = frame.reply_bytes >
                      rtu_seal_bytes(frame.reply_seal) + (frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes) - 1;
         count += frame.reply_bytes;
-        heard found = rtu_find_answer(&frame, frame.request, 0, bytes, count);
-        CHECK(!whole || (found.kind != HEARD_MORE && found.offset <= begin));
+        received found = rtu_find_answer(&frame, frame.request, 0, bytes, count);
+        CHECK(!whole || (found.kind != RECEIVED_MORE && found.offset <= begin));
     }
-    for (uint32_t heard_bytes = 0; heard_bytes <= count; heard_bytes += 1 + data[33] % 7) {
-        judge(&frame, echo, bytes, heard_bytes, rtu_find_answer(&frame, frame.request, echo, bytes, heard_bytes));
+    for (uint32_t received_bytes = 0; received_bytes <= count; received_bytes += 1 + data[33] % 7) {
+        judge(&frame, echo, bytes, received_bytes, rtu_find_answer(&frame, frame.request, echo, bytes, received_bytes));
     }
     /* at the very end of its room: a look beyond the last byte is seen by the sanitizer */
     static uint8_t room[FUZZ_MAX + 64];

@@ -31,7 +31,7 @@ static inline void judge_mode(uint32_t before, uint32_t now, const mode_request 
     if (now != before) {
         CHECK(now != DRIVE_ARMED || (before == DRIVE_READY && asked->mode == DRIVE_ARMED));
         CHECK(now != DRIVE_READY || before == DRIVE_ARMED || asked->mode == DRIVE_READY);
-        CHECK(now != DRIVE_BACK || before == DRIVE_QUIET);
+        CHECK(now != DRIVE_BACK || before == DRIVE_UNRESPONSIVE);
     }
 }
 

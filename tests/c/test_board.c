@@ -82,9 +82,9 @@ static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
     w.full = false;
     go_on(11 * MS);
     CHECK(!w.machine.has_order && told(CONTROL, 1, 0) == CONTROL_CLEAR);
-    CHECK(heard_news() && board_machine_order(&w.machine, &one));
+    CHECK(received_news() && board_machine_order(&w.machine, &one));
     go_on(11 * MS);
-    CHECK(told(CONTROL, 1, 0) == 0 && heard_news());
+    CHECK(told(CONTROL, 1, 0) == 0 && received_news());
 }
 
 static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void)
@@ -109,13 +109,13 @@ static void a_new_start_goes_on_with_the_sequence(void)
 }
 
 /* The machine knows nothing of the program before it, whose numbers go round at 65536. */
-static void a_new_program_goes_on_from_what_the_board_has_heard(void)
+static void a_new_program_goes_on_from_what_the_board_has_received(void)
 {
-    const uint16_t heard[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
-    for (uint32_t i = 0; i < sizeof heard / sizeof heard[0]; i++) {
+    const uint16_t received[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
+    for (uint32_t i = 0; i < sizeof received / sizeof received[0]; i++) {
         begin();
         arm_and_turn();
-        w.peer.heard_sequence = heard[i];
+        w.peer.received_sequence = received[i];
         w.machine.sequence = 0;
         uint32_t refused = w.peer.frames_bad;
         restart();
@@ -190,7 +190,7 @@ static void a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second(vo
     CHECK(w.peer.braking == 0 && w.peer.enabled == 0);
 }
 
-static void rest_is_only_what_was_said_after_the_stop_was_heard(void)
+static void rest_is_only_what_was_said_after_the_stop_was_received(void)
 {
     begin();
     arm();
@@ -244,9 +244,9 @@ static void one_that_is_requested_off_is_off_at_once(void)
 {
     begin();
     arm_and_turn();
-    (void)heard_news();
+    (void)received_news();
     request(DRIVE_OFF);
-    CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && received_news());
 }
 
 static void armed_again_it_waits_again_for_the_core(void)
@@ -264,9 +264,9 @@ static void armed_again_it_waits_again_for_the_core(void)
     w.enabled = 1;
     go_on(30 * MS);
     w.enabled = 0;
-    (void)heard_news();
+    (void)received_news();
     go_on(30 * MS);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && received_news());
 }
 
 static void standing_down_takes_the_power_with_the_next_frame(void)
@@ -352,8 +352,8 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
         uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
         go_on(20 * MS);
-        board_place heard = at(6, 2, 0);
-        board_put(payload, &heard, w.machine.sequence);
+        board_place received = at(6, 2, 0);
+        board_put(payload, &received, w.machine.sequence);
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
         board_machine_hear(&w.machine, frame, count, w.now_ns);
     }
@@ -361,14 +361,14 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
 }
 
 /* --------------------------------------------------------------------------------------------------- presence */
-static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
+static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
 {
     begin();
     arm_and_turn();
     w.mute = true;
     go_on(180 * MS);
-    CHECK(w.machine.state.mode == DRIVE_QUIET && w.peer.braking == 1 && w.peer.enabled == 0);
-    CHECK(w.machine.said_bytes == 0 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE && w.peer.braking == 1 && w.peer.enabled == 0);
+    CHECK(w.machine.said_bytes == 0 && received_news());
     go_on(1200 * MS);
     CHECK(w.peer.braking == 1);
     uint32_t before = w.sent_count;
@@ -377,12 +377,13 @@ static void a_mute_board_is_quiet_braked_and_comes_back_disarmed(void)
     CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* told so in every cycle */
     request(DRIVE_ARMED);
     request(DRIVE_READY);
-    CHECK(w.machine.state.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
-    CHECK(w.machine.state.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.quiet == 1 && heard_news());
+    CHECK(w.machine.state.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.unresponsive == 1 &&
+          received_news());
     set_up();
 }
 
@@ -433,12 +434,12 @@ int main(void)
     each_write_of_a_job_goes_out_with_a_frame_of_its_own();
     a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile();
     a_new_start_goes_on_with_the_sequence();
-    a_new_program_goes_on_from_what_the_board_has_heard();
+    a_new_program_goes_on_from_what_the_board_has_received();
     a_frame_that_comes_late_is_refused_by_the_board();
     old_set_points_brake_and_take_the_power_at_rest();
     a_wheel_rests_below_the_speed_of_the_table();
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
-    rest_is_only_what_was_said_after_the_stop_was_heard();
+    rest_is_only_what_was_said_after_the_stop_was_received();
     a_core_that_takes_enabled_back_takes_the_power_at_once();
     a_stop_may_be_many_writes();
     one_that_is_requested_off_is_off_at_once();
@@ -449,7 +450,7 @@ int main(void)
     a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again();
     a_restarted_board_has_lost_its_set_up();
     a_board_that_is_enabled_though_nobody_armed_it_is_told_off();
-    a_mute_board_is_quiet_braked_and_comes_back_disarmed();
+    a_mute_board_is_unresponsive_braked_and_comes_back_disarmed();
     arming_needs_fresh_set_points_and_no_stop_under_way();
     frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();
     return checks_report("board");

@@ -9,7 +9,7 @@ static void begin_ready(void)
 {
     begin();
     m->state.mode = DRIVE_READY;
-    m->heard_ns = m->told_ns = m->written_ns = m->knows_ns = w.now_ns;
+    m->received_ns = m->told_ns = m->written_ns = m->knows_ns = w.now_ns;
     m->newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1};
     m->notify = false;
 }
@@ -25,11 +25,12 @@ static void a_board_is_unresponsive_after_its_silence_and_not_before(void)
 {
     for (int late = 0; late < 2; late++) {
         begin_ready();
-        m->heard_ns = w.now_ns - w.table.silence_ns - late;
+        m->received_ns = w.now_ns - w.table.silence_ns - late;
         uint32_t stops = m->stops;
         board_guard(m, w.now_ns);
-        CHECK(m->state.mode == (late ? DRIVE_QUIET : DRIVE_READY) && m->quiet == (uint64_t)late && m->notify == (late == 1));
-        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? DRIVE_FAULT_QUIET : 0U));
+        CHECK(m->state.mode == (late ? DRIVE_UNRESPONSIVE : DRIVE_READY) && m->unresponsive == (uint64_t)late &&
+              m->notify == (late == 1));
+        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? DRIVE_FAULT_UNRESPONSIVE : 0U));
         CHECK(m->state.stop == (late ? STOP_QUICK : STOP_NOTHING) && !m->state.stopping);
     }
 }
@@ -78,10 +79,10 @@ static void says(uint32_t status, int64_t watchdog_ms)
     board_put(m->said, &place, status);
     place = at(WATCHDOG, 2, 0);
     board_put(m->said, &place, watchdog_ms);
-    board_heard(m, w.now_ns);
+    board_received(m, w.now_ns);
 }
 
-static void its_word_counts_when_it_had_heard_what_stays_in_its_payload(void)
+static void its_word_counts_when_it_had_received_what_stays_in_its_payload(void)
 {
     for (int before = 0; before < 2; before++) {
         begin_armed();
@@ -128,7 +129,7 @@ int main(void)
     a_board_is_unresponsive_after_its_silence_and_not_before();
     a_board_is_left_alone_after_its_watchdog_and_not_before();
     it_is_at_rest_by_a_word_of_after_its_stop();
-    its_word_counts_when_it_had_heard_what_stays_in_its_payload();
+    its_word_counts_when_it_had_received_what_stays_in_its_payload();
     power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nobody_arms_it();
     arming_begins_its_watchdog_anew();
     an_order_counts_when_it_has_gone_out();

@@ -66,7 +66,7 @@ static void a_machine_begins_with_nothing_but_what_it_is_told(void)
     free(m);
 }
 
-static void a_frame_that_was_heard_is_known_by_when_it_went_out(void)
+static void a_frame_that_was_received_is_known_by_when_it_went_out(void)
 {
     begin_again();
     int64_t first_ns = send_one(), second_ns = send_one();
@@ -80,7 +80,7 @@ static void a_frame_that_was_heard_is_known_by_when_it_went_out(void)
 }
 
 /* Clocks differ a little; a frame received long before we sent it is one of an earlier program. */
-static void what_was_heard_before_it_was_sent_is_another_frame(void)
+static void what_was_received_before_it_was_sent_is_another_frame(void)
 {
     begin_again();
     int64_t sent_ns = send_one();
@@ -111,7 +111,7 @@ static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
 }
 
 /* A board refuses frames that are older than the newest it received, whichever program sent that. */
-static void a_line_goes_on_ahead_of_what_the_board_has_heard(void)
+static void a_line_goes_on_ahead_of_what_the_board_has_received(void)
 {
     begin_again();
     int64_t sent_ns = send_one();
@@ -169,10 +169,10 @@ static void an_order_to_a_board_that_was_stopped_is_dropped_and_told(void)
 int main(void)
 {
     a_machine_begins_with_nothing_but_what_it_is_told();
-    a_frame_that_was_heard_is_known_by_when_it_went_out();
-    what_was_heard_before_it_was_sent_is_another_frame();
+    a_frame_that_was_received_is_known_by_when_it_went_out();
+    what_was_received_before_it_was_sent_is_another_frame();
     a_frame_is_remembered_until_so_many_more_have_gone_out();
-    a_line_goes_on_ahead_of_what_the_board_has_heard();
+    a_line_goes_on_ahead_of_what_the_board_has_received();
     a_word_is_of_the_board_s_time();
     a_frame_carries_our_time_and_what_the_port_refuses_is_counted();
     an_order_to_a_board_that_was_stopped_is_dropped_and_told();

@@ -178,7 +178,7 @@ static void set_points_and_writes_end_where_their_place_does(void)
     BAD(t.field[0].meaning.si_per_raw, (double)NAN, "field.si_per_raw");
 }
 
-static void frames_say_which_set_points_were_heard_and_when(void)
+static void frames_say_which_set_points_were_received_and_when(void)
 {
     t = frames_table();
     t.field_count = 0;
@@ -341,7 +341,7 @@ int main(void)
     full_lists_are_looked_at_to_their_last_entry();
     where_a_number_stands();
     set_points_and_writes_end_where_their_place_does();
-    frames_say_which_set_points_were_heard_and_when();
+    frames_say_which_set_points_were_received_and_when();
     the_axes_of_a_sensor();
     templates_have_parts_of_known_forms();
     what_is_written_is_exact_and_of_a_width_that_fits();

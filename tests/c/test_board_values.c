@@ -77,7 +77,7 @@ static void a_payload_moves_where_any_set_point_of_it_does(void)
 static void what_is_not_armed_and_enabled_is_sent_zero(void)
 {
     int64_t one, other;
-    for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_QUIET; mode++) {
+    for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_UNRESPONSIVE; mode++) {
         for (uint32_t enabled = 0; enabled <= 2; enabled++) {
             begin();
             m->state.mode = mode, m->newest.enabled = enabled;

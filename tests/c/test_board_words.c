@@ -69,19 +69,19 @@ static void noise_is_counted_and_changes_nothing(void)
     CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
 }
 
-static void what_was_said_before_a_write_was_heard_is_not_believed(void)
+static void what_was_said_before_a_write_was_received_is_not_believed(void)
 {
     begin();
     arm();
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0}; /* restarted, not enabled: of long ago */
     payload[STATUS] = STATUS_RESTARTED;
-    board_place heard = at(6, 2, 0);
-    board_put(payload, &heard, w.machine.sequence + 1000);
+    board_place received = at(6, 2, 0);
+    board_put(payload, &received, w.machine.sequence + 1000);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
-    board_put(payload, &heard, w.machine.sequence);
+    board_put(payload, &received, w.machine.sequence);
     board_put(payload, &ago, 60000); /* heard six seconds ago: before it was sent, by an earlier program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_hear(&w.machine, frame, count, w.now_ns);
@@ -132,7 +132,7 @@ static void text_without_feedback_lives_on_its_port(void)
 {
     begin_with(text_table(false));
     go_on(50 * MS);
-    CHECK(newest_line_is("0,0\n") && w.machine.heard_ns > 0);
+    CHECK(newest_line_is("0,0\n") && w.machine.received_ns > 0);
     request(DRIVE_READY);
     request(DRIVE_ARMED);
     go_on(50 * MS);
@@ -141,7 +141,7 @@ static void text_without_feedback_lives_on_its_port(void)
     CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.told_ns && w.machine.received == 0);
     w.full = true;
     go_on(200 * MS);
-    CHECK(w.machine.state.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
     w.full = false;
     go_on(60 * MS);
     CHECK(w.machine.state.mode == DRIVE_BACK && newest_line_is("0,0\n"));
@@ -164,7 +164,7 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
     hear("\nv 2;hello;v 1e999\n");
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 && w.machine.bad_frames == 2);
     go_on(200 * MS);
-    CHECK(w.machine.state.mode == DRIVE_QUIET);
+    CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
 }
 
 /* -------------------------------------------------------------------------------------------------- its sensor */
@@ -240,7 +240,7 @@ int main(void)
     feedback_is_counts_and_si_in_the_board_s_time();
     the_stream_may_come_in_any_pieces();
     noise_is_counted_and_changes_nothing();
-    what_was_said_before_a_write_was_heard_is_not_believed();
+    what_was_said_before_a_write_was_received_is_not_believed();
     text_without_feedback_lives_on_its_port();
     half_a_line_is_not_read_and_one_without_end_is_thrown_away();
     a_sensor_speaks_in_the_base_s_axes();

@@ -334,7 +334,7 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
 }
 
 /* --------------------------------------------------------------------------------------------------- presence */
-static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
+static void silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch(void)
 {
     begin_with(1);
     arm(0);
@@ -345,7 +345,7 @@ static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
     while (w.machine.drive[0].state.mode == DRIVE_ARMED) {
         go_on(5 * MS);
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET && w.now_ns - silent_ns < 230 * MS);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.now_ns - silent_ns < 230 * MS);
     go_on(50 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
     go_on(3000 * MS);
@@ -362,7 +362,7 @@ static void silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch(void)
     CHECK(speed_in(newest_of(0)) == 0);
 }
 
-static void one_frame_that_is_missing_makes_a_drive_quiet(void)
+static void one_frame_that_is_missing_makes_a_drive_unresponsive(void)
 {
     begin_with(1);
     arm(0);
@@ -371,7 +371,7 @@ static void one_frame_that_is_missing_makes_a_drive_quiet(void)
         say_motion(0, 1.0F, 1.0F);
         go_on(10 * MS);
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET && w.machine.drive[0].missing == 1);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.machine.drive[0].missing == 1);
 }
 
 static void the_epochs_of_a_line_that_is_reopened_go_on(void)
@@ -471,8 +471,8 @@ int main(void)
     a_drive_that_stays_enabled_is_told_off_once_a_cycle();
     a_drive_that_is_being_armed_may_say_that_it_is_enabled();
     shutting_down_stops_and_then_takes_the_power_within_half_a_second();
-    silence_is_quiet_and_it_comes_back_disarmed_with_a_new_epoch();
-    one_frame_that_is_missing_makes_a_drive_quiet();
+    silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch();
+    one_frame_that_is_missing_makes_a_drive_unresponsive();
     the_epochs_of_a_line_that_is_reopened_go_on();
     only_who_is_listened_to_is_handed_on();
     a_table_that_points_outside_its_frames_is_refused();

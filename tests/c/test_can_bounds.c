@@ -98,8 +98,8 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     go_on(60 * MS); /* and it goes on saying that it has power */
     CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
-    become_quiet();
-    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_QUIET));
+    become_unresponsive();
+    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_UNRESPONSIVE));
 }
 
 static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
@@ -140,14 +140,14 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
     say_state(0, 8);
     say_motion(0, 1.0F, 0.0F);
-    int64_t heard_ns = w.now_ns;
-    w.now_ns = heard_ns + 200 * MS;
+    int64_t received_ns = w.now_ns;
+    w.now_ns = received_ns + 200 * MS;
     step();
     CHECK(state_of(0)->missing == 0);
     w.now_ns++;
     uint32_t stops = state_of(0)->stops;
     step();
-    CHECK(state_of(0)->missing == 2 && state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->stops == stops + 1);
+    CHECK(state_of(0)->missing == 2 && state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->stops == stops + 1);
 }
 
 static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(void)
@@ -185,7 +185,7 @@ static void an_answer_to_a_hello_is_good_for_five_seconds(void)
     CHECK(state_of(0)->missing == 1);
 }
 
-static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet(void)
+static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsive(void)
 {
     begin_with(1);
     table_of(0)->hello = 1;
@@ -197,7 +197,7 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet(void
         go_on(10 * MS); /* its motion is heard no more */
     }
     go_on(10 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 1);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 1);
     say_state(0, 8);
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_BACK);
@@ -212,14 +212,14 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     w.enabled = 2;
     go_on(110 * MS);
     CHECK(state_of(0)->state.stopping);
-    become_quiet();
+    become_unresponsive();
     CHECK(!state_of(0)->state.stopping);
-    int64_t quiet_ns = state_of(0)->quiet_since_ns;
+    int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
     CHECK(told_ns(0, DISABLE) == 0);
     go_on(800 * MS);
     CHECK(told_ns(0, DISABLE) == 0);
     go_on(1000 * MS);
-    CHECK(told_ns(0, DISABLE) > quiet_ns + 1000 * MS);
+    CHECK(told_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
@@ -231,10 +231,10 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     arm(0);
     go_on(30 * MS);
     w.not_taken = SPEED; /* so it is told anew in each cycle */
-    become_quiet();
-    int64_t quiet_ns = state_of(0)->quiet_since_ns;
-    w.machine.cycle.due_ns = quiet_ns + 1000 * MS;
-    w.now_ns = quiet_ns + 1000 * MS;
+    become_unresponsive();
+    int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
+    w.machine.cycle.due_ns = unresponsive_ns + 1000 * MS;
+    w.now_ns = unresponsive_ns + 1000 * MS;
     forget_sent();
     step();
     CHECK(count_sent(CONTROL) == 1 && count_sent(OFF_WORD) == 0);
@@ -243,7 +243,7 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     CHECK(count_sent(CONTROL) == 1 && count_sent(OFF_WORD) == 1);
 }
 
-static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
+static void an_unresponsive_drive_is_asked_at_last_every_two_seconds(void)
 {
     begin_with(1);
     w.table.period_ns = MS;
@@ -253,7 +253,7 @@ static void a_quiet_drive_is_asked_at_last_every_two_seconds(void)
     go_on(20 * MS);
     request(0, DRIVE_READY);
     w.silent = true;
-    while (state_of(0)->state.mode != DRIVE_QUIET) {
+    while (state_of(0)->state.mode != DRIVE_UNRESPONSIVE) {
         go_on(MS);
     }
     forget_sent();
@@ -467,10 +467,10 @@ int main(void)
     silence_may_last_as_long_as_it_may_and_no_longer();
     a_drive_is_missing_before_its_first_word_and_when_any_time_is_over();
     an_answer_to_a_hello_is_good_for_five_seconds();
-    an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_quiet();
+    an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsive();
     a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops();
     quick_stops_end_after_a_second_of_silence_and_not_with_it();
-    a_quiet_drive_is_asked_at_last_every_two_seconds();
+    an_unresponsive_drive_is_asked_at_last_every_two_seconds();
     a_drive_is_left_alone_when_its_watchdog_s_time_is_over();
     frames_that_the_bus_does_not_take_are_counted();
     standing_down_is_a_stop_that_ends_jobs();

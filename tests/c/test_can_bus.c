@@ -20,7 +20,7 @@ static void a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_f
         }
     }
     CHECK(say(0, all, 8) == CAN_FOR_NOBODY && say(0x7FF, all, 8) == CAN_FOR_NOBODY);
-    CHECK(w.machine.received == 0 && state_of(0)->received == 0 && state_of(0)->heard_ns[0] == 0);
+    CHECK(w.machine.received == 0 && state_of(0)->received == 0 && state_of(0)->received_ns[0] == 0);
     CHECK(state_of(1)->state.enabled == 2 && w.machine.bad_frames == 0);
     CHECK(say(STATE, all, 8) == 0 && say(STATE + 1, all, 8) == 1 && w.machine.received == 2);
 }
@@ -41,14 +41,14 @@ static void identifiers_may_stand_in_any_order_and_frames_of_one_are_told_apart_
     restart();
     w.machine.control.listen = 1;
     const uint8_t powered[8] = {8}, answers[3][8] = {{0x43}, {0x44}, {0x45}};
-    CHECK(say(STATE, powered, 1) == 0 && state_of(0)->heard_ns[0] == w.now_ns);
+    CHECK(say(STATE, powered, 1) == 0 && state_of(0)->received_ns[0] == w.now_ns);
     w.now_ns += MS;
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(say(ANSWER, answers[i], 8) == 0 && state_of(0)->heard_ns[0] == w.now_ns - MS);
+        CHECK(say(ANSWER, answers[i], 8) == 0 && state_of(0)->received_ns[0] == w.now_ns - MS);
     }
-    CHECK(say(ANSWER, answers[2], 8) == 0 && state_of(0)->heard_ns[0] == w.now_ns);
+    CHECK(say(ANSWER, answers[2], 8) == 0 && state_of(0)->received_ns[0] == w.now_ns);
     w.now_ns += MS;
-    CHECK(say(ANSWER, powered, 8) == 0 && state_of(0)->heard_ns[0] == w.now_ns - MS && w.machine.bad_frames == 0);
+    CHECK(say(ANSWER, powered, 8) == 0 && state_of(0)->received_ns[0] == w.now_ns - MS && w.machine.bad_frames == 0);
 }
 
 static void the_first_frames_count_however_young_the_clock_is(void)
@@ -261,7 +261,7 @@ static void eight_drives_are_all_there_are(void)
                                  .may_turn = true,
                                  .missing = 1,
                                  .probe_at_ns = w.now_ns,
-                                 .quiet_since_ns = w.now_ns};
+                                 .unresponsive_since_ns = w.now_ns};
         size_t bytes = sizeof mover < sizeof behind ? sizeof mover : sizeof behind;
         memcpy(w.machine.joint, &mover, bytes);
         memcpy(behind, w.machine.joint, sizeof behind);

@@ -70,7 +70,7 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     arm(0);
     hold(1, 0x5A);
     forget_sent();
-    become_quiet();
+    become_unresponsive();
     CHECK(told_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
 }
 
@@ -294,7 +294,7 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
     CHECK(state_of(0)->state.enabled == 2 && newest_of(0)->data[0] == DISABLE);
 }
 
-static void after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told(void)
+static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_told(void)
 {
     begin_with(1);
     arm_and_go();
@@ -352,7 +352,7 @@ static void asyncio_hears_of_each_change(void)
     (void)took_news();
     w.silent = true;
     w.powered = false;
-    while (state_of(0)->state.mode != DRIVE_QUIET) {
+    while (state_of(0)->state.mode != DRIVE_UNRESPONSIVE) {
         go_on(MS);
     }
     CHECK(took_news());
@@ -363,7 +363,7 @@ static void asyncio_hears_of_each_change(void)
     go_on(20 * MS);
     CHECK(state_of(0)->state.back && took_news()); /* it has to be told off first */
     go_on(20 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && !took_news());
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_news());
     w.full = false;
     go_on(2 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_news());
@@ -409,7 +409,7 @@ int main(void)
     after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing();
     switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing();
     what_it_said_before_a_change_is_not_what_it_says_now();
-    after_its_set_up_all_has_to_be_heard_anew_before_the_core_is_told();
+    after_its_set_up_all_has_to_be_received_anew_before_the_core_is_told();
     armed_again_it_may_wait_for_the_core_to_enable_it();
     asyncio_hears_of_each_change();
     each_of_its_frames_may_differ_from_what_it_was_told_and_no_other();

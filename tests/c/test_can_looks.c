@@ -110,8 +110,8 @@ static void the_report_says_what_the_bus_has_done(void)
     CHECK(report.cycles == w.machine.cycle.count && report.cycles >= 20 && report.cycle_ns == 10 * MS);
     CHECK(report.received == report.drive[0].received + report.drive[1].received && report.drive[1].received >= 40);
     CHECK(report.sent == w.sent_count && report.tx_full >= 2 && report.bad_frames == 1 && report.shut_down == 0);
-    CHECK(report.setpoints_ns == w.machine.newest.stamp_ns && report.drive[1].heard_ns == state_of(1)->newest_ns);
-    CHECK(report.drive[1].heard_ns > 0 && report.drive[1].mode == DRIVE_ARMED && report.drive[0].mode == DRIVE_OFF);
+    CHECK(report.setpoints_ns == w.machine.newest.stamp_ns && report.drive[1].received_ns == state_of(1)->newest_ns);
+    CHECK(report.drive[1].received_ns > 0 && report.drive[1].mode == DRIVE_ARMED && report.drive[0].mode == DRIVE_OFF);
     w.full = false;
     w.machine.control.shut_down = 1;
     go_on(500 * MS);

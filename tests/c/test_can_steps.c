@@ -11,7 +11,7 @@ static void begin_drive(void)
     w.machine.newest = (setpoints){
         .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-        drive->heard_ns[i] = w.now_ns;
+        drive->received_ns[i] = w.now_ns;
     }
     drive->told_ns = w.now_ns;
 }
@@ -48,7 +48,7 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
             CHECK(drive->state.stopping == (powered == 2) && drive->state.told_motion == (powered == 1) &&
                   drive->state.enabled == 2);
             for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-                CHECK(drive->heard_ns[i] == w.now_ns);
+                CHECK(drive->received_ns[i] == w.now_ns);
             }
         }
     }
@@ -112,19 +112,19 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
         }
     }
     begin_drive();
-    drive->state.mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_UNRESPONSIVE;
     obey(DRIVE_READY, 0);
-    CHECK(drive->state.mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_UNRESPONSIVE);
     uint32_t stops = drive->stops;
     obey(DRIVE_STAND_DOWN, 0);
-    CHECK(drive->state.mode == DRIVE_QUIET && drive->stops == stops + 1);
+    CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stops == stops + 1);
 }
 
 /* An armed drive after a look: does it stop, and why? */
 static void guarded(uint32_t why, uint32_t stop)
 {
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-        drive->heard_ns[i] = w.now_ns;
+        drive->received_ns[i] = w.now_ns;
     }
     w.machine.joint[0].feedback.velocity_rad_s = 1.0;
     can_guard(&w.machine, 0, w.now_ns);

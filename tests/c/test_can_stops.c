@@ -27,7 +27,7 @@ static void standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_
     CHECK(count_sent(SPEED) == 1);
 }
 
-static void switching_off_one_that_has_not_heard_its_zero_takes_its_power(void)
+static void switching_off_one_that_has_not_received_its_zero_takes_its_power(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_STAND_DOWN);
@@ -60,12 +60,12 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(void)
+static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(void)
 {
     drive_off_on_a_full_bus();
     w.silent = true;
     go_on(330 * MS);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     w.full = false;
     int64_t taken_ns = w.now_ns;
     go_on(12 * MS);
@@ -79,7 +79,7 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop
     request(0, DRIVE_READY);
     w.silent = true;
     go_on(330 * MS);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     w.full = false;
     go_on(12 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
@@ -219,10 +219,10 @@ int main(void)
     what_is_said_to_have_left_some_milliseconds_late_goes_on();
     one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it();
     standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest();
-    switching_off_one_that_has_not_heard_its_zero_takes_its_power();
+    switching_off_one_that_has_not_received_its_zero_takes_its_power();
     a_stop_that_waits_outlives_a_new_set_up();
     a_stop_that_was_overtaken_unseen_is_still_carried_out();
-    a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it();
+    an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it();
     one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop();
     return checks_report("can stops");
 }

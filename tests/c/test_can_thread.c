@@ -10,7 +10,7 @@
 /* The drive: says its state and motion, and reads what it is told. */
 static void *drive(void *arg)
 {
-    unsigned long *heard = arg;
+    unsigned long *received = arg;
     while (!over) {
         struct can_frame state = {.can_id = STATE, .can_dlc = 1, .data = {8}};
         struct can_frame motion = {.can_id = MOTION, .can_dlc = 8};
@@ -18,7 +18,7 @@ static void *drive(void *arg)
         (void)send(ends[1], &state, sizeof state, MSG_DONTWAIT);
         (void)send(ends[1], &motion, sizeof motion, MSG_DONTWAIT);
         while (recv(ends[1], &in, sizeof in, MSG_DONTWAIT) > 0) {
-            (*heard)++;
+            (*received)++;
         }
         (void)poll(NULL, 0, 1);
     }
@@ -69,18 +69,18 @@ static void a_line_is_set_up_armed_ordered_and_stopped(void)
 int main(void)
 {
     pthread_t loop, peer;
-    unsigned long heard = 0;
+    unsigned long received = 0;
     begin_with(1);
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
     can_config config = {.at = place_of_the_thread()};
-    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, drive, &heard) == 0);
+    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, drive, &received) == 0);
     CHECK(can_start(0, &config, &w.table) == 0 && can_start(0, &config, &w.table) == -EBUSY);
     a_line_is_set_up_armed_ordered_and_stopped();
     CHECK(can_start(0, &config, &w.table) == 0);
     over = true;
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
-    CHECK(heard > 200);
+    CHECK(received > 200);
     CHECK(close(ends[1]) == 0);
     CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV); /* the other end has gone: the thread says so, and ends */
     CHECK(can_stop(0) == 0);

@@ -311,8 +311,9 @@ static bool stands_at(exact e, double rate_rad_s)
 
 static void it_stands_within_a_hundredth_or_five_deviations_of_its_noise(void)
 {
-    exact quiet = at_rest(0.0), noisy = at_rest(0.01);
-    CHECK(stands_at(quiet, 0.01) && stands_at(quiet, -0.01) && !stands_at(quiet, 0.0101) && !stands_at(quiet, -0.011));
+    exact unresponsive = at_rest(0.0), noisy = at_rest(0.01);
+    CHECK(stands_at(unresponsive, 0.01) && stands_at(unresponsive, -0.01) && !stands_at(unresponsive, 0.0101) &&
+          !stands_at(unresponsive, -0.011));
     double limit_rad_s = 5.0 * sqrt(20e-4 / 19.0);
     CHECK(stands_at(noisy, 0.999 * limit_rad_s * sqrt(0.1)) && stands_at(noisy, 0.0512) && !stands_at(noisy, 0.0515));
     noisy = at_rest(0.001); /* five deviations of it are less than a hundredth */
@@ -376,12 +377,12 @@ static void a_moment_that_it_did_not_know_begins_a_new_turn(void)
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
     say_at(&e, RESTED_NS + 1, 0.2, false);
-    int64_t heard_ns = e.state.stamp_ns;
-    CHECK(!gyro_turn(&e.state, &e.config, heard_ns, &turn_rad, &variance_rad2));
-    CHECK(gyro_turn(&e.state, &e.config, heard_ns, &turn_rad, &variance_rad2));
-    CHECK(!gyro_turn(&e.state, &e.config, heard_ns + 600000000, &turn_rad, &variance_rad2));
-    CHECK(!gyro_turn(&e.state, &e.config, heard_ns + 1, &turn_rad, &variance_rad2));
-    CHECK(gyro_turn(&e.state, &e.config, heard_ns + 2, &turn_rad, &variance_rad2));
+    int64_t received_ns = e.state.stamp_ns;
+    CHECK(!gyro_turn(&e.state, &e.config, received_ns, &turn_rad, &variance_rad2));
+    CHECK(gyro_turn(&e.state, &e.config, received_ns, &turn_rad, &variance_rad2));
+    CHECK(!gyro_turn(&e.state, &e.config, received_ns + 600000000, &turn_rad, &variance_rad2));
+    CHECK(!gyro_turn(&e.state, &e.config, received_ns + 1, &turn_rad, &variance_rad2));
+    CHECK(gyro_turn(&e.state, &e.config, received_ns + 2, &turn_rad, &variance_rad2));
 }
 
 static void a_base_that_stands_has_not_turned_for_certain(void)

@@ -233,7 +233,7 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
     CHECK(sends() == frame_to(STATUS, 1));
     answers_with(150);
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
-    CHECK(drive->answered_ns == w.machine.end_ns && drive->count.heard_ns == w.now_ns);
+    CHECK(drive->answered_ns == w.machine.end_ns && drive->count.received_ns == w.now_ns);
     drive->stage = STAGE_IDLE; /* it was stopped */
     CHECK(sends() == NO_FRAME);
 }

@@ -46,8 +46,9 @@ static void reasons_gather(void)
     drive->state.enabled = 1;
     drive_take_back(&drive->state, DRIVE_FAULT_LEFT_ALONE, DRIVE_READY);
     CHECK(drive->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
-    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
-    CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_QUIET) && drive->state.mode == DRIVE_QUIET);
+    drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
+    CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE) &&
+          drive->state.mode == DRIVE_UNRESPONSIVE);
 }
 
 static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
@@ -258,11 +259,11 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
     w.machine.control.drive[0].arming_until_ns = 1234;
     obey(DRIVE_OFF, 0);
     CHECK(w.machine.current == 1 && drive->arming_until_ns == 1234);
-    drive->state.mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_UNRESPONSIVE;
     obey(DRIVE_READY, 0);
-    CHECK(drive->state.mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_UNRESPONSIVE);
     obey(DRIVE_STAND_DOWN, 0);
-    CHECK(drive->state.mode == DRIVE_QUIET);
+    CHECK(drive->state.mode == DRIVE_UNRESPONSIVE);
 }
 
 static void frames_of_a_stop_are_told_until_each_is_done(void)

@@ -193,7 +193,7 @@ static void no_value_is_older_than_it_says(bool one_look)
                 run(2, 3000 * MS);
                 late_every = 0;
                 published = 0;
-                run(2, 4000 * MS);     /* a quiet one is asked every two seconds */
+                run(2, 4000 * MS);     /* an unresponsive one is asked every two seconds */
                 CHECK(published > 90); /* and it is well again after that */
             }
         }
@@ -279,7 +279,7 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
     }
 }
 
-static void one_that_is_always_too_late_is_quiet(void)
+static void one_that_is_always_too_late_is_unresponsive(void)
 {
     for (int64_t ms = 30; ms <= 100; ms += 10) {
         begin_late(1, false, 1);
@@ -287,7 +287,7 @@ static void one_that_is_always_too_late_is_quiet(void)
         late_ns = ms * MS;
         late_every = 1;
         run(1, 2000 * MS);
-        CHECK(w.machine.drive[0].count.quiet > 0);
+        CHECK(w.machine.drive[0].count.unresponsive > 0);
     }
 }
 
@@ -320,7 +320,7 @@ static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void
         }
         w.now_ns += MS / 10;
     }
-    CHECK(w.machine.drive[0].count.quiet == 0 && w.machine.drive[0].failures == 0);
+    CHECK(w.machine.drive[0].count.unresponsive == 0 && w.machine.drive[0].failures == 0);
     CHECK(w.machine.drive[0].count.no_reply >= 1 && w.machine.drive[0].count.cycles > 40);
 }
 
@@ -404,7 +404,7 @@ int main(void)
     a_lost_reply_costs_a_drive_of_two_looks_no_pause();
     a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause();
     a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer();
-    one_that_is_always_too_late_is_quiet();
+    one_that_is_always_too_late_is_unresponsive();
     replies_quicker_than_the_wire_are_answers_also_after_a_lost_one();
     a_late_reply_to_one_read_is_not_the_answer_to_another();
     the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one();

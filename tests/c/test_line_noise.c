@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line that is never silent: stops go out all the same, and its drives become quiet. */
+ * A line that is never silent: stops go out all the same, and its drives become unresponsive. */
 #include "line_wire.h"
 
 static const int64_t LONG_GAP_NS = 20 * MS;
@@ -64,12 +64,12 @@ static void a_stop_waits_for_silence_as_long_as_that_may_still_come(void)
     begin_turning(1);
     babble_for(10 * MS);
     w.babbles = false;
-    int64_t heard_ns = w.now_ns;
+    int64_t received_ns = w.now_ns;
     request(0, DRIVE_OFF);
     while (w.power_offs[0] == 0) {
         go_on();
     }
-    CHECK(w.machine.start_ns - heard_ns >= LONG_GAP_NS);
+    CHECK(w.machine.start_ns - received_ns >= LONG_GAP_NS);
 }
 
 static void an_urgent_request_goes_out_and_no_other(void)
@@ -89,7 +89,7 @@ static void an_urgent_request_goes_out_and_no_other(void)
 }
 
 /* Nothing can be asked: nobody is known to be there. One that may turn is told to stop again and again. */
-static void its_drives_become_quiet_and_are_told_to_stop(void)
+static void its_drives_become_unresponsive_and_are_told_to_stop(void)
 {
     begin_turning(2);
     w.machine.table.drive[0].watchdog_ns = w.machine.table.drive[1].watchdog_ns = 0;
@@ -101,7 +101,8 @@ static void its_drives_become_quiet_and_are_told_to_stop(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_ARMED);
     babble_for(100 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.machine.drive[i].state.mode == DRIVE_QUIET && w.machine.drive[i].state.fault_reasons == DRIVE_FAULT_QUIET);
+        CHECK(w.machine.drive[i].state.mode == DRIVE_UNRESPONSIVE &&
+              w.machine.drive[i].state.fault_reasons == DRIVE_FAULT_UNRESPONSIVE);
         CHECK(w.machine.drive[i].count.bad_reply >= 3);
     }
     babble_for(3000 * MS);
@@ -136,7 +137,7 @@ int main(void)
     all_drives_are_switched_off_at_the_end();
     a_stop_waits_for_silence_as_long_as_that_may_still_come();
     an_urgent_request_goes_out_and_no_other();
-    its_drives_become_quiet_and_are_told_to_stop();
+    its_drives_become_unresponsive_and_are_told_to_stop();
     noise_before_a_turn_that_has_just_come_is_no_failure();
     return checks_report("line noise");
 }

@@ -54,10 +54,10 @@ static void what_is_not_answered_tells_no_turn_around(void)
     }
 }
 
-static void a_quiet_drive_that_answers_is_told_to_switch_off_first(void)
+static void an_unresponsive_drive_that_answers_is_told_to_switch_off_first(void)
 {
     begin_ways(0.0);
-    drive->state.mode = DRIVE_QUIET;
+    drive->state.mode = DRIVE_UNRESPONSIVE;
     line_frame frame;
     line_next_probe(&w.machine, 0, w.now_ns, &frame);
     w.machine.transaction.frame = frame;
@@ -65,7 +65,7 @@ static void a_quiet_drive_that_answers_is_told_to_switch_off_first(void)
     w.machine.end_ns = w.now_ns;
     drive->smoothed_ns = 0;
     answers_with(0);
-    CHECK(drive->state.back && drive->state.stop == STOP_POWER_OFF && drive->state.mode == DRIVE_QUIET &&
+    CHECK(drive->state.back && drive->state.stop == STOP_POWER_OFF && drive->state.mode == DRIVE_UNRESPONSIVE &&
           drive->smoothed_ns == DEVICE_NS + 1);
 }
 
@@ -89,13 +89,13 @@ static void each_failure_is_counted_by_its_kind(void)
             bool refused = KINDS[i].refused != 0;
             CHECK(drive->deadline_ns == (refused ? 1 : 2) * MS && drive->owed_count == !refused);
             int64_t late_ns = w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS;
-            CHECK(drive->quiet_until_ns == (refused ? 0 : late_ns));
+            CHECK(drive->silent_until_ns == (refused ? 0 : late_ns));
             CHECK(drive->stage == STAGE_IDLE && w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         }
     }
 }
 
-static void so_many_failures_as_it_has_tries_make_it_quiet(void)
+static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
         begin_ways(0.0);
@@ -105,7 +105,7 @@ static void so_many_failures_as_it_has_tries_make_it_quiet(void)
         drive->state.stop = how == 3 ? STOP_QUICK : STOP_NOTHING;
         drive->failures = how == 4 ? 1 : 2;
         line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
-        CHECK((drive->state.mode == DRIVE_QUIET) == (how != 2 && how != 4));
+        CHECK((drive->state.mode == DRIVE_UNRESPONSIVE) == (how != 2 && how != 4));
     }
     for (uint32_t failures = 1; failures < 3; failures++) {
         begin_ways(0.0);
@@ -113,7 +113,7 @@ static void so_many_failures_as_it_has_tries_make_it_quiet(void)
         drive->due_ns = 1;
         line_drive_not_reached(&w.machine, 0, w.now_ns);
         CHECK(drive->due_ns == w.now_ns && drive->last_failure == ANSWER_NEVER_SILENT && drive->last_exception == 0);
-        CHECK((drive->state.mode == DRIVE_QUIET) == (failures == 2) && drive->count.bad_reply == 1);
+        CHECK((drive->state.mode == DRIVE_UNRESPONSIVE) == (failures == 2) && drive->count.bad_reply == 1);
     }
 }
 
@@ -179,9 +179,9 @@ int main(void)
     a_reply_that_took_longer_than_usual_tells_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
     what_is_not_answered_tells_no_turn_around();
-    a_quiet_drive_that_answers_is_told_to_switch_off_first();
+    an_unresponsive_drive_that_answers_is_told_to_switch_off_first();
     each_failure_is_counted_by_its_kind();
-    so_many_failures_as_it_has_tries_make_it_quiet();
+    so_many_failures_as_it_has_tries_make_it_unresponsive();
     at_the_end_a_frame_that_fails_makes_room_for_the_next();
     a_frame_that_is_none_of_the_stop_any_more_is_not_done();
     a_frame_of_a_stop_that_is_refused_so_often_counts_as_done();

@@ -115,7 +115,7 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
         drive->stage = STAGE_READ;
         w.machine.current = current;
         line_doubt(&w.machine, 0, w.now_ns + MS);
-        CHECK(drive->count.exchanges == 1 && drive->count.heard_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
+        CHECK(drive->count.exchanges == 1 && drive->count.received_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were, and one has come */
         CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_probes: what a drive of a line loses when it becomes quiet, and how long what is urgent waits for silence. */
+ * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what is urgent waits for silence. */
 #include "line_wire.h"
 
-static void one_that_becomes_quiet_forgets_what_it_was_told(void)
+static void one_that_becomes_unresponsive_forgets_what_it_was_told(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         begin_with(2, 0);
         line_drive_state *drive = &w.machine.drive[0];
-        drive->state.mode = how == 3 ? DRIVE_QUIET : DRIVE_ARMED;
+        drive->state.mode = how == 3 ? DRIVE_UNRESPONSIVE : DRIVE_ARMED;
         drive->may_turn = how != 1;
         drive->state.stop = STOP_POWER_OFF;
         drive->state.stopping = drive->state.back = true;
@@ -17,9 +17,9 @@ static void one_that_becomes_quiet_forgets_what_it_was_told(void)
         }
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
-        line_go_quiet(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.mode == DRIVE_QUIET && (drive->state.fault_reasons & DRIVE_FAULT_QUIET) != 0 &&
-              drive->count.quiet == (how != 3));
+        line_becomes_unresponsive(&w.machine, 0, w.now_ns);
+        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && (drive->state.fault_reasons & DRIVE_FAULT_UNRESPONSIVE) != 0 &&
+              drive->count.unresponsive == (how != 3));
         CHECK(drive->state.stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);
         /* one quick stop, one set-point of zero, and a question; or the question alone */
@@ -36,7 +36,7 @@ static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
     begin_with(2, 0);
     line_drive_state *drive = &w.machine.drive[0];
     drive->may_turn = true;
-    line_go_quiet(&w.machine, 0, w.now_ns);
+    line_becomes_unresponsive(&w.machine, 0, w.now_ns);
     int64_t pause_ns = 100 * MS;
     for (uint32_t round = 0; round < 4; round++) {
         for (uint32_t i = 0; i < 3; i++) {
@@ -61,29 +61,29 @@ static void the_exchange_that_asks_goes_before_the_extra_ranges(void)
     w.machine.table.drive[0].probe = 1;
     w.machine.table.drive[0].extra_count = 1;
     w.machine.table.drive[0].extra[0].frame = frame_of(1, READ, STATUS, 1);
-    line_go_quiet(&w.machine, 0, w.now_ns);
+    line_becomes_unresponsive(&w.machine, 0, w.now_ns);
     line_frame frame;
     line_next_probe(&w.machine, 0, w.now_ns, &frame);
     CHECK(frame.request[1] == WRITE && frame.request[3] == SPEED);
 }
 
-static void the_first_quiet_drive_whose_time_has_come_is_asked(void)
+static void the_first_unresponsive_drive_whose_time_has_come_is_asked(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
-    m->drive[3].state.mode = DRIVE_QUIET; /* it is none of the line */
+    m->drive[3].state.mode = DRIVE_UNRESPONSIVE; /* it is none of the line */
     m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
-        m->drive[i].state.mode = DRIVE_QUIET;
-        m->drive[i].probe_at_ns = m->drive[i].quiet_until_ns = w.now_ns;
+        m->drive[i].state.mode = DRIVE_UNRESPONSIVE;
+        m->drive[i].probe_at_ns = m->drive[i].silent_until_ns = w.now_ns;
     }
     CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
     m->drive[2].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == 2);
     m->drive[2].probe_at_ns++;
     CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
-    m->drive[2].probe_at_ns--, m->drive[2].quiet_until_ns++;
+    m->drive[2].probe_at_ns--, m->drive[2].silent_until_ns++;
     CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
     m->drive[1].may_turn = true;
     CHECK(line_due_probe(m, true, w.now_ns) == 1);
@@ -100,7 +100,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
         m->broadcasts = what == 1;
         m->drive[2].state.stop = STOP_QUICK; /* it is none of the line */
         m->drive[1].state.stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
-        m->drive[1].state.mode = what >= 3 ? DRIVE_QUIET : DRIVE_OFF;
+        m->drive[1].state.mode = what >= 3 ? DRIVE_UNRESPONSIVE : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
         m->end.stage = what == 4;
         bool urgent = what >= 1 && what <= 3;
@@ -125,10 +125,10 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
 int main(void)
 {
-    one_that_becomes_quiet_forgets_what_it_was_told();
+    one_that_becomes_unresponsive_forgets_what_it_was_told();
     probes_of_one_that_may_turn_stop_it_in_each_round();
     the_exchange_that_asks_goes_before_the_extra_ranges();
-    the_first_quiet_drive_whose_time_has_come_is_asked();
+    the_first_unresponsive_drive_whose_time_has_come_is_asked();
     what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever();
     return checks_report("line probes");
 }

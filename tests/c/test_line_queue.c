@@ -76,10 +76,10 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
     begin_with(2, 0);
     put(1, 0, 0, INT64_MAX);
     put(2, 1, 0, INT64_MAX);
-    w.machine.drive[0].quiet_until_ns = w.now_ns + 1;
+    w.machine.drive[0].silent_until_ns = w.now_ns + 1;
     CHECK(line_pick_ask(&w.machine, w.now_ns) == 1);
     CHECK(line_pick_ask(&w.machine, w.now_ns + 1) == 0);
-    w.machine.drive[1].quiet_until_ns = w.now_ns + 1;
+    w.machine.drive[1].silent_until_ns = w.now_ns + 1;
     CHECK(line_pick_ask(&w.machine, w.now_ns) == LINE_ASKS_MAX);
     put(3, 2, 0, INT64_MAX); /* to no drive of the table: it does not wait for any */
     CHECK(line_pick_ask(&w.machine, w.now_ns) == 2);

@@ -71,7 +71,7 @@ static void the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(
     CHECK(healthy.cycles > 0);
     w.dead = 1U << DEAD;
     judge("the second in which it dies", period_ns, healthy, run_for(S, DEAD), 1);
-    CHECK(w.machine.drive[DEAD].state.mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[DEAD].state.mode == DRIVE_UNRESPONSIVE);
     judge("four seconds after", period_ns, healthy, run_for(4 * S, DEAD), 4);
     w.dead = 0;
     judge("the four in which it comes back", period_ns, healthy, run_for(4 * S, DEAD), 4);

@@ -34,7 +34,7 @@ static void a_line_tells_what_it_counts(void)
 
 static void fill(line_drive_state *drive, uint32_t n)
 {
-    drive->count = (drive_report){.cycles = n + 20, .exchanges = n + 21, .quiet = n + 22, .heard_ns = n + 23};
+    drive->count = (drive_report){.cycles = n + 20, .exchanges = n + 21, .unresponsive = n + 22, .received_ns = n + 23};
     drive->state = (drive_state){.mode = n + 1, .fault_reasons = n + 2, .request_seen = n + 3, .enabled = n + 4};
     drive->state.stopping = n == 0, drive->state.told_motion = n != 0;
     drive->may_turn = n == 0;
@@ -55,7 +55,7 @@ static void each_drive_is_told_by_itself(void)
         CHECK(to->stopping == (n == 0) && to->told_motion == (n != 0) && to->may_turn == (n == 0));
         CHECK(to->failures == n + 5 && to->last_failure == n + 6 && to->last_exception == n + 7);
         CHECK(to->turnaround_ns == n + 8 && to->deadline_ns == n + 9 && to->cycle_ns == n + 10);
-        CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->quiet == n + 22 && to->heard_ns == n + 23);
+        CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 && to->received_ns == n + 23);
     }
 }
 

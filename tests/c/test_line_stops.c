@@ -51,7 +51,7 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
 }
 
 /* The quick stop and the first power-off are lost, as with a cut of 150 ms. */
-static void one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it(void)
+static void one_that_is_missing_for_a_moment_is_told_until_it_has_received_it(void)
 {
     for (int64_t cut_ms = 0; cut_ms < 400; cut_ms += 10) {
         begin_with(1, 0);
@@ -117,7 +117,7 @@ static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(voi
     CHECK(w.power_off_ns[1] > asked_ns + 200 * MS && w.power_off_ns[1] < asked_ns + 300 * MS);
 }
 
-static void one_that_hears_but_is_not_heard_is_told_every_frame_at_the_end(void)
+static void one_that_hears_but_is_not_received_is_told_every_frame_at_the_end(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -177,7 +177,7 @@ static void one_that_does_not_answer_then_is_told_again_and_again(void)
     while (w.now_ns < opened_ns + 1200 * MS) {
         go_on();
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     CHECK(w.machine.drive[0].may_turn);
     CHECK(w.quick_stop_sent[0] > 4);
 }
@@ -231,15 +231,15 @@ static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
         go_on();
         CHECK(w.machine.drive[0].state.mode != DRIVE_BACK);
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_QUIET);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     w.dead = 0;
-    while (w.machine.drive[0].state.mode == DRIVE_QUIET && w.now_ns < died_ns + 20000 * MS) {
+    while (w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.now_ns < died_ns + 20000 * MS) {
         go_on();
     }
     CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.power_offs[0] >= 2);
 }
 
-static void one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power(void)
+static void one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -362,15 +362,15 @@ int main(void)
     one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile();
     one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again();
     one_that_does_not_answer_then_is_told_again_and_again();
-    one_that_is_switched_off_before_it_has_heard_its_zero_loses_its_power();
+    one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power();
     drives_that_are_off_are_told_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
     a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();
-    one_that_is_missing_for_a_moment_is_told_until_it_has_heard_it();
+    one_that_is_missing_for_a_moment_is_told_until_it_has_received_it();
     one_that_is_missing_until_the_end_is_reported_to_wait();
     of_two_missing_drives_the_one_that_comes_back_is_told();
     a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
-    one_that_hears_but_is_not_heard_is_told_every_frame_at_the_end();
+    one_that_hears_but_is_not_received_is_told_every_frame_at_the_end();
     the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
     a_wheel_that_turns_is_stopped_before_it_loses_its_power();
     a_wheel_that_does_not_stop_loses_its_power_in_time();

@@ -34,7 +34,7 @@ static base begun(uint32_t bits)
     return b;
 }
 
-static const joint_odometry *heard(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
+static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
 {
     const uint32_t stale[JOINTS_MAX] = {0};
     const joint_setpoint setpoint[JOINTS_MAX] = {0};
@@ -56,15 +56,15 @@ static void a_turn_that_was_not_seen_is_told_by_the_velocity_or_not_at_all(void)
 {
     for (int way = -1; way <= 1; way += 2) {
         base b = begun(15);
-        heard(&b, STEP_NS, 0, 34.0 * way);
-        CHECK(near(heard(&b, 11 * STEP_NS, 19792 * way, 34.0 * way)->position_rad, 19792 * way * COUNT_RAD));
+        received(&b, STEP_NS, 0, 34.0 * way);
+        CHECK(near(received(&b, 11 * STEP_NS, 19792 * way, 34.0 * way)->position_rad, 19792 * way * COUNT_RAD));
         CHECK(b.state.degraded == 0);
-        heard(&b, 30 * STEP_NS, 100, 34.0 * way); /* beyond the timeout */
+        received(&b, 30 * STEP_NS, 100, 34.0 * way); /* beyond the timeout */
         CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 19792 * way * COUNT_RAD + 34.0 * 0.25 * way));
-        heard(&b, 11 * STEP_NS, 10000, NAN);
+        received(&b, 11 * STEP_NS, 10000, NAN);
         CHECK(b.state.degraded == 1 && isnan(b.state.joint[0].velocity_rad_s));
-        heard(&b, STEP_NS, 0, 0.0);
-        heard(&b, 11 * STEP_NS, 10000, 34.0 * way); /* it has changed too much in between */
+        received(&b, STEP_NS, 0, 0.0);
+        received(&b, 11 * STEP_NS, 10000, 34.0 * way); /* it has changed too much in between */
         CHECK(b.state.degraded == 1);
     }
 }
@@ -72,35 +72,35 @@ static void a_turn_that_was_not_seen_is_told_by_the_velocity_or_not_at_all(void)
 static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
-    heard(&b, STEP_NS, 1000, NAN);
-    CHECK(heard(&b, STEP_NS, 1000000, NAN)->jumps == 1 && b.state.degraded == 1);
-    CHECK(near(heard(&b, STEP_NS, -998000, NAN)->position_rad, 3000 * COUNT_RAD) && b.state.degraded == 0);
-    CHECK(heard(&b, STEP_NS, 1000000, NAN)->jumps == 2);
-    CHECK(heard(&b, STEP_NS, -3000000, NAN)->jumps == 3);
-    CHECK(near(heard(&b, STEP_NS, 500, NAN)->position_rad, 3500 * COUNT_RAD) && b.state.joint[0].jumps == 3);
+    received(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 1000, NAN);
+    CHECK(received(&b, STEP_NS, 1000000, NAN)->jumps == 1 && b.state.degraded == 1);
+    CHECK(near(received(&b, STEP_NS, -998000, NAN)->position_rad, 3000 * COUNT_RAD) && b.state.degraded == 0);
+    CHECK(received(&b, STEP_NS, 1000000, NAN)->jumps == 2);
+    CHECK(received(&b, STEP_NS, -3000000, NAN)->jumps == 3);
+    CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, 3500 * COUNT_RAD) && b.state.joint[0].jumps == 3);
     CHECK(near(b.state.joint[0].velocity_rad_s, 500 * COUNT_RAD / 0.01) && b.state.degraded == 0);
 }
 
 static void a_counter_that_comes_late_catches_up(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     for (int i = 0; i < 9; i++) {
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
     }
-    CHECK(near(heard(&b, STEP_NS, 18000, NAN)->position_rad, 18000 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 18000, NAN)->position_rad, 18000 * COUNT_RAD) && b.state.joint[0].jumps == 0);
     CHECK(b.state.joint[0].velocity_rad_s <= 1.5 * 35.0);
-    CHECK(heard(&b, STEP_NS, 18000, NAN)->jumps == 1);
+    CHECK(received(&b, STEP_NS, 18000, NAN)->jumps == 1);
 }
 
 static void a_velocity_that_no_wheel_has_is_no_travel(void)
 {
     base b = begun(0);
-    heard(&b, STEP_NS, 0, 5.0);
-    CHECK(near(heard(&b, STEP_NS, 0, 5.0)->position_rad, 0.05));
-    CHECK(heard(&b, STEP_NS, 0, 343.0)->jumps == 1 && near(b.state.joint[0].position_rad, 0.05));
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, 5.0);
+    CHECK(near(received(&b, STEP_NS, 0, 5.0)->position_rad, 0.05));
+    CHECK(received(&b, STEP_NS, 0, 343.0)->jumps == 1 && near(b.state.joint[0].position_rad, 0.05));
+    received(&b, STEP_NS, 0, NAN);
     CHECK(isnan(b.state.joint[0].velocity_rad_s) && b.state.joint[0].jumps == 1);
 }
 
@@ -232,14 +232,14 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
 static void a_reset_throws_away_what_is_pending(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     const uint32_t stale[JOINTS_MAX] = {0};
     const joint_setpoint wheels[JOINTS_MAX] = {{0}};
     b.feedback[0].count += 1000, b.feedback[0].stamp_ns += STEP_NS;
     odometry_step(&b.state, &b.config, b.feedback, stale, wheels);
     CHECK(b.state.joint[0].pending_rad > 0.0 && b.state.distance_m == 0.0);
     odometry_reset(&b.state, &b.config);
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     CHECK(b.state.distance_m == 0.0 && b.state.x_m == 0.0 && b.state.heading_rad == 0.0);
 }
 
@@ -333,8 +333,8 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         base b = begun(CASES[i].bits);
-        heard(&b, STEP_NS, 0, CASES[i].before_rad_s);
-        heard(&b, CASES[i].steps * STEP_NS, CASES[i].counts, CASES[i].velocity_rad_s);
+        received(&b, STEP_NS, 0, CASES[i].before_rad_s);
+        received(&b, CASES[i].steps * STEP_NS, CASES[i].counts, CASES[i].velocity_rad_s);
         if (CASES[i].bits == 16) {
             CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 0.5 * (14.0 + 14.5) * 0.25));
             continue;
@@ -349,10 +349,10 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
 static void an_origin_that_moved_is_no_travel(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, 4.0);
+    received(&b, STEP_NS, 0, 4.0);
     b.feedback[0].epoch++, b.feedback[1].epoch++;
-    CHECK(near(heard(&b, STEP_NS, 100000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
-    CHECK(near(heard(&b, STEP_NS, 100, 6.0)->position_rad, 0.05 + 100 * COUNT_RAD) && b.state.degraded == 0);
+    CHECK(near(received(&b, STEP_NS, 100000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
+    CHECK(near(received(&b, STEP_NS, 100, 6.0)->position_rad, 0.05 + 100 * COUNT_RAD) && b.state.degraded == 0);
 }
 
 /* Without a counter: what the drive measures, else what it was told, for as long as feedback counts. */
@@ -360,7 +360,7 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
 {
     static const uint32_t stale[JOINTS_MAX] = {0};
     base b = begun(0);
-    heard(&b, STEP_NS, 0, 0.0);
+    received(&b, STEP_NS, 0, 0.0);
     static const struct {
         int64_t steps;
         double velocity_rad_s, setpoint_rad_s, travel_rad;

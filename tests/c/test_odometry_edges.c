@@ -8,7 +8,7 @@
 
 static const int64_t STEP_NS = 10000000;
 static const double COUNT_RAD = 6.283185307179586 / 32768.0;
-static const uint32_t HEARD[JOINTS_MAX] = {0};
+static const uint32_t RECEIVED[JOINTS_MAX] = {0};
 
 typedef struct {
     core_config config;
@@ -43,12 +43,12 @@ static void comes(base *b, int j, int64_t after_ns, int64_t counts, double veloc
     b->feedback[j].velocity_rad_s = velocity_rad_s;
 }
 
-static const joint_odometry *heard(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
+static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
 {
     for (int j = 0; j < 2; j++) {
         comes(b, j, after_ns, counts, velocity_rad_s);
     }
-    odometry_step(&b->state, &b->config, b->feedback, HEARD, b->setpoint);
+    odometry_step(&b->state, &b->config, b->feedback, RECEIVED, b->setpoint);
     return &b->state.joint[0];
 }
 
@@ -63,15 +63,15 @@ static void a_narrow_counter_goes_on_beyond_its_end(void)
     for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 65530;
     }
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 4;
     }
-    CHECK(near(heard(&b, STEP_NS, 0, NAN)->position_rad, 10 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, 10 * COUNT_RAD) && b.state.joint[0].jumps == 0);
     for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 65500;
     }
-    CHECK(near(heard(&b, STEP_NS, 0, NAN)->position_rad, -30 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, -30 * COUNT_RAD) && b.state.joint[0].jumps == 0);
 }
 
 static void what_a_joint_can_reach_is_worked_out_at_the_beginning(void)
@@ -96,18 +96,18 @@ static void a_reset_waits_for_both_sides_anew(void)
 {
     for (int first = 0; first < 2; first++) {
         base b = begun(32);
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
         b.state.gyro.referenced = 1;
         comes(&b, first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         odometry_reset(&b.state, &b.config);
         CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0 && b.state.degraded == 0);
         int64_t stamp_ns = b.state.stamp_ns;
         comes(&b, 1 - first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         CHECK(b.state.distance_m == 0.0 && b.state.stamp_ns == stamp_ns && b.state.joint[1 - first].pending_rad > 0.0);
         comes(&b, first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         CHECK(near(b.state.distance_m, 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
     }
 }
@@ -133,8 +133,8 @@ static void whole_turns_are_told_by_velocities_that_are_sure_enough(void)
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         base b = begun(15);
-        heard(&b, STEP_NS, 0, CASES[i].before_rad_s);
-        heard(&b, CASES[i].steps * STEP_NS, CASES[i].counts, CASES[i].after_rad_s);
+        received(&b, STEP_NS, 0, CASES[i].before_rad_s);
+        received(&b, CASES[i].steps * STEP_NS, CASES[i].counts, CASES[i].after_rad_s);
         bool believed = near(b.state.joint[0].position_rad, (double)CASES[i].counts * COUNT_RAD);
         CHECK(believed == CASES[i].believed && (b.state.degraded == 0) == CASES[i].believed);
     }
@@ -145,19 +145,20 @@ static void whole_turns_are_told_by_velocities_that_are_sure_enough(void)
 static void what_was_refused_is_no_reach_once_a_sample_was_believed(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
-    CHECK(heard(&b, STEP_NS, 20000, NAN)->jumps == 1);
-    CHECK(heard(&b, STEP_NS, -20000, NAN)->jumps == 1 && b.state.joint[0].position_rad == 0.0);
-    CHECK(heard(&b, STEP_NS, 10430, NAN)->jumps == 2); /* 2 rad: there are 1.575 left */
+    received(&b, STEP_NS, 0, NAN);
+    CHECK(received(&b, STEP_NS, 20000, NAN)->jumps == 1);
+    CHECK(received(&b, STEP_NS, -20000, NAN)->jumps == 1 && b.state.joint[0].position_rad == 0.0);
+    CHECK(received(&b, STEP_NS, 10430, NAN)->jumps == 2); /* 2 rad: there are 1.575 left */
 }
 
 static void an_estimate_is_taken_back_by_the_counts_that_follow(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, 20.0);
+    received(&b, STEP_NS, 0, 20.0);
     for (int times = 1; times <= 3; times++) {
-        CHECK(near(heard(&b, STEP_NS, 90000, 30.0)->position_rad, ((times - 1) * 1000) * COUNT_RAD + (times == 1 ? 0.25 : 0.30)));
-        CHECK(heard(&b, STEP_NS, -89000, 30.0)->jumps == (uint32_t)times && b.state.degraded == 0);
+        CHECK(near(received(&b, STEP_NS, 90000, 30.0)->position_rad,
+                   ((times - 1) * 1000) * COUNT_RAD + (times == 1 ? 0.25 : 0.30)));
+        CHECK(received(&b, STEP_NS, -89000, 30.0)->jumps == (uint32_t)times && b.state.degraded == 0);
         CHECK(near(b.state.joint[0].position_rad, times * 1000 * COUNT_RAD));
     }
 }
@@ -166,24 +167,24 @@ static void a_new_origin_has_nothing_left_from_before_it(void)
 {
     base b = begun(32);
     for (int i = 0; i < 10; i++) {
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
     }
     b.feedback[0].epoch++, b.feedback[1].epoch++;
-    heard(&b, STEP_NS, 5000, NAN);
-    CHECK(heard(&b, STEP_NS, 10430, NAN)->jumps == 1);
+    received(&b, STEP_NS, 5000, NAN);
+    CHECK(received(&b, STEP_NS, 10430, NAN)->jumps == 1);
 }
 
 static void a_counter_that_stays_where_it_jumped_to_is_followed_from_there(void)
 {
     for (int far = 0; far < 2; far++) {
         base b = begun(32);
-        heard(&b, STEP_NS, 0, NAN);
-        CHECK(heard(&b, STEP_NS, 1000000, NAN)->jumps == 1);
+        received(&b, STEP_NS, 0, NAN);
+        CHECK(received(&b, STEP_NS, 1000000, NAN)->jumps == 1);
         int64_t counts = far ? 2742 : 2741;
-        CHECK(heard(&b, STEP_NS, counts, NAN)->jumps == (far ? 2 : 1));
+        CHECK(received(&b, STEP_NS, counts, NAN)->jumps == (far ? 2 : 1));
         CHECK(near(b.state.joint[0].position_rad, far ? 0.0 : 2741 * COUNT_RAD));
         for (int step = 1; step <= 3 && !far; step++) {
-            CHECK(near(heard(&b, STEP_NS, 500, NAN)->position_rad, (2741 + step * 500) * COUNT_RAD));
+            CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, (2741 + step * 500) * COUNT_RAD));
             CHECK(b.state.joint[0].jumps == 1 && b.state.degraded == 0);
         }
     }
@@ -193,26 +194,26 @@ static void a_counter_that_stays_where_it_jumped_to_is_followed_from_there(void)
 static void a_speed_is_that_of_the_time_in_which_the_way_was_gone(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
-    CHECK(near(heard(&b, STEP_NS, 1000, NAN)->velocity_rad_s, 1000 * COUNT_RAD / 0.01));
+    received(&b, STEP_NS, 0, NAN);
+    CHECK(near(received(&b, STEP_NS, 1000, NAN)->velocity_rad_s, 1000 * COUNT_RAD / 0.01));
     b = begun(32);
     for (int i = 0; i < 3; i++) {
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
     }
-    CHECK(near(heard(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01)); /* within the slack */
+    CHECK(near(received(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01)); /* within the slack */
     b = begun(32);
     for (int i = 0; i < 3; i++) {
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
     }
-    CHECK(near(heard(&b, STEP_NS, 2742, NAN)->velocity_rad_s, 2742 * COUNT_RAD / 0.03));
+    CHECK(near(received(&b, STEP_NS, 2742, NAN)->velocity_rad_s, 2742 * COUNT_RAD / 0.03));
 }
 
 static void one_that_has_used_all_its_reach_has_nothing_left(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, NAN);
-    CHECK(heard(&b, STEP_NS, 2741, NAN)->jumps == 0 && b.state.joint[0].unused_rad == 0.0);
-    CHECK(heard(&b, STEP_NS, 2742, NAN)->jumps == 1);
+    received(&b, STEP_NS, 0, NAN);
+    CHECK(received(&b, STEP_NS, 2741, NAN)->jumps == 0 && b.state.joint[0].unused_rad == 0.0);
+    CHECK(received(&b, STEP_NS, 2742, NAN)->jumps == 1);
 }
 
 /* Two steps since the last one that was believed: 5475.8 counts, and four. */
@@ -220,26 +221,26 @@ static void after_one_that_was_refused_all_the_time_since_the_last_good_one_coun
 {
     for (int far = 0; far < 2; far++) {
         base b = begun(32);
-        heard(&b, STEP_NS, 0, NAN);
-        heard(&b, STEP_NS, 90000, NAN);
-        heard(&b, STEP_NS, (far ? 5480 : 5479) - 90000, NAN);
+        received(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 90000, NAN);
+        received(&b, STEP_NS, (far ? 5480 : 5479) - 90000, NAN);
         CHECK(b.state.joint[0].jumps == (far ? 2 : 1));
         CHECK(far || near(b.state.joint[0].velocity_rad_s, 5479 * COUNT_RAD / 0.02));
     }
     base b = begun(32);
     for (int i = 0; i < 4; i++) {
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
     }
-    heard(&b, STEP_NS, 90000, NAN);
-    CHECK(heard(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1); /* the steps before the jump were not used */
+    received(&b, STEP_NS, 90000, NAN);
+    CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1); /* the steps before the jump were not used */
 }
 
 static void a_new_origin_that_is_near_is_no_travel_either(void)
 {
     base b = begun(32);
-    heard(&b, STEP_NS, 0, 4.0);
+    received(&b, STEP_NS, 0, 4.0);
     b.feedback[0].epoch++, b.feedback[1].epoch++;
-    CHECK(near(heard(&b, STEP_NS, 1000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
+    CHECK(near(received(&b, STEP_NS, 1000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
     CHECK(b.state.joint[0].epoch == 1);
 }
 
@@ -249,20 +250,20 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
     for (int seed = 0; seed < 2; seed++) {
         base b = begun(32);
         if (!seed) {
-            heard(&b, STEP_NS, 0, 20.0);
+            received(&b, STEP_NS, 0, 20.0);
         }
         comes(&b, 0, STEP_NS, seed ? 0 : 90000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         comes(&b, 0, STEP_NS, seed ? 1000 : -89000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         comes(&b, 1, 2 * STEP_NS, 1000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         CHECK(b.state.degraded == 1 && near(b.state.distance_m, seed ? 0.0 : 1000 * COUNT_RAD * 0.1));
     }
 }
 
 /* A wheel that begins anew beside it makes nothing good again. */
-static void a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring(void)
+static void a_wheel_that_is_not_received_is_told_of_whatever_the_others_bring(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
@@ -289,11 +290,11 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
             b.config.joint[j].velocity_max_rad_s = 1e4;
         }
         odometry_init(&b.state, &b.config);
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
         int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), way = 40000;
         comes(&b, 0, STEP_NS, way - turn, NAN);
         comes(&b, 1, STEP_NS, way + turn, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         long double half_rad = (long double)turn * (long double)COUNT_RAD * 0.1L / 0.5L;
         long double chord_m = (long double)way * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
         CHECK(fabs((double)(hypotl(b.state.x_m, b.state.y_m) / chord_m - 1.0L)) < 1.5e-15);
@@ -306,16 +307,16 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     base b = begun(32);
     b.config.gyro =
         (gyro_config){.used = 1, .timeout_s = 0.05, .heading_variance_rad2_per_s = 1e-5, .turn_variance_rad2_per_rad = 1e-3};
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     gyro_state *gyro = &b.state.gyro;
     gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns;
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     CHECK(b.state.by_gyro == 0 && gyro->referenced == 1);
     comes(&b, 0, STEP_NS, 1000, NAN);
     comes(&b, 1, STEP_NS, 1400, NAN);
     gyro->stamp_ns = b.feedback[0].stamp_ns;
     gyro->yaw_rad = 0.02;
-    odometry_step(&b.state, &b.config, b.feedback, HEARD, b.setpoint);
+    odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
     double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02, way_m = 1200 * COUNT_RAD * 0.1;
     CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) && near(b.state.distance_m, way_m));
     CHECK(fabs(b.state.pose_covariance[5] / turn_rad2 - 1.0) < 1e-9 && b.state.twist_covariance[1] == 0.0);
@@ -329,14 +330,14 @@ static void the_speed_of_a_turn_is_the_gyro_s(void)
         base b = begun(32);
         b.config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05};
         b.config.twist_variance_floor_rad2_s2 = 2e-3;
-        heard(&b, STEP_NS, 0, NAN);
+        received(&b, STEP_NS, 0, NAN);
         gyro_state *gyro = &b.state.gyro;
         gyro->rate_variance_rad2_s2 = 5e-4;
         for (int step = 0; step < 2; step++) {
             gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns + STEP_NS;
             gyro->rate_rad_s = 0.7;
             gyro->still = still;
-            heard(&b, STEP_NS, 100, NAN);
+            received(&b, STEP_NS, 100, NAN);
         }
         CHECK(b.state.by_gyro == 1 && b.state.angular_rad_s == (still ? 0.0 : 0.7));
         CHECK(near(b.state.twist_covariance[2], 2e-3 + 5e-4));
@@ -347,8 +348,8 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
 {
     base b = begun(32);
     b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
-    heard(&b, STEP_NS, 0, NAN);
-    heard(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
+    received(&b, STEP_NS, 0, NAN);
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 && b.state.pose_covariance[5] == 2e-4);
 }
 
@@ -376,7 +377,7 @@ static void a_side_that_only_begins_makes_no_turn(void)
 }
 
 /* It was never heard before, whichever it is. */
-static void a_side_that_is_heard_later_makes_no_turn(void)
+static void a_side_that_is_received_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {
         base b = begun(32);
@@ -416,12 +417,12 @@ int main(void)
 {
     samples_that_are_no_newer_than_the_last_arc_tell_no_speed();
     a_side_that_only_begins_makes_no_turn();
-    a_side_that_is_heard_later_makes_no_turn();
+    a_side_that_is_received_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();
     no_variance_of_the_pose_is_below_its_floor();
     a_turn_by_the_gyro_has_the_gyro_s_variance();
     the_chord_of_an_arc_is_right_to_the_last_bits();
-    a_wheel_that_is_not_heard_is_told_of_whatever_the_others_bring();
+    a_wheel_that_is_not_received_is_told_of_whatever_the_others_bring();
     what_was_refused_is_no_reach_once_a_sample_was_believed();
     an_estimate_is_taken_back_by_the_counts_that_follow();
     a_new_origin_has_nothing_left_from_before_it();

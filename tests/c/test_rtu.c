@@ -124,24 +124,24 @@ static const uint8_t *good_reply(void)
     return reply;
 }
 
-static heard find(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count)
+static received find(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count)
 {
     return rtu_find_answer(frame, frame->request, echo, bytes, count);
 }
 
-static bool is(heard found, heard_kind kind, uint32_t offset, uint32_t echoed)
+static bool is(received found, received_kind kind, uint32_t offset, uint32_t echoed)
 {
-    return found.kind == kind && (kind == HEARD_MORE || kind == HEARD_BAD || found.offset == offset) &&
-           (kind != HEARD_ANSWER || found.echoed == echoed);
+    return found.kind == kind && (kind == RECEIVED_MORE || kind == RECEIVED_BAD || found.offset == offset) &&
+           (kind != RECEIVED_ANSWER || found.echoed == echoed);
 }
 
 static void an_answer_is_found_when_its_last_byte_has_come(void)
 {
     line_frame frame = reading();
     for (uint32_t count = 1; count < 9; count++) {
-        CHECK(is(find(&frame, 0, good_reply(), count), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, good_reply(), count), RECEIVED_MORE, 0, 0));
     }
-    CHECK(is(find(&frame, 0, good_reply(), 9), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 0, good_reply(), 9), RECEIVED_ANSWER, 0, 0));
 }
 
 static void garbage_before_and_after_it_is_passed_over(void)
@@ -151,9 +151,9 @@ static void garbage_before_and_after_it_is_passed_over(void)
         uint8_t bytes[ROOM];
         memset(bytes, 0x01, sizeof bytes);
         uint32_t count = put(bytes, before, good_reply(), 9);
-        CHECK(is(find(&frame, 0, bytes, count - 1), HEARD_MORE, 0, 0));
-        CHECK(is(find(&frame, 0, bytes, count), HEARD_ANSWER, before, 0));
-        CHECK(is(find(&frame, 0, bytes, count + 3), HEARD_ANSWER, before, 0));
+        CHECK(is(find(&frame, 0, bytes, count - 1), RECEIVED_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, bytes, count), RECEIVED_ANSWER, before, 0));
+        CHECK(is(find(&frame, 0, bytes, count + 3), RECEIVED_ANSWER, before, 0));
     }
 }
 
@@ -164,14 +164,14 @@ static void what_is_not_the_answer_is_none(void)
     for (uint32_t bit = 0; bit < 72; bit++) { /* one wrong bit anywhere */
         memcpy(reply, good_reply(), 9);
         reply[bit / 8] ^= (uint8_t)(1 << bit % 8);
-        CHECK(is(find(&frame, 0, reply, 9), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, reply, 9), RECEIVED_MORE, 0, 0));
     }
     static const uint8_t others[][3] = {{2, 3, 4}, {1, 4, 4}, {1, 3, 2}, {0, 3, 4}};
     for (uint32_t n = 0; n < 4; n++) { /* well sealed, and another unit's, function's, length's */
         memcpy(reply, good_reply(), 9);
         memcpy(reply, others[n], 3);
         rtu_seal(reply, 9, SEAL_CRC16);
-        CHECK(is(find(&frame, 0, reply, 9), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, reply, 9), RECEIVED_MORE, 0, 0));
     }
 }
 
@@ -180,12 +180,12 @@ static void a_write_is_answered_by_its_own_first_bytes(void)
     line_frame frame = writing();
     uint8_t other[8];
     CHECK(rtu_answer_is_request(&frame, frame.request));
-    CHECK(is(find(&frame, 0, frame.request, 8), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 0, frame.request, 8), RECEIVED_ANSWER, 0, 0));
     for (uint32_t at = 0; at < 6; at++) {
         memcpy(other, frame.request, 8);
         other[at] ^= 0x10;
         rtu_seal(other, 8, SEAL_CRC16);
-        CHECK(is(find(&frame, 0, other, 8), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, other, 8), RECEIVED_MORE, 0, 0));
     }
     line_frame many = writing(); /* FC16: the reply is shorter than the request */
     many.request[1] = 16;
@@ -203,27 +203,27 @@ static void a_refusal_is_told_with_its_code(void)
     uint8_t refusal[8] = {0x55, 1, 0x83, 2, 0, 0};
     rtu_seal(refusal + 1, 5, SEAL_CRC16);
     for (uint32_t count = 1; count < 6; count++) {
-        CHECK(is(find(&frame, 0, refusal, count), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, refusal, count), RECEIVED_MORE, 0, 0));
     }
-    heard found = find(&frame, 0, refusal, 6);
-    CHECK(is(found, HEARD_REFUSED, 1, 0) && found.exception == 2);
-    CHECK(is(find(&frame, 0, refusal + 1, 5), HEARD_REFUSED, 0, 0));
+    received found = find(&frame, 0, refusal, 6);
+    CHECK(is(found, RECEIVED_REFUSED, 1, 0) && found.exception == 2);
+    CHECK(is(find(&frame, 0, refusal + 1, 5), RECEIVED_REFUSED, 0, 0));
     frame.has_exceptions = 0;
-    CHECK(is(find(&frame, 0, refusal, 6), HEARD_MORE, 0, 0));
+    CHECK(is(find(&frame, 0, refusal, 6), RECEIVED_MORE, 0, 0));
     frame.has_exceptions = 1;
     for (uint32_t at = 1; at < 6; at++) { /* another unit, function, code without its seal */
         uint8_t wrong[8];
         memcpy(wrong, refusal, 8);
         wrong[at] ^= 0x01;
-        CHECK(is(find(&frame, 0, wrong, 6), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 0, wrong, 6), RECEIVED_MORE, 0, 0));
         if (at < 3) {
             rtu_seal(wrong + 1, 5, SEAL_CRC16);
-            CHECK(is(find(&frame, 0, wrong, 6), HEARD_MORE, 0, 0));
+            CHECK(is(find(&frame, 0, wrong, 6), RECEIVED_MORE, 0, 0));
         }
     }
     uint8_t plain[5] = {1, 3, 2}; /* the function without its top bit is none */
     rtu_seal(plain, 5, SEAL_CRC16);
-    CHECK(is(find(&frame, 0, plain, 5), HEARD_MORE, 0, 0));
+    CHECK(is(find(&frame, 0, plain, 5), RECEIVED_MORE, 0, 0));
 }
 
 static void an_adapter_that_hears_itself_brings_the_request_first(void)
@@ -232,23 +232,23 @@ static void an_adapter_that_hears_itself_brings_the_request_first(void)
     uint8_t bytes[ROOM];
     uint32_t count = put(bytes, 0, frame.request, 8);
     for (uint32_t n = 1; n <= 8; n++) {
-        CHECK(is(find(&frame, 1, bytes, n), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, 1, bytes, n), RECEIVED_MORE, 0, 0));
     }
     count = put(bytes, count, good_reply(), 9);
-    CHECK(is(find(&frame, 1, bytes, count - 1), HEARD_MORE, 0, 0));
-    CHECK(is(find(&frame, 1, bytes, count), HEARD_ANSWER, 8, 1));
-    CHECK(is(find(&frame, 0, bytes, count), HEARD_ANSWER, 8, 1));
-    CHECK(is(find(&frame, 2, bytes, count), HEARD_ANSWER, 8, 1));
+    CHECK(is(find(&frame, 1, bytes, count - 1), RECEIVED_MORE, 0, 0));
+    CHECK(is(find(&frame, 1, bytes, count), RECEIVED_ANSWER, 8, 1));
+    CHECK(is(find(&frame, 0, bytes, count), RECEIVED_ANSWER, 8, 1));
+    CHECK(is(find(&frame, 2, bytes, count), RECEIVED_ANSWER, 8, 1));
     for (uint32_t at = 0; at < 8; at++) { /* two have talked at once */
         uint8_t collided[ROOM];
         memcpy(collided, bytes, count);
         collided[at] ^= 0x80;
-        CHECK(is(find(&frame, 1, collided, at), HEARD_MORE, 0, 0));
-        CHECK(is(find(&frame, 1, collided, at + 1), HEARD_BAD, 0, 0));
-        CHECK(is(find(&frame, 1, collided, count), HEARD_BAD, 0, 0));
+        CHECK(is(find(&frame, 1, collided, at), RECEIVED_MORE, 0, 0));
+        CHECK(is(find(&frame, 1, collided, at + 1), RECEIVED_BAD, 0, 0));
+        CHECK(is(find(&frame, 1, collided, count), RECEIVED_BAD, 0, 0));
     }
-    CHECK(is(find(&frame, 1, good_reply(), 9), HEARD_BAD, 0, 0));
-    CHECK(is(find(&frame, 2, good_reply(), 9), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 1, good_reply(), 9), RECEIVED_BAD, 0, 0));
+    CHECK(is(find(&frame, 2, good_reply(), 9), RECEIVED_ANSWER, 0, 0));
 }
 
 static void an_echo_of_a_write_is_no_answer(void)
@@ -256,19 +256,19 @@ static void an_echo_of_a_write_is_no_answer(void)
     line_frame frame = writing();
     uint8_t bytes[ROOM];
     uint32_t count = put(bytes, 0, frame.request, 8);
-    CHECK(is(find(&frame, 1, bytes, count), HEARD_MORE, 0, 0));
-    CHECK(is(find(&frame, 2, bytes, count), HEARD_MORE, 0, 0));
+    CHECK(is(find(&frame, 1, bytes, count), RECEIVED_MORE, 0, 0));
+    CHECK(is(find(&frame, 2, bytes, count), RECEIVED_MORE, 0, 0));
     count = put(bytes, count, frame.request, 8);
-    CHECK(is(find(&frame, 1, bytes, count - 1), HEARD_MORE, 0, 0));
-    CHECK(is(find(&frame, 1, bytes, count), HEARD_ANSWER, 8, 1));
-    CHECK(is(find(&frame, 2, bytes, count), HEARD_ANSWER, 8, 1));
-    CHECK(is(find(&frame, 0, bytes, count), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 1, bytes, count - 1), RECEIVED_MORE, 0, 0));
+    CHECK(is(find(&frame, 1, bytes, count), RECEIVED_ANSWER, 8, 1));
+    CHECK(is(find(&frame, 2, bytes, count), RECEIVED_ANSWER, 8, 1));
+    CHECK(is(find(&frame, 0, bytes, count), RECEIVED_ANSWER, 0, 0));
     uint8_t refusal[5] = {1, 0x86, 4};
     rtu_seal(refusal, 5, SEAL_CRC16);
     count = put(bytes, 8, refusal, 5);
-    heard found = find(&frame, 1, bytes, count);
-    CHECK(is(found, HEARD_REFUSED, 8, 1) && found.exception == 4);
-    CHECK(is(find(&frame, 2, refusal, 5), HEARD_REFUSED, 0, 0));
+    received found = find(&frame, 1, bytes, count);
+    CHECK(is(found, RECEIVED_REFUSED, 8, 1) && found.exception == 4);
+    CHECK(is(find(&frame, 2, refusal, 5), RECEIVED_REFUSED, 0, 0));
 }
 
 static void one_byte_may_be_all_that_an_answer_repeats(void)
@@ -279,10 +279,10 @@ static void one_byte_may_be_all_that_an_answer_repeats(void)
     frame.match[0] = 9;
     uint8_t reply[8] = {1, 99};
     rtu_seal(reply, 8, SEAL_CRC16);
-    CHECK(is(find(&frame, 0, reply, 8), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 0, reply, 8), RECEIVED_ANSWER, 0, 0));
     reply[0] = 9;
     rtu_seal(reply, 8, SEAL_CRC16);
-    CHECK(is(find(&frame, 0, reply, 8), HEARD_MORE, 0, 0));
+    CHECK(is(find(&frame, 0, reply, 8), RECEIVED_MORE, 0, 0));
 }
 
 /* The request itself and one byte more can be a well sealed reply: with an echo it is none. */
@@ -299,20 +299,20 @@ static void no_answer_begins_within_the_echo(void)
         uint16_t crc = rtu_crc16(bytes, 7);
         bytes[8] = (uint8_t)(crc >> 8);
         if ((crc & 0xFF) == bytes[7]) {
-            CHECK(is(find(&frame, 0, bytes, 9), HEARD_ANSWER, 0, 0));
-            CHECK(is(find(&frame, 1, bytes, 9), HEARD_MORE, 0, 0));
-            CHECK(is(find(&frame, 2, bytes, 9), HEARD_MORE, 0, 0));
+            CHECK(is(find(&frame, 0, bytes, 9), RECEIVED_ANSWER, 0, 0));
+            CHECK(is(find(&frame, 1, bytes, 9), RECEIVED_MORE, 0, 0));
+            CHECK(is(find(&frame, 2, bytes, 9), RECEIVED_MORE, 0, 0));
             return;
         }
     }
     CHECK(false);
 }
 
-static void nothing_heard_is_nothing_said(void)
+static void nothing_received_is_nothing_said(void)
 {
     line_frame frame = reading();
     for (uint32_t echo = 0; echo <= 2; echo++) {
-        CHECK(is(find(&frame, echo, good_reply(), 0), HEARD_MORE, 0, 0));
+        CHECK(is(find(&frame, echo, good_reply(), 0), RECEIVED_MORE, 0, 0));
     }
 }
 
@@ -328,10 +328,10 @@ static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
     rtu_seal(frame.request, 10, SEAL_CRC8);
     uint8_t reply[10] = {1, 2, 0, 3, 0, 49, 0x12, 0x34, 0};
     rtu_seal(reply, 10, SEAL_CRC8);
-    CHECK(is(find(&frame, 0, reply, 9), HEARD_MORE, 0, 0));
-    CHECK(is(find(&frame, 0, reply, 10), HEARD_ANSWER, 0, 0));
+    CHECK(is(find(&frame, 0, reply, 9), RECEIVED_MORE, 0, 0));
+    CHECK(is(find(&frame, 0, reply, 10), RECEIVED_ANSWER, 0, 0));
     reply[9] ^= 1;
-    CHECK(is(find(&frame, 0, reply, 10), HEARD_MORE, 0, 0));
+    CHECK(is(find(&frame, 0, reply, 10), RECEIVED_MORE, 0, 0));
 }
 
 /* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a write is 0xFF. */
@@ -340,11 +340,11 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
     line_frame asked = {.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_ASKED, .exact = 1, .request = {0x80, 24}};
     uint8_t reply[5] = {0x00, 0xF0, 0, 0, 0xFF}, sealed[4] = {0x80, 24, 0x00, 0xF0};
     rtu_write(reply + 2, FORM_U16, rtu_xmodem(0, sealed, 4));
-    CHECK(is(find(&asked, 0, reply, 3), HEARD_MORE, 0, 0));
-    CHECK(is(find(&asked, 0, reply, 4), HEARD_ANSWER, 0, 0));
-    CHECK(find(&asked, 2, reply, 5).kind == HEARD_BAD);
+    CHECK(is(find(&asked, 0, reply, 3), RECEIVED_MORE, 0, 0));
+    CHECK(is(find(&asked, 0, reply, 4), RECEIVED_ANSWER, 0, 0));
+    CHECK(find(&asked, 2, reply, 5).kind == RECEIVED_BAD);
     asked.request[0] = 0x81; /* another's */
-    CHECK(find(&asked, 0, reply, 4).kind == HEARD_BAD);
+    CHECK(find(&asked, 0, reply, 4).kind == RECEIVED_BAD);
     line_frame told = {.request_bytes = 8,
                        .reply_bytes = 1,
                        .match_bytes = 1,
@@ -354,9 +354,9 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
                        .request = {0x80, 34}};
     rtu_seal(told.request, 8, SEAL_XMODEM);
     CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(told.request + 6, FORM_U16) == rtu_xmodem(0, told.request, 6));
-    CHECK(is(find(&told, 0, reply + 4, 1), HEARD_ANSWER, 0, 0));
-    CHECK(find(&told, 0, reply + 3, 1).kind == HEARD_BAD && find(&told, 0, reply + 3, 2).kind == HEARD_BAD);
-    CHECK(is(find(&told, 0, reply, 0), HEARD_MORE, 0, 0));
+    CHECK(is(find(&told, 0, reply + 4, 1), RECEIVED_ANSWER, 0, 0));
+    CHECK(find(&told, 0, reply + 3, 1).kind == RECEIVED_BAD && find(&told, 0, reply + 3, 2).kind == RECEIVED_BAD);
+    CHECK(is(find(&told, 0, reply, 0), RECEIVED_MORE, 0, 0));
 }
 
 int main(void)
@@ -374,7 +374,7 @@ int main(void)
     an_echo_of_a_write_is_no_answer();
     one_byte_may_be_all_that_an_answer_repeats();
     no_answer_begins_within_the_echo();
-    nothing_heard_is_nothing_said();
+    nothing_received_is_nothing_said();
     the_short_frames_of_others_have_a_seal_of_one_byte();
     an_answer_that_does_not_say_what_it_answers_is_all_that_comes();
     return checks_report("rtu");

@@ -113,7 +113,7 @@ static void a_wheel_beyond_all_speed_is_let_go(void)
 }
 
 /* What the integral held was for a wheel that was seen: it must not push one that is seen again. */
-static void a_wheel_that_is_not_heard_any_more_loses_its_integral_while_it_is_held(void)
+static void a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is_held(void)
 {
     base b;
     core_config config = two_wheels();
@@ -169,7 +169,7 @@ int main(void)
     the_torque_is_a_number_within_its_limit();
     a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed();
     a_wheel_beyond_all_speed_is_let_go();
-    a_wheel_that_is_not_heard_any_more_loses_its_integral_while_it_is_held();
+    a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is_held();
     a_wheel_that_ran_away_loses_its_integral_at_once();
     a_speed_that_is_no_number_is_no_torque();
     return checks_report("test_speed_loop");

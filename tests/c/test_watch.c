@@ -190,7 +190,7 @@ static void a_drive_says_that_it_is_off_only_since_the_base_is_armed(void)
     CHECK(step(&r)->faults == FAULT_DRIVE_DISABLED);
 }
 
-static void who_is_heard_and_since_when(void)
+static void who_is_received_and_since_when(void)
 {
     core_config config = good_config();
     rig r;
@@ -324,7 +324,7 @@ int main(void)
     each_cause_has_its_fault_at_once_moving_or_held_by_a_stop();
     suspension_and_a_bad_time_step_are_told_of_without_their_consequences();
     a_drive_says_that_it_is_off_only_since_the_base_is_armed();
-    who_is_heard_and_since_when();
+    who_is_received_and_since_when();
     a_reset_clears_faults_when_every_cause_is_gone_and_never_arms();
     limits_replace_each_other_as_a_group_or_not_at_all();
     return checks_report("test_watch");

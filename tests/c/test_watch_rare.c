@@ -85,8 +85,8 @@ static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
     core_config config = good_config();
     rig r;
     ready(&r, &config);
-    int64_t heard_ns = r.input.now_ns;
-    r.input.now_ns = heard_ns + 250 * MS_NS;
+    int64_t received_ns = r.input.now_ns;
+    r.input.now_ns = received_ns + 250 * MS_NS;
     CHECK(step(&r)->joint[2].stale == 0 && r.shown.odometry_degraded == 0);
     r.input.now_ns += 1;
     CHECK(step(&r)->joint[2].stale == 1 && r.shown.odometry_degraded == 1);

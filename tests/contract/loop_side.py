@@ -23,9 +23,9 @@ PATIENT_S = 1.0
 """After which lines here find set-points old. In the product a thread puts them that waits for
 nobody; here one event loop does, and a busy machine may leave it without a CPU for longer than
 the product allows."""
-REPLY_S, QUIET_S = 0.2, 0.6
+REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
 """Of drives here, which share this process: a reply that is later is none, and a drive that was
-not heard for so long is quiet."""
+not heard for so long is unresponsive."""
 BOARDS = ("mcu", "ascii")
 
 
@@ -121,7 +121,7 @@ class Rig:
         await until(lambda: self.states() == {DriveState.READY}, "every drive is ready")
 
     async def arm(self) -> None:
-        """Once more if a peer was quiet meanwhile, as one is when the machine is too busy."""
+        """Once more if a peer was unresponsive meanwhile, as on a busy machine."""
         refusals: list[str] = []
         try:
             async with asyncio.timeout(GENEROUS_S):
@@ -168,12 +168,14 @@ def patient(spec: LineSpec) -> LineSpec:
 
 
 def _patient_joint(joint: JointSpec, spec: LineSpec) -> JointSpec:
-    if spec.kind in BOARDS:  # which are quiet after so many cycles
-        return dataclasses.replace(joint, tries=max(joint.tries, round(QUIET_S * spec.cycle_hz)))
+    if spec.kind in BOARDS:  # which are unresponsive after so many cycles
+        return dataclasses.replace(
+            joint, tries=max(joint.tries, round(UNRESPONSIVE_S * spec.cycle_hz))
+        )
     table, profile = joint.profile.can, joint.profile
     if table is not None:
         frames = {
-            name: dataclasses.replace(frame, silence_s=max(frame.silence_s, QUIET_S))
+            name: dataclasses.replace(frame, silence_s=max(frame.silence_s, UNRESPONSIVE_S))
             if frame.silence_s
             else frame
             for name, frame in table.frames.items()

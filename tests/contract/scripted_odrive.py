@@ -84,12 +84,12 @@ class Axis:
     """Commands that are lost on the way."""
     stuck: bool = False
     """It does not change its state."""
-    heard: list[tuple[int, bytes]] = field(default_factory=list)
+    received: list[tuple[int, bytes]] = field(default_factory=list)
     """Command and data of each frame that is no question."""
     asked: list[int] = field(default_factory=list)
 
     def told(self, command):
-        return [data for one, data in self.heard if one == command]
+        return [data for one, data in self.received if one == command]
 
     def velocities(self):
         return [struct.unpack("<ff", data)[0] for data in self.told(INPUT_VELOCITY)]
@@ -173,7 +173,7 @@ class Peer:
             axis.asked.append(command)
             self.say(node, axis, command)
             return
-        axis.heard.append((command, bytes(message.data)))
+        axis.received.append((command, bytes(message.data)))
         if command in axis.deaf_to:
             return
         if command == STATE and not axis.stuck:

@@ -29,7 +29,7 @@ Trick = Callable[[Request, bytes], Bytes]
 
 
 @dataclass
-class Heard:
+class Received:
     at_s: float
     request: Request
 
@@ -57,7 +57,7 @@ class ScriptedSlave:
         self.kind = "modbus-rtu"
         self.units: dict[int, Unit] = {1: Unit()}
         self.tricks: deque[Trick] = deque()
-        self.heard: list[Heard] = []
+        self.received: list[Received] = []
         self.answered_at_s: list[float] = []
         self._buffer = b""
         self._timers: list[asyncio.TimerHandle] = []
@@ -92,7 +92,7 @@ class ScriptedSlave:
         os.write(self._master, data)
 
     def requests(self, unit: int | None = None) -> list[Request]:
-        return [h.request for h in self.heard if unit is None or h.request.unit == unit]
+        return [h.request for h in self.received if unit is None or h.request.unit == unit]
 
     def written(self, address: int, unit: int = 1) -> list[int]:
         """Every value that was written to a register, in order."""
@@ -114,7 +114,7 @@ class ScriptedSlave:
             self._serve(parse_request(frame))
 
     def _serve(self, request: Request) -> None:
-        self.heard.append(Heard(time.monotonic(), request))
+        self.received.append(Received(time.monotonic(), request))
         if request.unit == 0:
             return
         unit = self.units.get(request.unit)

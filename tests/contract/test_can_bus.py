@@ -52,7 +52,7 @@ async def test_bus_off_is_said_once_and_the_drives_come_back_disarmed(rig, peer)
     assert peer.axes[0].state == IDLE
 
 
-async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_though_it_is_not_heard(
+async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_though_it_is_not_received(
     rig, peer
 ):
     await rig.arm()
@@ -64,7 +64,7 @@ async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_though_it_is_
     await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
     await until(lambda: axis.velocities()[-1] == 0.0)
     await until(lambda: axis.state == IDLE)
-    assert rig.line.drive_states["wheel0"] in (DriveState.UNKNOWN, DriveState.QUIET)
+    assert rig.line.drive_states["wheel0"] in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE)
 
 
 async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
@@ -107,7 +107,7 @@ async def test_remote_frames_and_long_frames_of_others_are_no_feedback(rig, peer
     peer.axes[0].no_estimates = True
     peer.send_raw(ESTIMATES, None, is_remote_frame=True, dlc=8)
     peer.send_raw(ESTIMATES, bytes(8), is_fd=False)
-    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.UNRESPONSIVE)
     assert rig.line.drive_states["wheel3"] is DriveState.READY
 
 

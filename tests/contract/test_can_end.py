@@ -88,8 +88,8 @@ async def test_a_wheel_that_is_being_stopped_goes_on_being_braked_before_it_lose
             await until(lambda: any(axis.velocities()))
             rig.loop.running = False
             await until(lambda: rig.states() == {DriveState.READY})
-            mark = len(axis.heard)
+            mark = len(axis.received)
             assert axis.state != IDLE
         await until(lambda: axis.state == IDLE)
-        told = [command for command, _ in axis.heard[mark:]]
+        told = [command for command, _ in axis.received[mark:]]
         assert told[: told.index(STATE)].count(INPUT_VELOCITY) > 5

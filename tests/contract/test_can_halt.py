@@ -22,7 +22,7 @@ async def test_every_drive_is_told_zero_and_then_loses_its_power(peer):
     for axis in peer.axes.values():
         assert axis.state == IDLE
         assert set(axis.velocities()) == {0.0}
-        told = [command for command, _ in axis.heard]
+        told = [command for command, _ in axis.received]
         assert told.index(INPUT_VELOCITY) < told.index(STATE)
         assert CLOSED_LOOP not in axis.states()
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines against scripted drives that speak raw frames: who is armed, who is quiet, what is
-said."""
+"""CAN lines against scripted drives that speak raw frames: who is armed, who is unresponsive, what
+is said."""
 
 import asyncio
 import math
@@ -77,7 +77,7 @@ async def test_a_drive_that_does_not_let_itself_be_set_up_is_said_once_and_tried
     peer.axes[0].state, peer.axes[0].stuck = CLOSED_LOOP, True
     async with running(spec_of(peer, 0)) as rig:
         await until(lambda: len(peer.axes[0].states()) >= 3)
-        assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+        assert rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == 1
         assert "axis_state" in rig.events[-1].text
         assert EventKind.DRIVE_READY not in rig.kinds()
 
@@ -259,9 +259,9 @@ async def test_arming_without_fresh_set_points_is_refused(rig, peer):
 
 async def test_a_drive_is_told_zero_before_it_is_armed(rig, peer):
     await rig.arm()
-    heard = peer.axes[0].heard
-    armed = next(n for n, (c, d) in enumerate(heard) if (c, d[:1]) == (STATE, b"\x08"))
-    before = [d for c, d in heard[:armed] if c == INPUT_VELOCITY]
+    received = peer.axes[0].received
+    armed = next(n for n, (c, d) in enumerate(received) if (c, d[:1]) == (STATE, b"\x08"))
+    before = [d for c, d in received[:armed] if c == INPUT_VELOCITY]
     assert before[-1] == bytes(8)
     assert set(before) == {bytes(8)}
 
@@ -286,15 +286,15 @@ async def test_a_closed_line_says_so(peer):
         assert "no such interface" in rig.events[0].text
 
 
-# ------------------------------------------------------------------------------------------ quiet
+# ----------------------------------------------------------------------------------- unresponsive
 async def test_a_drive_that_never_speaks_is_said_once(peer):
     peer.axes[0].silent = True
     async with running(spec_of(peer, 0, 3)) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         await until(lambda: rig.line.drive_states["wheel3"] is DriveState.READY)
         cycles = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles > cycles + 50)
-        assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+        assert rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == 1
         with pytest.raises(NoReply, match="wheel0"):
             await rig.line.arm()
 
@@ -305,7 +305,7 @@ async def test_a_drive_that_falls_silent_comes_back_configured_and_disarmed(rig,
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     setattr(peer.axes[0], what, True)
-    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.UNRESPONSIVE)
     epoch = rig.loop.exchange.take_feedback(0).epoch
     await until(lambda: peer.axes[0].states()[-1] == IDLE, "one that may turn is told to stop")
     mark = len(peer.axes[0].velocities())
@@ -316,13 +316,13 @@ async def test_a_drive_that_falls_silent_comes_back_configured_and_disarmed(rig,
     await until(lambda: peer.axes[0].mode == (2, 1))
     await until(lambda: len(peer.axes[0].velocities()) > mark + 3)
     assert set(peer.axes[0].velocities()[mark:]) == {0.0}
-    assert rig.kinds()[3:] == [EventKind.DRIVE_QUIET, EventKind.DRIVE_BACK]
+    assert rig.kinds()[3:] == [EventKind.DRIVE_UNRESPONSIVE, EventKind.DRIVE_BACK]
 
 
 async def test_sends_that_succeed_do_not_make_a_drive_present(rig, peer):
     await rig.arm()
     peer.axes[0].silent = True
-    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.QUIET)
+    await until(lambda: rig.line.drive_states["wheel0"] is DriveState.UNRESPONSIVE)
     assert rig.line.stats().errors == {}
 
 

@@ -29,7 +29,7 @@ async def turning(rig, peer):
     await until(lambda: any(peer.axes[0].velocities()), "it is told to turn")
 
 
-async def test_a_drive_is_armed_driven_heard_and_switched_off(adapter, peer):
+async def test_a_drive_is_armed_driven_received_and_switched_off(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         assert "S6" in adapter.commands  # 500 kbit/s, before the channel is opened
@@ -57,8 +57,8 @@ async def test_bytes_that_are_no_frames_are_counted_and_the_line_goes_on(adapter
         for garbage in (b"tXYZ\r", b"t0018001122\r", b"t\r", b"\a"):
             adapter.say(garbage)
             counted = rig.line.stats().errors.get("bad_frame", 0)
-            heard = rig.line.stats().exchanges
-            await until(lambda heard=heard: rig.line.stats().exchanges > heard + 20)
+            received = rig.line.stats().exchanges
+            await until(lambda received=received: rig.line.stats().exchanges > received + 20)
             more = rig.line.stats().errors.get("bad_frame", 0) > counted
             assert more or garbage == b"\a", garbage
         assert rig.states() == {DriveState.ARMED}

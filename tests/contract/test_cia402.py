@@ -115,7 +115,7 @@ async def test_a_drive_that_does_not_follow_is_not_armed(rig, node):
 async def test_a_drive_that_lost_its_power_is_set_up_again_disarmed(rig, node):
     await rig.arm()
     node.reboot()
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
     await rig.ready()
     assert node.get(0x1600, 2) == 0x60FF0020
     assert node.status != OPERATION
@@ -124,7 +124,7 @@ async def test_a_drive_that_lost_its_power_is_set_up_again_disarmed(rig, node):
 async def test_an_object_is_read_by_name_and_a_refusal_keeps_it_from_ready(node):
     del node.node.object_dictionary[0x605A]
     async with running(spec_of(node)) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "quick_stop_option refused with 0x06020000" in rig.events[-1].text
 
 
@@ -173,7 +173,7 @@ async def test_a_drive_that_turns_is_at_rest_also_where_its_set_up_fails(node):
     await left_turning(node)
     del node.node.object_dictionary[0x605A]
     async with running(spec_of(node)) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "quick_stop_option refused" in rig.events[-1].text
         assert node.velocity == 0
         assert node.status != OPERATION

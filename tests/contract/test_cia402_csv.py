@@ -139,13 +139,13 @@ async def more_syncs(node):
     await until(lambda: node.syncs > syncs + 10)
 
 
-async def test_a_pause_of_this_program_makes_no_drive_quiet(rig, nodes):
+async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, nodes):
     await rig.ready()
     for _ in range(3):
         time.sleep(0.5)  # noqa: ASYNC251  # no SYNC meanwhile
         await more_syncs(nodes[0])
     assert rig.states() == {DriveState.READY}
-    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
 
 
 async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, spec):
@@ -169,7 +169,7 @@ async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_
         del node.node.object_dictionary[0x605A]  # and cannot be set up
     async with running(spec) as rig:
         await until(lambda: all(node.velocity == 0 for node in turning))
-        await until(lambda: rig.kinds().count(EventKind.DRIVE_QUIET) == len(turning))
+        await until(lambda: rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == len(turning))
     assert all(node.controls[0] == 0x02 for node in turning)
     assert all(node.status != OPERATION for node in turning)
 

@@ -174,7 +174,7 @@ async def test_a_heartbeat_that_ends_stops_it_and_it_comes_back_disarmed(rig, dr
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.said["velocity"] == 60)
     drive.tell(set=[HEARTBEAT_TIME, 0])
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds(), "it is missed")
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
     await until(lambda: QUICK_STOP in drive.said["statuses"], "it hears, and is told to stop")
     await rig.ready()
     assert EventKind.DRIVE_BACK in rig.kinds()

@@ -71,7 +71,7 @@ async def test_mode_ten_is_set_with_its_limits_and_no_torque(rig, node):
 async def test_a_motor_of_another_rated_torque_is_not_set_up(node, spec):
     node.put(0x6076, 640)
     async with running(spec) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "rated_torque" in rig.events[-1].text
         assert rig.states() != {DriveState.READY}
     assert node.status != OPERATION

@@ -30,13 +30,13 @@ def echo(peer, until=lambda request: False):
     peer.tricks.append(both)
 
 
-async def test_a_line_that_does_not_echo_any_more_is_heard_again(peer):
+async def test_a_line_that_does_not_echo_any_more_is_received_again(peer):
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
         peer.tricks.clear()
-        heard = len(peer.heard)
-        await until(lambda: len(peer.heard) > heard + 20, "it goes on asking")
+        received = len(peer.received)
+        await until(lambda: len(peer.received) > received + 20, "it goes on asking")
         await rig.arm()
 
 
@@ -46,7 +46,7 @@ async def test_an_echo_that_ends_while_the_drives_are_set_up_is_given_up_again(p
         await rig.arm()
 
 
-async def test_a_line_that_begins_to_echo_is_heard_all_the_same(peer):
+async def test_a_line_that_begins_to_echo_is_received_all_the_same(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
         echo(peer)
@@ -65,10 +65,10 @@ async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
 
         peer.tricks.clear()
         peer.tricks.append(only_echo)
-        await until(lambda: rig.states() == {DriveState.QUIET}, "it is quiet")
-        heard = len(peer.heard)
-        await until(lambda: len(peer.heard) > heard + 5, "it is probed")
-        assert rig.states() == {DriveState.QUIET}
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it is unresponsive")
+        received = len(peer.received)
+        await until(lambda: len(peer.received) > received + 5, "it is probed")
+        assert rig.states() == {DriveState.UNRESPONSIVE}
 
 
 @pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])

@@ -57,10 +57,10 @@ async def set_off(rig, peer):
     await until(lambda: 60 in peer.written(TARGET_1))
 
 
-async def test_a_drive_that_hears_but_is_not_heard_is_told_to_stop(rig, peer):
+async def test_a_drive_that_hears_but_is_not_received_is_told_to_stop(rig, peer):
     await set_off(rig, peer)
     mute(peer)
-    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
     await until(lambda: QUICK_STOP in peer.written(CONTROL))
     await until(lambda: peer.written(TARGET_1)[-1] == peer.written(TARGET_2)[-1] == 0)
     peer.tricks.clear()
@@ -78,13 +78,13 @@ async def test_a_drive_that_refuses_its_set_points_is_told_to_stop(rig, peer):
     assert peer.written(TARGET_1)[-1] == 0
 
 
-async def test_a_quiet_drive_that_was_never_armed_is_only_asked(rig, peer):
+async def test_an_unresponsive_drive_that_was_never_armed_is_only_asked(rig, peer):
     await rig.ready()
     mute(peer)
-    await until(lambda: rig.states() == {DriveState.QUIET})
-    mark = len(peer.heard)
-    await until(lambda: len(peer.heard) > mark + 3)
-    assert {h.request.function for h in peer.heard[mark:]} == {Function.READ_HOLDING}
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
+    mark = len(peer.received)
+    await until(lambda: len(peer.received) > mark + 3)
+    assert {h.request.function for h in peer.received[mark:]} == {Function.READ_HOLDING}
 
 
 async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, peer):
@@ -148,12 +148,12 @@ async def test_a_new_speed_never_goes_the_old_way(peer):
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
         await until(lambda: FORWARD in peer.written(RUN))
-        mark = len(peer.heard)
+        mark = len(peer.received)
         rig.loop.velocity_rad_s = {0: -90 * RPM}
         await until(lambda: REVERSE in peer.written(RUN))
         told = [
             (request.address, *request.values)
-            for request in (heard.request for heard in peer.heard[mark:])
+            for request in (received.request for received in peer.received[mark:])
             if request.values
         ]
         told = told[: told.index((RUN, REVERSE)) + 1]
@@ -196,7 +196,11 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
             rig.loop.running = False
         await until(lambda: peer.written(DUTY)[-1] == 0)
         moving, zero = [
-            [h.at_s for h in peer.heard if h.request.address == DUTY and h.request.values == (raw,)]
+            [
+                h.at_s
+                for h in peer.received
+                if h.request.address == DUTY and h.request.values == (raw,)
+            ]
             for raw in (50, 0)
         ]
         assert zero[-1] - moving[-1] < 0.8
@@ -218,15 +222,15 @@ async def test_a_stop_that_was_lost_on_a_slow_line_is_told_again_at_once(peer):
         peer.tricks.append(lose_one_zero)
         rig.loop.duty = {}
         await until(lambda: peer.written(DUTY)[-2:] == [0, 0])
-        first, second = [h.at_s for h in peer.heard if h.request.address == DUTY][-2:]
+        first, second = [h.at_s for h in peer.received if h.request.address == DUTY][-2:]
         assert second - first < 0.8
 
 
-async def test_shutting_down_tells_also_a_quiet_drive(peer):
+async def test_shutting_down_tells_also_an_unresponsive_drive(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await set_off(rig, peer)
         peer.units[1].silent = True
-        await until(lambda: rig.states() == {DriveState.QUIET})
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
         mark = len(peer.written(CONTROL))
     assert OFF in peer.written(CONTROL)[mark:]
 

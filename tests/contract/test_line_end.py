@@ -53,12 +53,12 @@ async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_o
     assert EventKind.DRIVE_WARNING not in rig.kinds()
 
 
-async def test_a_quiet_drive_that_is_reached_during_the_end_is_switched_off(peer):
+async def test_an_unresponsive_drive_that_is_reached_during_the_end_is_switched_off(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         unit.silent = True
-        await until(lambda: rig.states() == {DriveState.QUIET})
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
         unit.silent, unit.loses = False, 4
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
 
@@ -94,13 +94,13 @@ async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer
         told = len(peer.requests(1))
         await until(lambda: len(peer.requests(1)) > told)
         await asyncio.sleep(later_s)  # into the exchange with the missing drive
-        mark = len(peer.heard)
-    after = [heard.request for heard in peer.heard[mark:]]
+        mark = len(peer.received)
+    after = [received.request for received in peer.received[mark:]]
     assert peer.units[2].registers[TARGET] == 0
     assert any(one.unit == 2 and one.address == ENABLE and OFF in one.values for one in after)
 
 
-async def test_a_drive_that_hears_but_is_not_heard_is_switched_off_at_the_end(peer):
+async def test_a_drive_that_hears_but_is_not_received_is_switched_off_at_the_end(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
@@ -125,7 +125,7 @@ def slow(peer, reply, after_s=0.018):
 
 
 @pytest.mark.parametrize(("drives", "torn_after_s"), [(1, 0.018), (1, 0.07), (8, 0.018)])
-async def test_each_drive_is_sent_its_whole_power_off_though_none_is_heard(
+async def test_each_drive_is_sent_its_whole_power_off_though_none_is_received(
     tmp_path, engine, drives, torn_after_s
 ):
     """Where each write that is not answered costs a good part of the end."""
@@ -139,11 +139,11 @@ async def test_each_drive_is_sent_its_whole_power_off_though_none_is_heard(
         rig.loop.enabled, rig.loop.velocity_rad_s = True, dict.fromkeys(range(drives), 20.0)
         await until(lambda: all(peer.written(speed, unit)[-1] > 0 for unit in units))
         slow(peer, lambda honest: honest)
-        heard = len(peer.heard)
-        await until(lambda: len(peer.heard) >= heard + LEARNT_AFTER * drives)
+        received = len(peer.received)
+        await until(lambda: len(peer.received) >= received + LEARNT_AFTER * drives)
         slow(peer, lambda honest: honest[:-1], torn_after_s)
-        mark = len(peer.heard)
+        mark = len(peer.received)
     peer.pull()
-    told = {(h.request.unit, h.request.address, *h.request.values) for h in peer.heard[mark:]}
+    told = {(h.request.unit, h.request.address, *h.request.values) for h in peer.received[mark:]}
     assert {(unit, register, 0) for unit in units for register in (speed, run)} <= told
     assert "not switched off at the end" in rig.events[-1].text

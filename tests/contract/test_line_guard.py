@@ -81,7 +81,7 @@ async def test_the_late_reply_to_a_cancelled_request_is_not_given_to_the_next(cl
 async def test_a_cancellation_passes_through(client, peer):
     peer.units[1].silent = True
     task = asyncio.ensure_future(client.exchange(READ, LONG_S))
-    await until(lambda: peer.heard)
+    await until(lambda: peer.received)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
@@ -148,14 +148,14 @@ async def test_an_exception_says_its_code_and_meaning(client, peer):
 async def test_the_line_is_silent_before_each_request(client, peer):
     for _ in range(5):
         await client.exchange(READ, LONG_S)
-    pairs = zip(peer.answered_at_s, peer.heard[1:], strict=False)
-    assert all(heard.at_s - answered >= SILENT_FIXED_S for answered, heard in pairs)
+    pairs = zip(peer.answered_at_s, peer.received[1:], strict=False)
+    assert all(received.at_s - answered >= SILENT_FIXED_S for answered, received in pairs)
 
 
 async def test_a_broadcast_is_followed_by_the_turnaround_delay(client, peer):
     assert (await client.exchange(write(0x10, 5, unit=0), LONG_S)).values == ()
     await client.exchange(READ, LONG_S)
-    first, second = peer.heard
+    first, second = peer.received
     assert (first.request.unit, second.request.unit) == (0, 1)
     assert second.at_s - first.at_s >= BROADCAST_TURNAROUND_S / 2
 
@@ -199,7 +199,7 @@ async def test_a_unit_that_did_not_answer_is_left_alone_but_its_neighbours_are_n
     assert (await client.exchange(read(0x10, unit=2), LONG_S)).values == (0x2B,)
     with pytest.raises(NoReply):
         await client.exchange(READ, SHORT_S)
-    first, neighbour, again = peer.heard
+    first, neighbour, again = peer.received
     assert neighbour.at_s - first.at_s < 0.8 <= again.at_s - first.at_s
 
 

@@ -59,7 +59,7 @@ async def test_a_line_outlives_exceptions_with_code_zero_and_stops_its_drive(pee
     async with running(spec_of(peer, hub_servo())) as rig:
         await set_off(rig, peer)
         always(peer, refuse_with_zero)
-        await until(lambda: rig.states() == {DriveState.QUIET})
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
         await until(lambda: QUICK_STOP in peer.written(CONTROL))
         assert any("exception 0" in event.text for event in rig.events)
         peer.tricks.clear()
@@ -118,7 +118,7 @@ async def test_a_line_that_is_never_silent_does_not_keep_a_power_off_back(peer):
         async with running(spec_of(peer, hub_servo(), gap_s=0.02)) as rig:
             await set_off(rig, peer)
             babbling = group.create_task(babble())
-            await until(lambda: rig.states() == {DriveState.QUIET})
+            await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
             await until(lambda: QUICK_STOP in peer.written(CONTROL))
         assert peer.written(CONTROL)[-1] == OFF
         babbling.cancel()

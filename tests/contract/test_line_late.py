@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial lines against drives that answer late, refuse, or lose replies: how old values are, and
-what is said of a drive that is quiet."""
+what is said of a drive that is unresponsive."""
 
 import asyncio
 import random
@@ -66,11 +66,11 @@ async def test_no_position_is_older_than_its_stamp_says(peer, late_ms):
     async with running(spec_of(peer, hub_servo(), cycle_hz=50.0), in_haste=True) as rig:
         await rig.ready()
         answer_late(peer, 0.0, 0.0)
-        mark = len(peer.heard)
-        await until(lambda: len(peer.heard) > mark + 10)
+        mark = len(peer.received)
+        await until(lambda: len(peer.received) > mark + 10)
         answer_late(peer, late_ms / 1e3, 0.3)
-        ages_ns, mark = {}, len(peer.heard)
-        while len(peer.heard) < mark + 150:
+        ages_ns, mark = {}, len(peer.received)
+        while len(peer.received) < mark + 150:
             feedback = rig.loop.exchange.take_feedback(0)
             if feedback.stamp_ns:
                 ages_ns[feedback.stamp_ns] = age_ns(feedback)
@@ -79,16 +79,16 @@ async def test_no_position_is_older_than_its_stamp_says(peer, late_ms):
         assert max(ages_ns.values()) <= CYCLE_NS
 
 
-async def why_quiet(rig):
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
-    return next(event.text for event in rig.events if event.kind is EventKind.DRIVE_QUIET)
+async def why_unresponsive(rig):
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
+    return next(event.text for event in rig.events if event.kind is EventKind.DRIVE_UNRESPONSIVE)
 
 
 async def test_a_drive_that_refuses_is_not_said_to_have_another_baud_rate(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         peer.units[1].refuses = set(peer.units[1].registers)
-        text = await why_quiet(rig)
+        text = await why_unresponsive(rig)
         assert "exception 2" in text
         assert "baud" not in text
 
@@ -97,7 +97,7 @@ async def test_a_drive_whose_replies_are_lost_is_not_said_to_have_another_baud_r
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         peer.units[1].silent = True
-        text = await why_quiet(rig)
+        text = await why_unresponsive(rig)
         assert "nothing within" in text
         assert "baud" not in text
 
@@ -111,7 +111,7 @@ async def test_replies_that_are_torn_among_good_ones_are_said_to_be_so(peer):
             return [(0.0, honest[:4])]
 
         peer.tricks.append(tear)
-        text = await why_quiet(rig)
+        text = await why_unresponsive(rig)
         assert "torn or damaged replies" in text
         assert "bytes came, but no frame" not in text
 
@@ -121,7 +121,7 @@ async def test_a_drive_that_answers_late_is_said_to_be_slow(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         answer_late(peer, 0.04, 1.0)
-        text = await why_quiet(rig)
+        text = await why_unresponsive(rig)
         assert "replies come after their time" in text
         assert "baud" not in text
 
@@ -133,4 +133,4 @@ async def test_bytes_that_never_were_a_frame_hint_at_the_baud_rate(peer):
 
     peer.tricks.append(garble)
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
-        assert "bytes came, but no frame: baud rate or parity?" in await why_quiet(rig)
+        assert "bytes came, but no frame: baud rate or parity?" in await why_unresponsive(rig)

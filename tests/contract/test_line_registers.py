@@ -103,7 +103,7 @@ async def test_what_the_set_up_writes_is_read_back(peer):
     joints = tuple(replace(joint, profile=profile) for joint in joints)
     unit.on_write = lambda address, value: unit.registers.update({0x20A3: 8})
     async with running(spec_of(peer, joints)) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "gain is 0x8" in rig.events[-1].text
         unit.on_write = None
         await rig.ready()

@@ -76,7 +76,7 @@ async def test_an_urgent_request_does_not_get_the_reply_of_the_one_on_the_wire(p
             assert thread.put_ask(ask)
 
         put(1, 0, read_request(1), urgent=False)
-        await until(lambda: len(peer.heard) == 1)
+        await until(lambda: len(peer.received) == 1)
         put(2, 1, power_off_request(2), urgent=True)
         answers = []
 
@@ -93,7 +93,7 @@ async def test_an_urgent_request_does_not_get_the_reply_of_the_one_on_the_wire(p
 async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
     async with running(spec_of(peer, two_drives())) as rig:
         await rig.arm()
-        mark = len(peer.heard)
+        mark = len(peer.received)
 
         def hold_the_read(request, honest):
             if (request.unit, request.address, request.count) == (1, TEMPERATURE, 1):
@@ -104,7 +104,7 @@ async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
         peer.tricks.append(hold_the_read)
         reading = asyncio.create_task(rig.line.read_register("left1", "temperature_1"))
         await until(lambda: any(h.request.address == TEMPERATURE and h.request.count == 1
-                                for h in peer.heard[mark:]))  # fmt: skip
+                                for h in peer.received[mark:]))  # fmt: skip
         async with asyncio.timeout(GENEROUS_S):
             await rig.line.disarm()
             await reading
@@ -160,7 +160,7 @@ async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_se
         async with asyncio.TaskGroup() as tasks:
             attending = tasks.create_task(attend())
             reading = tasks.create_task(asks.ask(0, read_request(1), 0.02))
-            await until(lambda: len(peer.heard) == 1)
+            await until(lambda: len(peer.received) == 1)
             enabling = tasks.create_task(enable())
             await asyncio.sleep(0)  # it waits for its turn
             allowed = False

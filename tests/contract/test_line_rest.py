@@ -72,8 +72,8 @@ async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to
         await until(lambda: 60 in peer.written(TARGET_1))
         rig.loop.running = False
         await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
-        until_the_end = len(peer.heard)
-    after = [heard.request for heard in peer.heard[until_the_end:]]
+        until_the_end = len(peer.received)
+    after = [received.request for received in peer.received[until_the_end:]]
     off = next(n for n, one in enumerate(after) if one.address == CONTROL and OFF in one.values)
     assert sum(one.address == TARGET_1 for one in after[:off]) >= CYCLES_SEEN
 
@@ -117,7 +117,7 @@ async def test_the_brake_of_a_quick_stop_holds_until_the_wheel_rests(
         unit.registers[velocity] = 900
         rig.loop.running = False
         await until(lambda: peer.written(run)[-1] == brake)
-        braking = len(peer.heard)
+        braking = len(peer.received)
         await until(lambda: wrote(peer, braking, speed) >= CYCLES_SEEN)
         assert unit.registers[run] == brake
         unit.registers[velocity] = 0
@@ -127,8 +127,8 @@ async def test_the_brake_of_a_quick_stop_holds_until_the_wheel_rests(
 def wrote(peer, since, address):
     """How often a register was written since then."""
     return sum(
-        heard.request.address == address and bool(heard.request.values)
-        for heard in peer.heard[since:]
+        received.request.address == address and bool(received.request.values)
+        for received in peer.received[since:]
     )
 
 
@@ -141,9 +141,9 @@ async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_re
         axis.velocity_turns_s = 1.0
         rig.loop.running = False
         await until(lambda: rig.states() == {DriveState.READY})
-        until_the_end = len(axis.heard)
+        until_the_end = len(axis.received)
     await until(lambda: axis.state == IDLE)
-    after = [command for command, _ in axis.heard[until_the_end:]]
+    after = [command for command, _ in axis.received[until_the_end:]]
     assert after[: after.index(STATE)].count(INPUT_VELOCITY) >= CYCLES_SEEN
     assert CLOSED_LOOP not in axis.states()[-1:]
 
@@ -160,7 +160,7 @@ async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_f
         await until(lambda: 60 in peer.written(TARGET_1))
         rig.loop.running = False
         await until(lambda: peer.written(CONTROL)[-1] == QUICK_STOP)
-        stopping = len(peer.heard)
+        stopping = len(peer.received)
         await until(lambda: wrote(peer, stopping, TARGET_1) >= CYCLES_SEEN)
         assert peer.written(CONTROL)[-1] == QUICK_STOP
         peer.units[1].registers[VELOCITY_1] = 1  # 0.01 rad/s
@@ -176,7 +176,7 @@ async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file
         axis.velocity_turns_s = 0.05 / TURN
         rig.loop.running = False
         await until(lambda: rig.states() == {DriveState.READY})
-        stopping = len(axis.heard)
+        stopping = len(axis.received)
         await until(lambda: told_velocities(axis, stopping) >= CYCLES_SEEN)
         assert axis.state == CLOSED_LOOP
         axis.velocity_turns_s = 0.01 / TURN
@@ -185,4 +185,4 @@ async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file
 
 def told_velocities(axis, since):
     """How often it was told a velocity since then."""
-    return [command for command, _ in axis.heard[since:]].count(INPUT_VELOCITY)
+    return [command for command, _ in axis.received[since:]].count(INPUT_VELOCITY)

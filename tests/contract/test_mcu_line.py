@@ -69,15 +69,15 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     assert not any(told.enabled for told in peer.told)
 
 
-async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(board_of, monkeypatch):
+async def test_a_board_that_never_speaks_is_said_to_be_unresponsive_once(board_of, monkeypatch):
     monkeypatch.setattr(board_drive, "START_GRACE_S", 0.1)
     peer = board_of()
     peer.do("m")
     async with running(spec_of(peer)) as rig:
-        await until(lambda: rig.states() == {DriveState.QUIET})
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
         cycles = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles > cycles + 20)
-        assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_QUIET]
+        assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_UNRESPONSIVE]
         assert not any(told.enabled for told in peer.told)
     peer.pull()
 
@@ -85,8 +85,8 @@ async def test_a_board_that_never_speaks_is_said_to_be_quiet_once(board_of, monk
 async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
     await rig.ready()
-    heard = rig.line.stats().exchanges
-    await until(lambda: rig.line.stats().exchanges > heard + 10)
+    received = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > received + 10)
     assert all(told.left_mrad_s == told.right_mrad_s == 0 for told in peer.told)
 
 
@@ -174,8 +174,8 @@ async def test_old_set_points_brake_and_then_take_the_power(rig, peer):
     await until(lambda: not peer.now.braking, "at rest the brake goes off")
     await rig.ready()
     rig.loop.running = True
-    heard = rig.line.stats().exchanges
-    await until(lambda: rig.line.stats().exchanges > heard + 10)
+    received = rig.line.stats().exchanges
+    await until(lambda: rig.line.stats().exchanges > received + 10)
     assert not peer.now.enabled, "it does not start again by itself"
 
 
@@ -207,16 +207,16 @@ async def test_a_board_that_hears_nothing_any_more_stops_by_itself_and_stays_off
 
 
 # -------------------------------------------------------------------------------- not being there
-async def test_a_mute_board_is_quiet_told_to_stop_and_comes_back_disarmed(rig, peer):
+async def test_a_mute_board_is_unresponsive_told_to_stop_and_comes_back_disarmed(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("m")
-    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
     await until(lambda: not peer.now.enabled, "it is told to stop though it is not heard")
     with pytest.raises(NoReply):
         await rig.line.arm()
     peer.do("w")
     await until(lambda: rig.states() == {DriveState.READY})
-    assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+    assert rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == 1
     assert EventKind.DRIVE_BACK in rig.kinds()
 
 
@@ -289,7 +289,7 @@ async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_o
     assert not peer.told[-1].braking
 
 
-async def test_a_new_line_is_heard_by_a_board_that_a_dead_program_left_turning(peer):
+async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turning(peer):
     spec = spec_of(peer)
     await left_turning(peer, spec, spoke=20_000)
     seen = len(peer.told)

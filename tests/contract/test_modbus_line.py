@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Modbus lines of both engines and over all media against scripted slaves: who is armed, who is
-quiet, what is said."""
+unresponsive, what is said."""
 
 import asyncio
 import math
@@ -75,9 +75,9 @@ async def test_a_watchdog_that_does_not_read_back_keeps_the_drive_from_ready(pee
     unit = peer.units[1]
     unit.on_write = lambda address, value: unit.registers.update({WATCHDOG: 0})
     async with running(spec_of(peer, hub_servo())) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "communication_timeout" in rig.events[-1].text
-        assert rig.states() == {DriveState.QUIET}
+        assert rig.states() == {DriveState.UNRESPONSIVE}
 
 
 async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
@@ -257,35 +257,35 @@ async def test_a_closed_line_says_so(peer, tmp_path):
                 await order()
 
 
-# ------------------------------------------------------------------------------------------ quiet
-async def test_a_quiet_drive_is_said_once_and_comes_back_configured_and_disarmed(rig, peer):
+# ----------------------------------------------------------------------------------- unresponsive
+async def test_an_unresponsive_drive_is_said_once_and_comes_back_configured_and_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
     peer.units[1].silent = True
-    await until(lambda: rig.states() == {DriveState.QUIET})
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
     asked = len(peer.requests())
     await until(lambda: len(peer.requests()) >= asked + 4, "it is probed")
     epoch = rig.loop.exchange.take_feedback(0).epoch
     peer.units[1].registers.update({CONTROL: 0, MODE: 0, WATCHDOG: 0})  # it had lost its power
     peer.units[1].silent = False
-    mark = len(peer.heard)
+    mark = len(peer.received)
     await rig.ready()
     await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
-    back = [h.request for h in peer.heard[mark:]]
+    back = [h.request for h in peer.received[mark:]]
     assert all(not any(r.values) for r in back if r.address == TARGET_1)
     assert peer.units[1].registers[WATCHDOG] == 500
-    assert rig.kinds()[2:] == [EventKind.DRIVE_QUIET, EventKind.DRIVE_BACK]
+    assert rig.kinds()[2:] == [EventKind.DRIVE_UNRESPONSIVE, EventKind.DRIVE_BACK]
 
 
 async def test_a_dead_drive_costs_its_neighbour_one_slot_at_a_time(peer):
     peer.units[2].silent = True
     async with running(spec_of(peer, (*hub_servo(1), *hub_servo(2, first=2)))) as rig:
-        await until(lambda: rig.line.drive_states["left2"] is DriveState.QUIET)
+        await until(lambda: rig.line.drive_states["left2"] is DriveState.UNRESPONSIVE)
         await until(lambda: rig.line.drive_states["left1"] is DriveState.READY)
-        mark = len(peer.heard)
-        await until(lambda: sum(h.request.unit == 2 for h in peer.heard[mark:]) >= 4)
-        units = [h.request.unit for h in peer.heard[mark:]]
+        mark = len(peer.received)
+        await until(lambda: sum(h.request.unit == 2 for h in peer.received[mark:]) >= 4)
+        units = [h.request.unit for h in peer.received[mark:]]
         assert all(not (a == b == 2) for a, b in pairwise(units))
         with pytest.raises(NoReply, match="left2"):
             await rig.line.arm()
@@ -298,25 +298,25 @@ async def test_a_drive_that_loses_single_replies_stays(rig, peer):
     await until(lambda: rig.line.stats().errors.get("no_reply") == 2)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 5)
-    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
 
 
 @pytest.mark.parametrize("peer", ENGINES, indirect=True)
-async def test_a_quiet_drive_whose_bytes_are_no_frames_hints_at_baud_rate_and_parity(rig, peer):
+async def test_an_unresponsive_drive_whose_bytes_are_no_frames_hints_at_the_baud_rate(rig, peer):
     await rig.ready()
     peer.tricks.extend(3 * [lambda request, honest: [(0.0, b"\xfe\x00\xf8\x80")]])
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
-    said = next(event.text for event in rig.events if event.kind is EventKind.DRIVE_QUIET)
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
+    said = next(event.text for event in rig.events if event.kind is EventKind.DRIVE_UNRESPONSIVE)
     assert "baud rate or parity?" in said
 
 
 async def test_a_drive_that_refuses_its_configuration_is_said_once(peer):
     peer.units[1].refuses.add(MODE)
     async with running(spec_of(peer, hub_servo())) as rig:
-        await until(lambda: EventKind.DRIVE_QUIET in rig.kinds())
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         refused = rig.line.stats().errors["refused"]
         await until(lambda: rig.line.stats().errors["refused"] >= refused + 2)
-        assert rig.kinds().count(EventKind.DRIVE_QUIET) == 1
+        assert rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == 1
         assert "illegal data address" in rig.events[-1].text
 
 
@@ -324,11 +324,11 @@ async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig,
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
-    epoch, mark = rig.loop.exchange.take_feedback(0).epoch, len(peer.heard)
+    epoch, mark = rig.loop.exchange.take_feedback(0).epoch, len(peer.received)
     peer.units[1].registers[CONTROL] = 0
     await until(lambda: rig.kinds()[2:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
     assert rig.states() == {DriveState.READY}
-    after = [h.request for h in peer.heard[mark:]]
+    after = [h.request for h in peer.received[mark:]]
     configured = next(n for n, r in enumerate(after) if r.address == MODE and r.values)
     assert all(not any(r.values) for r in after[configured:] if r.address == TARGET_1)
     await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
@@ -340,10 +340,10 @@ async def test_an_armed_drive_that_lost_its_set_up_loses_its_power_before_it_is_
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
-    mark = len(peer.heard)
+    mark = len(peer.received)
     peer.units[1].registers[WATCHDOG] = 0
     await until(lambda: rig.kinds()[2:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
-    after = [heard.request for heard in peer.heard[mark:]]
+    after = [received.request for received in peer.received[mark:]]
     written = [one for one in after if len(one.values) == 1]  # the cycle writes both wheels at once
     assert (written[0].address, written[0].values) == (CONTROL, (OFF,))
 
@@ -445,7 +445,7 @@ async def test_the_books_are_kept(rig, peer):
     await rig.ready()
     await until(lambda: rig.line.stats().cycles > 20)
     stats = rig.line.stats()
-    assert stats.exchanges >= len(peer.heard) - 1
+    assert stats.exchanges >= len(peer.received) - 1
     assert 0 < stats.cycle_hz <= 100 * 1.01
     assert 0 < stats.round_trip.p50_us <= stats.round_trip.p99_us <= stats.round_trip.max_us
 

@@ -40,11 +40,11 @@ async def test_a_pulled_port_is_said_once_and_comes_back_disarmed(rig, peer):
     peer.pull()
     await until(lambda: rig.line.state is LineState.CLOSED)
     await until(lambda: EventKind.LINE_LOST in rig.kinds())
-    mark = len(peer.heard)
+    mark = len(peer.received)
     peer.plug()
     await rig.ready()
     assert all(
-        not any(h.request.values) for h in peer.heard[mark:] if h.request.address == TARGET_1
+        not any(h.request.values) for h in peer.received[mark:] if h.request.address == TARGET_1
     )
     assert rig.kinds()[2:] == [
         EventKind.LINE_LOST,
@@ -61,11 +61,11 @@ async def test_an_armed_drive_is_told_to_stop_after_a_replug_though_it_does_not_
     peer.pull()
     await until(lambda: rig.line.state is LineState.CLOSED)
     peer.units[1].silent = True
-    mark = len(peer.heard)
+    mark = len(peer.received)
     peer.plug()
 
     def told(address):
-        since = [heard.request for heard in peer.heard[mark:]]
+        since = [received.request for received in peer.received[mark:]]
         return [one.values[0] for one in since if one.address == address and one.values]
 
     await until(lambda: QUICK_STOP in told(CONTROL))

@@ -171,20 +171,20 @@ async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(ri
     drives[0].deaf = True
     await until(lambda: drives[0].mode == TIMEOUT)
     drives[0].deaf = False
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds() or drives[0].mode == STOPPED)
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds() or drives[0].mode == STOPPED)
     await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.READY)
     assert drives[0].bites == 1
     assert drives[0].mode == STOPPED
 
 
-async def test_a_pause_of_this_program_makes_no_drive_quiet(rig, drives):
+async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, drives):
     await rig.ready()
     for _ in range(3):
         time.sleep(0.5)  # noqa: ASYNC251  # what a busy machine does to the event loop
         await more_cycles(rig)
-    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
     drives[0].deaf = True
-    await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.QUIET)
+    await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.UNRESPONSIVE)
 
 
 async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives):

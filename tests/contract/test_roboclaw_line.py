@@ -119,11 +119,11 @@ async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer):
         await until(lambda: peer.sent(SPEEDS))
 
 
-async def test_a_mute_controller_is_quiet_and_comes_back_disarmed(peer):
+async def test_a_mute_controller_is_unresponsive_and_comes_back_disarmed(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         peer.mute = True
-        await until(lambda: rig.states() == {DriveState.QUIET})
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
         peer.mute = False
         await until(lambda: rig.states() == {DriveState.READY})
         assert EventKind.DRIVE_BACK in rig.kinds()

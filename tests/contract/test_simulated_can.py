@@ -67,7 +67,7 @@ async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     for unit in (1, 2):
         sim.inject(f"reboot:unit={unit},for_s=3.0")
-    await until(lambda: rig.states() == {DriveState.QUIET}, "both are missed")
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are missed")
     await back_at_rest(rig, sim)
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
 
@@ -77,7 +77,7 @@ async def test_a_cut_cable_stops_the_drives_by_their_watchdogs_and_they_come_bac
 ):
     await set_off(rig, sim)
     sim.pull("bus")  # of datagrams nothing comes any more; a socket of its own ends
-    lost = {DriveState.QUIET, DriveState.UNKNOWN}
+    lost = {DriveState.UNRESPONSIVE, DriveState.UNKNOWN}
     await until(lambda: rig.states() <= lost, "both are missed")
     await until(lambda: not any(_enabled(sim)), "their watchdogs have bitten")
     sim.plug("bus")
@@ -101,7 +101,7 @@ async def test_lost_frames_both_ways_are_borne(rig, sim):
     await until(lambda: rig.line.stats().cycles > cycles + 100)
     rig.loop.velocity_rad_s = {}
     await until(lambda: sim.truth().at_rest, "both wheels are at rest")
-    assert EventKind.DRIVE_QUIET not in rig.kinds()
+    assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
     await rig.line.disarm()
     sim.clear_faults_script()
     await back_at_rest(rig, sim)

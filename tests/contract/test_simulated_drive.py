@@ -249,7 +249,7 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
     sim.inject("reboot:unit=1,for_s=3.0")
-    await until(lambda: EventKind.DRIVE_QUIET in rig.kinds(), "its silence is said")
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "its silence is said")
     await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "its return is said")
     await until(lambda: feedback(rig, left).epoch > epoch, "the counter's origin is a new one")
     assert rig.line.drive_states["left"] is DriveState.READY

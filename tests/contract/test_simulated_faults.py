@@ -50,18 +50,18 @@ def test_an_echo_makes_no_request_too_early(tmp_path):
 
 def test_noise_breaks_requests_and_replies_and_counts_its_bits(tmp_path):
     with Bench(tmp_path, faults=("noise:ber=0.004",), seed=3) as bench:
-        heard = [bench.exchange(FRAME) for _ in range(60)]
+        received = [bench.exchange(FRAME) for _ in range(60)]
         assert bench.line.counters.bits_hit > 10
         assert bench.line.counters.bad_crc > 5
-        assert REPLY in heard
-        broken = [frame for frame in heard if frame not in (REPLY, b"")]
+        assert REPLY in received
+        broken = [frame for frame in received if frame not in (REPLY, b"")]
         assert broken
         assert not any(sealed(frame) for frame in broken)
         bench.rig.script.clear()
         assert bench.exchange(FRAME) == REPLY
 
 
-def test_babble_is_heard_by_a_master_who_has_asked_nothing(tmp_path):
+def test_babble_is_received_by_a_master_who_has_asked_nothing(tmp_path):
     with Bench(tmp_path, faults=("babble:hz=20,for_s=1",), seed=5) as bench:
         bench.go_on(1.2)
         assert bench.line.wire.bytes_sent > 5
@@ -76,7 +76,7 @@ def test_an_adapter_that_goes_on_driving_swallows_the_beginning_of_the_reply(tmp
         assert bench.exchange(FRAME) == REPLY[lost:]
 
 
-def test_an_adapter_that_drives_for_long_lets_nothing_be_heard(tmp_path):
+def test_an_adapter_that_drives_for_long_lets_nothing_be_received(tmp_path):
     with Bench(tmp_path, faults=("stuck-de:ms=50,for_s=0.2",)) as bench:
         assert bench.exchange(FRAME) == b""
         bench.go_on(0.2)
@@ -110,7 +110,7 @@ def test_a_turnaround_spreads_from_its_least_to_its_most(tmp_path):
 
 # ---------------------------------------------------------------------------------- baud and parity
 @pytest.mark.parametrize(
-    ("speed", "parity", "heard"),
+    ("speed", "parity", "received"),
     [
         (termios.B115200, 0, REPLY),
         (termios.B38400, 0, REPLY),
@@ -119,12 +119,12 @@ def test_a_turnaround_spreads_from_its_least_to_its_most(tmp_path):
         (termios.B115200, PARITY_BITS, b""),
     ],
 )
-def test_a_drive_hears_only_a_master_with_its_own_settings(tmp_path, speed, parity, heard):
+def test_a_drive_hears_only_a_master_with_its_own_settings(tmp_path, speed, parity, received):
     with Bench(tmp_path) as bench:
         set_up(bench.fd, speed, parity)
-        assert bench.exchange(FRAME, 0.1) == heard
-        assert bench.line.counters.bad_crc == (heard == b"")
-        assert bench.drive.stats.requests == (heard == REPLY)
+        assert bench.exchange(FRAME, 0.1) == received
+        assert bench.line.counters.bad_crc == (received == b"")
+        assert bench.drive.stats.requests == (received == REPLY)
 
 
 def test_a_drive_at_another_baud_rate_answers_only_there_and_at_its_pace(tmp_path):

@@ -110,7 +110,7 @@ def test_a_function_that_no_drive_has_is_refused(bench):
 
 
 def test_too_early_a_request_is_answered_and_counted(bench):
-    quiet_s = silent_interval_s(115200, 10)
+    unresponsive_s = silent_interval_s(115200, 10)
     exchange_s = 0.0
     bench.exchange(FRAME)
     assert bench.drive.stats.gap_violations == 0
@@ -118,9 +118,9 @@ def test_too_early_a_request_is_answered_and_counted(bench):
     while bench.line.wire.bytes_sent < 2 * len(REPLY):
         bench.go_on(0.0001)
         exchange_s += 0.0001
-    bench.go_on(0.8 * quiet_s)
+    bench.go_on(0.8 * unresponsive_s)
     bench.send(FRAME)
-    bench.go_on(exchange_s + 1.1 * quiet_s)
+    bench.go_on(exchange_s + 1.1 * unresponsive_s)
     assert bench.drive.stats.gap_violations == 1
     bench.send(FRAME)
     bench.go_on(0.05)

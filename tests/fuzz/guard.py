@@ -153,7 +153,7 @@ async def _live(seed: int, number: int) -> list[tuple[str, bytes]]:
                 await _suffer(rig, peer, hostile)
                 if not ends_hostile:
                     await _recover(rig, peer, name)
-                was_open, mark = rig.line.state is not LineState.CLOSED, len(peer.heard)
+                was_open, mark = rig.line.state is not LineState.CLOSED, len(peer.received)
         except* Exception as errors:  # noqa: BLE001  # any is what is looked for
             problem = repr(errors.exceptions)
         else:

@@ -65,7 +65,7 @@ await pause(0); // until the other listener has seen them, too
 said.services = [...services.keys()];
 said.refused = await call("/arm", {});
 await call("/authorize", { token });
-// Until the lease of who was here before has ended, and no drive looks quiet on a busy machine.
+// Until the lease of who was here before has ended, and no drive looks unresponsive on a busy machine.
 async function arm() {
   while (!(said.arm = await call("/arm", {})).success) {
     await call("/reset", {});

@@ -145,9 +145,9 @@ class Operator:
 
     def hear(self, name, kind, quality=10):
         """A list to which messages are added."""
-        heard = []
-        self.node.create_subscription(kind, name, heard.append, quality)
-        return heard
+        received = []
+        self.node.create_subscription(kind, name, received.append, quality)
+        return received
 
 
 def answered(future, what):

@@ -48,16 +48,16 @@ class Peer:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self._decode = decode
-        self.heard = []
+        self.received = []
         self._reading = threading.Thread(target=self._read)
         self._reading.start()
 
     def _read(self):
         for line in self.process.stdout:
-            self.heard.append(self._decode(line))
+            self.received.append(self._decode(line))
 
     def find(self, fits, what):
-        return wait_until(lambda: next(filter(fits, list(self.heard)), None), what)
+        return wait_until(lambda: next(filter(fits, list(self.received)), None), what)
 
     def say(self, line):
         self.process.stdin.write(f"{line}\n")

@@ -52,7 +52,7 @@ async def let_in(client):
 
 
 async def armed(client, **token):
-    """Again when a busy machine has made a drive look quiet, or somebody's lease has not ended."""
+    """Again when a busy machine made a drive look unresponsive, or another lease has not ended."""
     while not (await client.call("arm", **token))["success"]:
         await client.call("reset", **token)
 

@@ -127,7 +127,7 @@ class Driving:
 
 
 def armed(stage, peer):
-    """By the broker; again when a busy machine has made a drive look quiet."""
+    """By the broker; again when a busy machine has made a drive look unresponsive."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())

@@ -40,16 +40,16 @@ class Lines:
 
     def __init__(self, command, **options):
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
-        self.heard = []
+        self.received = []
         self._thread = threading.Thread(target=self._read)
         self._thread.start()
 
     def _read(self):
         for line in self.process.stdout:
-            self.heard.append((time.time(), line.rstrip("\n")))
+            self.received.append((time.time(), line.rstrip("\n")))
 
     def last(self):
-        return self.heard[-1][1] if self.heard else None
+        return self.received[-1][1] if self.received else None
 
     def close(self):
         self.process.kill()
@@ -248,9 +248,9 @@ def at_rest(stage):
 
 def calm_per_s(stage, network, odometry):
     """The pace while all is well: both of the other side hear of the robot."""
-    pace, heard, told = Pace(stage), len(odometry.heard), len(network.router.heard)
-    wait_until(lambda: len(odometry.heard) > heard + CALM_SAMPLES, "odometry by MQTT")
-    wait_until(lambda: len(network.router.heard) > told + CALM_SAMPLES, "odometry by Zenoh")
+    pace, received, told = Pace(stage), len(odometry.received), len(network.router.received)
+    wait_until(lambda: len(odometry.received) > received + CALM_SAMPLES, "odometry by MQTT")
+    wait_until(lambda: len(network.router.received) > told + CALM_SAMPLES, "odometry by Zenoh")
     return pace.per_s()
 
 
@@ -272,7 +272,9 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
     odometry = Lines(network.command("mosquitto_sub", "-t", "r2/odom"))
     router = network.router
     with closing(status), closing(odometry):
-        wait_until(lambda: status.last() == "online" and odometry.heard, "the robot at the broker")
+        wait_until(
+            lambda: status.last() == "online" and odometry.received, "the robot at the broker"
+        )
         try:
             with Driving(network) as driving:
                 set_off(stage, driving)
@@ -286,14 +288,14 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
                 wait_until(lambda: time.time() - cut_s > CUT_S, "half a minute", 2 * CUT_S)
             assert cut.kept(calm)
             accepted = stage.robot.status()["commands"]["accepted"]
-            heard, told = len(odometry.heard), len(router.heard)
+            received, told = len(odometry.received), len(router.received)
         finally:
             network.wire.plug()
         wait_until(lambda: status.last() == "online", "the robot at the broker again")
-        wait_until(lambda: len(odometry.heard) > heard + RATE_HZ, "odometry again")
-        wait_until(lambda: len(router.heard) > told + RATE_HZ, "odometry by Zenoh again")
-        assert late_s(odometry.heard[heard]) < QUEUED_S, "the newest wins"
-        assert all(float(stamp) > cut_s + QUEUED_S for _, stamp in router.heard[told + 1 :])
+        wait_until(lambda: len(odometry.received) > received + RATE_HZ, "odometry again")
+        wait_until(lambda: len(router.received) > told + RATE_HZ, "odometry by Zenoh again")
+        assert late_s(odometry.received[received]) < QUEUED_S, "the newest wins"
+        assert all(float(stamp) > cut_s + QUEUED_S for _, stamp in router.received[told + 1 :])
         assert stage.robot.status()["commands"]["accepted"] == accepted
         assert at_rest(stage)
         with Driving(network) as driving:

@@ -88,7 +88,7 @@ def at_rest(stage):
 
 def test_a_distance_is_driven_and_told_on_the_way(armed):
     kind = actions.DriveDistance.Impl.FeedbackMessage
-    heard = armed.operator.hear("drive_distance/_action/feedback", kind)
+    received = armed.operator.hear("drive_distance/_action/feedback", kind)
     states = armed.operator.hear("drive_distance/_action/status", GoalStatusArray, LATCHED)
     before = armed.sim.truth()
     goal = Goal(armed, "drive_distance", distance_m=0.4)
@@ -98,8 +98,8 @@ def test_a_distance_is_driven_and_told_on_the_way(armed):
     assert told.distance_m == pytest.approx(0.4, abs=0.011)
     after = armed.sim.truth()
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(0.4, abs=0.1)
-    assert heard
-    assert bytes(heard[-1].goal_id.uuid) == bytes(goal.number.uuid)
+    assert received
+    assert bytes(received[-1].goal_id.uuid) == bytes(goal.number.uuid)
     wait_until(lambda: states and states[-1].status_list[-1].status == SUCCEEDED, "the state")
     assert goal.result()[0] == SUCCEEDED  # who asks again is told again
 

@@ -74,12 +74,13 @@ def test_a_distance_is_driven_and_told_on_the_way(armed):
     way_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     assert way_m == pytest.approx(0.5, abs=0.05)
     assert after.at_rest
-    heard = [said["feedback"] for said in client.heard if "feedback" in said]
-    assert len(heard) > 3
-    assert heard[0]["distance_m"] < heard[-1]["distance_m"]
-    assert max(said["speed_m_s"] for said in heard) > 0.05
+    received = [said["feedback"] for said in client.received if "feedback" in said]
+    assert len(received) > 3
+    assert received[0]["distance_m"] < received[-1]["distance_m"]
+    assert max(said["speed_m_s"] for said in received) > 0.05
     assert all(
-        said["remaining_m"] == pytest.approx(0.5 - said["distance_m"], abs=1e-9) for said in heard
+        said["remaining_m"] == pytest.approx(0.5 - said["distance_m"], abs=1e-9)
+        for said in received
     )
 
 
@@ -145,7 +146,7 @@ def test_a_stop_ends_the_goal_at_rest(armed, method):
     at_rest(armed)
 
 
-def test_drives_that_are_not_heard_end_the_goal_at_rest(armed):
+def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         under_way(armed)
         armed.sim.inject("silence:unit=1,for_s=1000")
@@ -180,7 +181,7 @@ def test_a_source_of_higher_priority_ends_the_goal(armed):
             armed.robot.call(
                 "drive", linear_m_s=0.0, angular_rad_s=0.0, priority=900, owner="person"
             )
-            return any("status" in said for said in client.heard)
+            return any("status" in said for said in client.received)
 
         wait_until(taken_over, "a result")
         status, told = result(client)

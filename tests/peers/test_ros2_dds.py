@@ -41,7 +41,7 @@ def armed(stage, settled):
     settle(stage)
 
 
-def test_odometry_is_heard_and_follows_commands_of_another_node(armed):
+def test_odometry_is_received_and_follows_commands_of_another_node(armed):
     with (
         peer("topic", f"rt{NAMESPACE}/odom", "Odometry") as ear,
         peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
@@ -288,11 +288,11 @@ def test_who_listens_is_told_what_was_changed_and_nothing_of_what_was_refused(st
                 "SetParameters",
                 parameters=[parameter("limits.linear_m_s", 1e9), parameter("limits.linear_m_s", 1)],
             )
-            return ear.heard
+            return ear.received
 
         wait_until(told, "an event")
-        assert ear.heard[0]["node"] == f"{NAMESPACE}/motord"
-        (changed,) = ear.heard[0]["changed_parameters"]
+        assert ear.received[0]["node"] == f"{NAMESPACE}/motord"
+        (changed,) = ear.received[0]["changed_parameters"]
         assert (changed["name"], changed["value"]["double_value"]) == ("limits.linear_m_s", 1.0)
 
 
@@ -300,7 +300,9 @@ def test_who_listens_is_told_of_transitions(stage):
     with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
 
         def told(label):
-            return next((said for said in ear.heard if said["transition"]["label"] == label), None)
+            return next(
+                (said for said in ear.received if said["transition"]["label"] == label), None
+            )
 
         def armed_again():
             called("disarm")
@@ -427,5 +429,5 @@ def test_a_reader_that_hangs_costs_the_others_nothing(stage):
         hung.find(lambda _: True, "a sample")
         hung.process.send_signal(signal.SIGSTOP)
         ear.find(lambda _: True, "a sample")
-        before = len(ear.heard)
-        wait_until(lambda: len(ear.heard) > before + 100, "samples")
+        before = len(ear.received)
+        wait_until(lambda: len(ear.received) > before + 100, "samples")

@@ -24,7 +24,7 @@ def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
         def told(label, goal):
             return any(
                 (event["transition"]["label"], event["goal_state"]["label"]) == (label, goal)
-                for event in ear.heard
+                for event in ear.received
             )
 
         def configured_and_told():

@@ -13,23 +13,23 @@ STRING = "std_msgs/msg/String"
 
 
 async def test_it_goes_on_and_may_be_run_again():
-    node, heard = Node("shared", "/shared", DOMAIN, "localhost"), set()
-    node.subscribe("said", STRING, lambda message, *_: heard.add(message.data))
+    node, received = Node("shared", "/shared", DOMAIN, "localhost"), set()
+    node.subscribe("said", STRING, lambda message, *_: received.add(message.data))
     teller = node.publisher("said", STRING)
 
-    async def is_heard(text):
-        while text not in heard:
+    async def is_received(text):
+        while text not in received:
             teller.publish(SimpleNamespace(data=text))
             await asyncio.sleep(0.02)
 
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
         first, second = (tasks.create_task(node.run()) for _ in range(2))
-        await is_heard("by the first")
+        await is_received("by the first")
         first.cancel()
         await asyncio.wait([first])
-        await is_heard("by the second")
+        await is_received("by the second")
         second.cancel()
         await asyncio.wait([second])
         again = tasks.create_task(node.run())
-        await is_heard("again")
+        await is_received("again")
         again.cancel()

@@ -51,9 +51,9 @@ class Robot:
         where = Router(endpoint=endpoint(port))
         self.node = ZenohNode("base", "/r2", 3, where, distribution)
         self.said = self.node.publisher("said", STRING, quality)
-        self.heard = []
+        self.received = []
         self.stops = 0
-        self.node.subscribe("cmd_vel", TWIST, lambda message, *_: self.heard.append(message))
+        self.node.subscribe("cmd_vel", TWIST, lambda message, *_: self.received.append(message))
         self.node.serve("stop", "std_srvs/srv/Trigger", self.stop)
 
     async def stop(self, _):
@@ -73,15 +73,15 @@ async def test_humble_hears_and_calls_by_keys_without_hashes():
     async with router(port):
         robot = Robot(port, distribution="humble")
         with peer(port) as session:
-            tokens, heard = Tokens(session), []
+            tokens, received = Tokens(session), []
             key = f"{STRING_KEY.rpartition('/')[0]}/{unhashed}"
-            kept = session.declare_subscriber(key, heard.append)
+            kept = session.declare_subscriber(key, received.append)
             async with running(robot.node):
                 await until(lambda: len(tokens.alive) == 4)
                 endpoints = [token for what in ("MP", "MS", "SS") for token in tokens.of(what)]
                 assert all(f"/{unhashed}/" in token for token in endpoints)
                 robot.said.publish(SimpleNamespace(data="here"))
-                await until(lambda: heard)
+                await until(lambda: received)
                 stop = f"{STOP_KEY.rpartition('/')[0]}/{unhashed}"
                 replies = await asyncio.to_thread(
                     ask, session, stop, payload=REQUEST, attachment=attached()
@@ -180,8 +180,8 @@ async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():
                 session.put(TWIST_KEY, b"\x00\x01\x00\x00too short", attachment=attached())
                 session.delete(TWIST_KEY)
                 session.put(TWIST_KEY, twist(0.25), attachment=attached())
-                await until(lambda: robot.heard)
-                assert [message.linear.x for message in robot.heard] == [0.25]
+                await until(lambda: robot.received)
+                assert [message.linear.x for message in robot.received] == [0.25]
 
 
 async def test_a_service_answers_with_the_questions_number_and_gid():
@@ -236,15 +236,17 @@ async def test_who_comes_late_is_told_what_is_latched():
             tokens = Tokens(session)
             async with running(robot.node):
                 await until(lambda: tokens.of("MP"))
-                heard = []
+                received = []
                 kept = zenoh.ext.declare_advanced_subscriber(
                     session,
                     STRING_KEY,
-                    lambda sample: heard.append(sample.payload.to_bytes()),
+                    lambda sample: received.append(sample.payload.to_bytes()),
                     history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
                 )
-                await until(lambda: heard)
-                assert STORE.deserialize_cdr(heard[0], STRING).data == "before there was a session"
+                await until(lambda: received)
+                assert (
+                    STORE.deserialize_cdr(received[0], STRING).data == "before there was a session"
+                )
                 kept.undeclare()
 
 
@@ -270,15 +272,15 @@ async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
     async with router(port) as process:
         robot = Robot(port)
         with peer(port) as session:
-            heard = []
-            kept = session.declare_subscriber(STRING_KEY, heard.append)
+            received = []
+            kept = session.declare_subscriber(STRING_KEY, received.append)
             tokens = Tokens(session)
             async with running(robot.node):
                 await until(lambda: tokens.of("MP"))
 
                 def told():
                     robot.said.publish(SimpleNamespace(data="x"))
-                    return heard
+                    return received
 
                 await until(told)
                 process.send_signal(signal.SIGSTOP)
@@ -288,10 +290,10 @@ async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
 
                 def last():
                     robot.said.publish(SimpleNamespace(data="last"))
-                    return any(b"last" in sample.payload.to_bytes() for sample in list(heard))
+                    return any(b"last" in sample.payload.to_bytes() for sample in list(received))
 
                 await until(last)
-                lengths = [len(sample.payload.to_bytes()) for sample in list(heard)]
+                lengths = [len(sample.payload.to_bytes()) for sample in list(received)]
                 assert sum(length > LONG_BYTES for length in lengths) < SENT_IN_VAIN
                 assert tokens.gone == []
             kept.undeclare()

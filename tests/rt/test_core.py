@@ -21,7 +21,7 @@ def assert_at_rest_after_ramp(rig: Rig, seconds: float = 1.0) -> None:
     assert rig.shown.at_rest == 1
 
 
-def test_a_joint_that_was_never_heard_measures_nothing():
+def test_a_joint_that_was_never_received_measures_nothing():
     rig = Rig()
     no_feedback(rig)
     rig.tick()
@@ -327,7 +327,7 @@ def test_feedback_is_stale_joint_by_joint():
     assert rig.shown.odometry_degraded == 1
 
 
-def test_a_joint_that_was_never_heard_is_infinitely_old():
+def test_a_joint_that_was_never_received_is_infinitely_old():
     rig = Rig()
     no_feedback(rig)
     rig.tick()
@@ -345,7 +345,7 @@ def test_ages_grow_between_samples():
     assert rig.shown.joint[0].stale == 0
 
 
-def test_covariance_grows_while_a_moving_base_is_not_heard():
+def test_covariance_grows_while_a_moving_base_is_not_received():
     rig = Rig()
     rig.moving(0.5)
     before = list(rig.shown.pose_covariance)

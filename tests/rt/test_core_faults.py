@@ -132,7 +132,7 @@ def test_faults_of_an_unarmed_base_are_not_latched_but_those_of_the_house_are():
     assert_rest(rig, enabled=0)
 
 
-def test_a_drive_that_was_off_before_arming_may_say_so_until_it_is_heard_again():
+def test_a_drive_that_was_off_before_arming_may_say_so_until_it_is_received_again():
     rig = Rig()
     rig.hold.add("feedback")
     rig.tick()

@@ -38,12 +38,12 @@ class Edges:
         self.state = ffi.new("encoder_state *")
         lib.encoder_init(self.state, self.config)
 
-    def step(self, direction: int, at_ns: int = START_NS, *, heard: bool = True) -> None:
+    def step(self, direction: int, at_ns: int = START_NS, *, received: bool = True) -> None:
         before = GRAY[self.position % 4]
         self.position += direction
         now = GRAY[self.position % 4]
         self.sequence += 1
-        if heard:
+        if received:
             line, high = (A, now[0]) if before[0] != now[0] else (B, now[1])
             lib.encoder_edge(self.state, self.config, line, bool(high), self.sequence, at_ns)
 
@@ -87,7 +87,7 @@ def test_events_that_the_kernel_lost_begin_a_new_epoch():
         wheel.step(1)
     epoch = wheel.state.epoch
     for _ in range(3):
-        wheel.step(1, heard=False)
+        wheel.step(1, received=False)
     wheel.step(1)
     assert (wheel.state.lost, wheel.state.epoch) == (3, epoch + 1)
     wheel.step(1)

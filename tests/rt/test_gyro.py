@@ -31,7 +31,7 @@ class GyroRig(Rig):
         super().__init__(core_config(gyro=GYRO, **changes))
         self.bias_rad_s, self.noise_rad_s = bias_rad_s, noise_rad_s
         self.random = random.Random(4)
-        self.heard = True
+        self.received = True
         self.extra_rad_s = 0.0
         """A turn that the wheels do not see."""
         self.slip_left = 0.0
@@ -50,7 +50,7 @@ class GyroRig(Rig):
         rate = 0.0 if self.still else rate
         self.true_heading_rad += rate * dt_s
         self.ticked += 1
-        if self.heard and self.ticked % SAMPLE_EVERY_TICKS == 0:
+        if self.received and self.ticked % SAMPLE_EVERY_TICKS == 0:
             self.say(self.sign * rate + self.bias_rad_s + self.random.gauss(0.0, self.noise_rad_s))
 
     def say(self, rate_rad_s: float, **changes: Any) -> None:
@@ -142,7 +142,7 @@ def drive_and_slip(rig: GyroRig) -> None:
 
 def test_when_one_side_slips_the_heading_stays_right_with_the_gyro_and_drifts_without():
     with_gyro, without = GyroRig(), GyroRig()
-    without.heard = False
+    without.received = False
     drive_and_slip(with_gyro)
     drive_and_slip(without)
     assert with_gyro.imu.heading_by_gyro == 1
@@ -156,7 +156,7 @@ def test_the_heading_does_not_jump_when_the_gyro_goes_and_comes_and_the_wheels_s
     rig.moving(0.3, 0.5)
     seen = set()
     for second in range(12):
-        rig.heard = second % 3 != 1
+        rig.received = second % 3 != 1
         for _ in range(500):
             before_rad = rig.shown.heading_rad
             rig.tick()
@@ -172,9 +172,9 @@ def test_a_gyro_that_comes_back_does_not_bring_the_way_that_it_missed():
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.0, 0.5)
-    rig.heard = False
+    rig.received = False
     rig.ticks(1.0)
-    rig.heard = True
+    rig.received = True
     rig.ticks(1.0)
     assert rig.heading_error_rad() < 0.01
 
@@ -193,7 +193,7 @@ def test_what_is_no_rate_is_refused_and_the_wheels_give_the_heading(bad):
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.2, 0.5)
-    rig.heard = False
+    rig.received = False
     for _ in range(200):
         rig.say(7.0, **bad)
         rig.tick()
@@ -208,9 +208,9 @@ def test_a_sample_from_the_future_or_the_past_is_refused_and_blocks_none_that_fo
     rig.know_zero()
     for stamp_ns in (2**63 - 1, -(2**63), 0, rig.input.now_ns + 50_000_000, 1):
         rig.say(3.0, stamp_ns=stamp_ns)
-        rig.heard = False
+        rig.received = False
         rig.tick()
-        rig.heard = True
+        rig.received = True
         rig.ticks(0.01)
     assert rig.imu.refused == 5
     assert rig.imu.state == lib.GYRO_USED
@@ -222,9 +222,9 @@ def test_one_rate_off_the_scale_breaks_the_gyros_way_and_the_next_ones_mend_it()
     rig.know_zero()
     rig.moving(0.2, 0.5)
     rig.say(0.5, saturated=1)
-    rig.heard = False
+    rig.received = False
     assert rig.tick().imu.state == lib.GYRO_STALE
-    rig.heard = True
+    rig.received = True
     rig.ticks(0.1)
     assert (rig.imu.state, rig.imu.heading_by_gyro) == (lib.GYRO_USED, 1)
     assert rig.heading_error_rad() < 0.01
@@ -251,14 +251,14 @@ def test_a_reset_of_the_odometry_takes_no_turn_of_before_with_it():
 
 
 def test_with_the_gyro_the_heading_gets_less_uncertain_by_turning_than_without():
-    def after_turning(*, heard: bool) -> Any:
+    def after_turning(*, received: bool) -> Any:
         rig = GyroRig()
         rig.ticks(2.0)
-        rig.heard = heard
+        rig.received = received
         rig.moving(0.3, 1.0)
         return rig.ticks(10.0).pose_covariance[5]
 
-    assert 0.0 < after_turning(heard=True) < 0.3 * after_turning(heard=False)
+    assert 0.0 < after_turning(received=True) < 0.3 * after_turning(received=False)
 
 
 def test_the_longer_the_zero_was_not_looked_at_the_faster_the_heading_gets_uncertain():
@@ -307,7 +307,7 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 def test_whatever_the_sensor_says_the_pose_stays_finite_and_its_covariance_positive(said):
     rig = GyroRig()
     rig.moving(0.4, 0.4)
-    rig.heard = False
+    rig.received = False
     for rate_rad_s, stamp_ns, saturated in said:
         for stamp in (stamp_ns, rig.input.now_ns):
             rig.say(rate_rad_s, stamp_ns=stamp, saturated=saturated)

@@ -180,12 +180,12 @@ def test_denormal_numbers_are_nothing_to_the_thread():
         wheel["counter_bits"] = 0
     with rt.Loop(config, settings()) as loop:
 
-        def heard(velocity_rad_s: float) -> bool:
+        def received(velocity_rad_s: float) -> bool:
             hear_wheels(velocity_rad_s=velocity_rad_s)
             return loop.read_state().linear_m_s != 0
 
-        until(lambda: heard(1e-3))  # so that what is heard goes into the measured speed
-        until(lambda: not heard(1e-307))  # times 0.1 m: a denormal
+        until(lambda: received(1e-3))  # so that what is heard goes into the measured speed
+        until(lambda: not received(1e-307))  # times 0.1 m: a denormal
         assert loop.read_state().joints[0].velocity_rad_s == 1e-307
 
 

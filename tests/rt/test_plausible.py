@@ -48,14 +48,14 @@ class Wheels(Rig):
         )
 
     def follow(self, dt_s):
-        heard = self.input.now_ns // 1_000_000 % SAMPLE_EVERY == 0
+        received = self.input.now_ns // 1_000_000 % SAMPLE_EVERY == 0
         for j, feedback in enumerate(self.feedback):
             wanted = self.out.joint[j].velocity_rad_s if self.out.enabled else 0.0
             step = self.truth(j, wanted) - self.wheel_rad_s[j]
             most = self.slope_rad_s2 * dt_s
             self.wheel_rad_s[j] += max(-most, min(most, step))
             self.position_rad[j] += self.wheel_rad_s[j] * dt_s
-            if heard:
+            if received:
                 angle_rad, speed_rad_s = self.told(j, self.position_rad[j], self.wheel_rad_s[j])
                 bits = self.config.joint[j].counter_bits or 64
                 feedback.count = math.floor(angle_rad / RAD_PER_COUNT) % (1 << bits)

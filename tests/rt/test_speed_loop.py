@@ -125,7 +125,7 @@ def test_coasting_is_no_torque_at_once():
     assert (rig.out.enabled, rig.torques) == (0, [0.0, 0.0])
 
 
-def test_a_wheel_that_is_not_heard_gets_no_torque_and_the_other_one_is_brought_to_rest(rig):
+def test_a_wheel_that_is_not_received_gets_no_torque_and_the_other_one_is_brought_to_rest(rig):
     rig.moving(SPEED_M_S)
     rig.silent = {0}
     rig.ticks(0.3)

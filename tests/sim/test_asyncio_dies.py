@@ -48,8 +48,8 @@ def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_pa
             joints = lambda: stage.sim.call("truth")["joints"].values()  # noqa: E731  # one line
             wait_until(lambda: not any(j["enabled"] for j in joints()), "the power is off", 10.0)
             notifications(supervisor)  # what came before and during the stop
-            quiet_since_s = time.monotonic()
-            wait_until(lambda: time.monotonic() - quiet_since_s > PATIENCE_S, "the supervisor's")
+            silent_since_s = time.monotonic()
+            wait_until(lambda: time.monotonic() - silent_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)
             assert stage.sim.call("truth")["at_rest"]
         finally:

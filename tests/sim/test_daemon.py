@@ -245,7 +245,7 @@ def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
         stage.robot.arm()
     stage.sim.clear_faults_script()
     wait_until(lambda: not any(power(stage)), "the power is off")
-    wait_until(lambda: drives(stage) == {"ready"}, "those that went quiet are asked again")
+    wait_until(lambda: drives(stage) == {"ready"}, "those that stopped answering are asked again")
     stage.wait_for("idle")
     assert stage.robot.arm() == "armed"
 

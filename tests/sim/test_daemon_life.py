@@ -24,10 +24,10 @@ def supervisor(tmp_path):
 
 
 def hear_until(listener, last):
-    heard = []
-    while not heard or heard[-1] != last:
-        heard.append(listener.recv(1000).decode())
-    return heard
+    received = []
+    while not received or received[-1] != last:
+        received.append(listener.recv(1000).decode())
+    return received
 
 
 def moving(stage):
@@ -39,12 +39,12 @@ def moving(stage):
 def test_a_supervisor_hears_ready_life_and_the_end(tmp_path, supervisor):
     environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
     with running(tmp_path, environ=environ) as stage:
-        heard = hear_until(supervisor, "STATUS=idle")
-        assert "READY=1" in heard
+        received = hear_until(supervisor, "STATUS=idle")
+        assert "READY=1" in received
         hear_until(supervisor, "WATCHDOG=1")
         stage.daemon.send_signal(signal.SIGTERM)
-        heard = hear_until(supervisor, "STATUS=off")
-        assert "STOPPING=1" in heard
+        received = hear_until(supervisor, "STATUS=off")
+        assert "STOPPING=1" in received
         assert stage.daemon.wait(DEADLINE_S) == 0
 
 

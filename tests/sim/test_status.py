@@ -62,7 +62,7 @@ def test_a_line_with_a_silent_drive_names_the_drive_until_it_answers_again(stage
         waits = wait_until(
             lambda: stage.robot.status().lines["rs485"].waits_for, "a drive that is waited for"
         )
-        assert "is quiet" in waits
+        assert "is unresponsive" in waits
     finally:
         stage.sim.clear_faults_script()
     wait_until(lambda: stage.robot.status().lines["rs485"].waits_for is None, "nothing is left")

@@ -60,8 +60,8 @@ def test_the_watchdog_is_not_fed_for_a_thread_that_stands_still(tmp_path, which)
             stage.wait_for("fault")
             wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
             notifications(supervisor)  # what was on its way
-            quiet_since_s = time.monotonic()
-            wait_until(lambda: time.monotonic() - quiet_since_s > PATIENCE_S, "the supervisor's")
+            silent_since_s = time.monotonic()
+            wait_until(lambda: time.monotonic() - silent_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)
         wait_until(lambda: fed(supervisor), "it is fed again")
         assert stage.sim.truth().at_rest

@@ -100,7 +100,7 @@ def test_without_a_measure_the_battery_is_unknown_which_is_said_once(nothing):
     assert (report["state"], report["voltage_v"], report["age_s"]) == ("unknown", None, None)
 
 
-def test_a_battery_that_is_heard_again_is_what_it_measures_at_once():
+def test_a_battery_that_is_received_again_is_what_it_measures_at_once():
     watch = BatteryWatch(section(settle_s=3.0), 0)
     watch.take(None, 10 * S)
     assert measured(watch, 21.0, 11) == "the battery is warning: 21.00 V (was unknown)"
@@ -117,7 +117,7 @@ def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
         assert report["state"] == "unknown" or told is not None
 
 
-def test_drives_tell_the_lowest_voltage_of_those_that_are_heard_and_nothing_else():
+def test_drives_tell_the_lowest_voltage_of_those_that_are_received_and_nothing_else():
     joints = (joint(voltage_v=24.0), joint(voltage_v=23.5))
     measure = of_drives(section(), BODY.joints, view(1, joints=joints).snapshot)
     assert (measure.voltage_v, math.isnan(measure.current_a)) == (23.5, True)

@@ -30,11 +30,11 @@ async def test_a_message_that_waited_for_the_event_loop_is_as_old_as_that(tmp_pa
     client = SimpleNamespace(id=1)
     channel = SimpleNamespace(id=2, topic="/cmd_vel", encoding="json")
     twist = f'{{"token": "{TOKEN}", "linear": {{"x": 0.2}}, "angular": {{"z": 0}}}}'
-    heard, told = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with heard, told:
+    received, told = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with received, told:
         source = runtime.sources["fox"]
         source._token, source._sender = bytes(16), told
-        heard.setblocking(False)  # noqa: FBT003  # socket's
+        received.setblocking(False)  # noqa: FBT003  # socket's
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(commands.run())
             await asyncio.sleep(0)
@@ -43,7 +43,7 @@ async def test_a_message_that_waited_for_the_event_loop_is_as_old_as_that(tmp_pa
             came_ns = time.monotonic_ns()
             time.sleep(WAITED_S)  # noqa: ASYNC251  # nothing else shall run
             async with asyncio.timeout(DEADLINE_S):
-                raw = await asyncio.get_running_loop().sock_recv(heard, 4096)
+                raw = await asyncio.get_running_loop().sock_recv(received, 4096)
             running.cancel()
     *_, stamp_ns, _, _, linear_m_s, angular_rad_s = HEAD.unpack_from(raw)
     assert (linear_m_s, angular_rad_s) == (0.2, 0.0)

@@ -104,7 +104,7 @@ def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading
     assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(heading_rad)
 
 
-def test_joints_that_were_never_heard_are_left_out_and_the_stamp_is_the_oldest_feedback():
+def test_joints_that_were_never_received_are_left_out_and_the_stamp_is_the_oldest_feedback():
     sample = snapshot(
         joints=(joint(feedback_age_s=math.inf), joint(position_rad=5.0, feedback_age_s=0.25))
     )

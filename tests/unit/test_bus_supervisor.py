@@ -86,7 +86,7 @@ async def test_a_flood_is_said_once_and_the_daemon_does_all_else_meanwhile(line,
     assert caplog.text.count("no figures") == 1
 
 
-async def test_a_beat_of_many_figures_is_heard_whole():
+async def test_a_beat_of_many_figures_is_received_whole():
     said = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
     async with child(f"os.write(1, {said}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())

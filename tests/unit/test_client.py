@@ -220,12 +220,12 @@ def test_it_speaks_the_protocol_of_the_page(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
-        heard = []
+        received = []
 
         def talk():
             peer, _ = listener.accept()
             with peer, peer.makefile("rb") as lines:
-                heard.append(json.loads(lines.readline()))
+                received.append(json.loads(lines.readline()))
                 peer.sendall(b'{"jsonrpc":"2.0","id":1,"result":{"state":"armed"}}\n')
 
         thread = threading.Thread(target=talk)
@@ -233,4 +233,4 @@ def test_it_speaks_the_protocol_of_the_page(tmp_path):
         with Client(tmp_path / "s") as robot:
             assert robot.arm() == "armed"
         thread.join()
-    assert heard == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]
+    assert received == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]

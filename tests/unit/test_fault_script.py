@@ -180,19 +180,19 @@ def test_no_noise_changes_nothing(data, bits, seed):
 
 @given(st.binary(max_size=40), st.floats(1e-6, 0.1), st.integers())
 def test_noise_loses_characters_but_makes_none_and_its_seed_decides(data, ber, seed):
-    heard, hits = disturb(data, ber, 10, random.Random(seed))
-    assert disturb(data, ber, 10, random.Random(seed)) == (heard, hits)
-    assert len(data) - hits <= len(heard) <= len(data)
+    received, hits = disturb(data, ber, 10, random.Random(seed))
+    assert disturb(data, ber, 10, random.Random(seed)) == (received, hits)
+    assert len(data) - hits <= len(received) <= len(data)
     if hits == 0:
-        assert heard == data
+        assert received == data
 
 
 def test_noise_hits_as_many_bits_as_its_rate_says():
     ber, bits, size = 0.01, 10, 40_000
-    heard, hits = disturb(bytes(size), ber, bits, random.Random(11))
+    received, hits = disturb(bytes(size), ber, bits, random.Random(11))
     deviation = math.sqrt(size * bits * ber * (1.0 - ber))
     assert abs(hits - size * bits * ber) < 4.0 * deviation
-    lost = size - len(heard)
+    lost = size - len(received)
     start_or_stop = 1.0 - (1.0 - ber) ** (bits - 8)
     assert abs(lost - size * start_or_stop) < 4.0 * math.sqrt(size * start_or_stop)
 

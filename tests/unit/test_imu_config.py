@@ -114,7 +114,7 @@ def test_a_line_of_text_has_to_say_the_rate_about_z(load):
     assert load(*text_robot(" {gyro_z_rad_s}", up="-z")).imu.up == "-z"
 
 
-def test_the_rate_in_a_line_of_text_is_heard_and_said(load):
+def test_the_rate_in_a_line_of_text_is_received_and_said(load):
     robot = load(*text_robot(" {gyro_z_rad_s}"))
     (spec,) = line_specs(robot, assembly.profiles_of(robot))
     dialect = TextDialect(spec)

@@ -17,7 +17,8 @@ from motord.base import log
 info = os.fstat(2)
 stream = f"{info.st_dev}:{info.st_ino}" if sys.argv[2] == "same" else "1:1"
 log.set_up({"JOURNAL_STREAM": stream}, Path(sys.argv[1]))
-said_of = log.about(line="rs485", joints=("left", "right"), event="drive_quiet", faults=("dead",))
+event = "drive_unresponsive"
+said_of = log.about(line="rs485", joints=("left", "right"), event=event, faults=("dead",))
 logging.getLogger("x").warning(sys.argv[3], extra=said_of)
 """
 
@@ -37,13 +38,13 @@ def said(journal, text, stream="same"):
 
 
 def test_the_journal_is_told_what_a_warning_is_about(journal):
-    assert said(journal, "the drive is quiet") == ""
+    assert said(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
-        "MESSAGE=the drive is quiet",
+        "MESSAGE=the drive is unresponsive",
         "PRIORITY=4",
         "SYSLOG_IDENTIFIER=motord",
         "MOTORD_LINE=rs485",
-        "MOTORD_EVENT=drive_quiet",
+        "MOTORD_EVENT=drive_unresponsive",
         "MOTORD_JOINT=left",
         "MOTORD_JOINT=right",
         "MOTORD_FAULT=dead",
@@ -57,7 +58,9 @@ def test_words_of_several_lines_stay_one_entry(journal):
 
 
 def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journal):
-    assert said(journal, "the drive is quiet", "other").endswith("WARNING the drive is quiet\n")
+    assert said(journal, "the drive is unresponsive", "other").endswith(
+        "WARNING the drive is unresponsive\n"
+    )
 
 
 def test_a_journal_that_is_away_stops_nobody(journal):

@@ -16,19 +16,19 @@ from motord_hal.mcu.frames import (
     BoardImu,
     Frame,
     FrameError,
-    Heard,
+    Received,
     Splitter,
     Type,
     build,
     crc16,
     feedback_payload,
-    heard_in,
     imu_in,
     imu_payload,
     newer,
     parse,
     pick,
     place,
+    received_in,
     setpoints_payload,
 )
 
@@ -166,11 +166,11 @@ def test_what_has_no_value_is_sent_as_zero():
     assert payload == bytes((0, 2, 0, 0, 20, 0, *bytes(6), 0xFE, 0xFF, 0xFF, 0xFF, 0, 0))
 
 
-def test_a_board_says_which_set_points_it_has_heard_and_when():
-    payload = feedback_payload([], {}, 1, 20, Heard(0x1234, 0.0052))
-    assert heard_in(payload) == Heard(0x1234, pytest.approx(0.0052))
+def test_a_board_says_which_set_points_it_has_received_and_when():
+    payload = feedback_payload([], {}, 1, 20, Received(0x1234, 0.0052))
+    assert received_in(payload) == Received(0x1234, pytest.approx(0.0052))
     with pytest.raises(FrameError):
-        heard_in(payload[:15])
+        received_in(payload[:15])
 
 
 RATE = st.floats(-2147.0, 2147.0)
@@ -179,7 +179,7 @@ ACCELERATION = st.floats(-32.0, 32.0)
 
 @given(st.tuples(RATE, RATE, RATE), st.tuples(*[ACCELERATION] * 3), st.booleans())
 def test_an_inertial_sensor_comes_back_from_behind_the_motors(rates, accelerations, saturated):
-    payload = bytearray(feedback_payload([], {}, 2, 20, Heard(1, 0.0)))
+    payload = bytearray(feedback_payload([], {}, 2, 20, Received(1, 0.0)))
     payload[0] |= HAS_IMU
     payload += imu_payload(BoardImu(rates, accelerations, saturated))
     found = imu_in(bytes(payload))
@@ -193,7 +193,7 @@ def test_an_inertial_sensor_comes_back_from_behind_the_motors(rates, acceleratio
 
 def test_an_axis_that_is_not_measured_is_no_number_and_the_scale_has_an_end():
     beyond = BoardImu((math.nan, math.inf, 1e9), (-math.inf, -1e9, 0.0), saturated=False)
-    payload = bytearray(feedback_payload([], {}, 1, 20, Heard(1, 0.0)))
+    payload = bytearray(feedback_payload([], {}, 1, 20, Received(1, 0.0)))
     payload[0] |= HAS_IMU
     found = imu_in(bytes(payload) + imu_payload(beyond))
     assert [math.isnan(rate) for rate in found.angular_rad_s] == [True, True, False]
@@ -203,5 +203,5 @@ def test_an_axis_that_is_not_measured_is_no_number_and_the_scale_has_an_end():
 
 
 def test_a_feedback_that_does_not_say_so_carries_no_sensor():
-    payload = feedback_payload([], {}, 1, 20, Heard(1, 0.0))
+    payload = feedback_payload([], {}, 1, 20, Received(1, 0.0))
     assert imu_in(payload + bytes(20)) is None

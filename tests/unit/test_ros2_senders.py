@@ -17,9 +17,9 @@ def contest():
 def alternate(made, first, second, count=20, start_s=0.0):
     """One at 20 Hz, the other at 10 Hz."""
     for number in range(count):
-        made.heard("/nav", first, start_s + 0.05 * number)
+        made.received("/nav", first, start_s + 0.05 * number)
         if number % 2:
-            made.heard("/teleop", second, start_s + 0.05 * number + 0.01)
+            made.received("/teleop", second, start_s + 0.05 * number + 0.01)
     return start_s + 0.05 * count
 
 
@@ -42,10 +42,10 @@ def test_two_that_ask_for_the_same_are_no_rivals(caplog):
 def test_handing_over_is_no_contest(caplog):
     made = contest()
     for number in range(10):
-        made.heard("/nav", GO, 0.05 * number)
+        made.received("/nav", GO, 0.05 * number)
     for number in range(10):
-        made.heard("/teleop", TURN, 0.5 + 0.05 * number)
-    made.heard("/nav", GO, 5.0)
+        made.received("/teleop", TURN, 0.5 + 0.05 * number)
+    made.received("/nav", GO, 5.0)
     assert made.report(5.0) == []
     assert "against" not in caplog.text
 
@@ -60,7 +60,7 @@ def test_a_contest_that_is_over_is_reported_no_longer():
 def test_strangers_without_number_take_bounded_room():
     made = contest()
     for number in range(1000):
-        made.heard(f"/node{number % (2 * SENDERS_MAX)}", (float(number),), 0.001 * number)
+        made.received(f"/node{number % (2 * SENDERS_MAX)}", (float(number),), 0.001 * number)
     assert len(made.report(1.0)) <= SENDERS_MAX
 
 

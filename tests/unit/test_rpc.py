@@ -219,8 +219,8 @@ async def test_calls_under_way_are_bounded(path):
         answer = await peer.hear()
         assert (answer["id"], answer["error"]["code"]) == (rpc.CALLS_MAX, -32000)
         host.gate.set()
-        heard = [(await peer.hear())["id"] for _ in range(rpc.CALLS_MAX)]
-        assert sorted(heard) == list(range(rpc.CALLS_MAX))
+        received = [(await peer.hear())["id"] for _ in range(rpc.CALLS_MAX)]
+        assert sorted(received) == list(range(rpc.CALLS_MAX))
         peer.close()
 
 

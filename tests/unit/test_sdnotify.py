@@ -26,8 +26,8 @@ def test_every_message_arrives_as_systemd_reads_it(supervisor):
     assert notifier.status("armed\nby ünit")
     assert notifier.watchdog()
     assert notifier.stopping()
-    heard = [listener.recv(100).decode() for _ in range(4)]
-    assert heard == ["READY=1", "STATUS=armed by ünit", "WATCHDOG=1", "STOPPING=1"]
+    received = [listener.recv(100).decode() for _ in range(4)]
+    assert received == ["READY=1", "STATUS=armed by ünit", "WATCHDOG=1", "STOPPING=1"]
 
 
 def test_without_a_supervisor_nothing_is_sent():

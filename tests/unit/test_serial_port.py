@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from motord_hal.base.errors import PortError
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, LineSpec
-from motord_hal.serial.counters import Counters, Traffic, quiet_hint, read_counters
+from motord_hal.serial.counters import Counters, Traffic, read_counters, unresponsive_hint
 from motord_hal.serial.direction import kept_problem, pack_rs485
 from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
@@ -181,10 +181,10 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
     ],
 )
 def test_a_hint_says_what_was_counted(after, now, said):
-    hint = quiet_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
+    hint = unresponsive_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
     assert hint.startswith(said)
     assert bool(hint) == bool(said)
 
 
 def test_nothing_counted_hints_at_nothing():
-    assert quiet_hint(Counters(0, 3, 3, 3), Counters(9, 3, 3, 3)) == ""
+    assert unresponsive_hint(Counters(0, 3, 3, 3), Counters(9, 3, 3, 3)) == ""

@@ -32,12 +32,12 @@ void board_power_off(board_machine *m, int64_t now_ns)
 }
 
 /* -------------------------------------------------------------------------------------------------- presence */
-static void go_quiet(board_machine *m, int64_t now_ns)
+static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
-    m->quiet++;
+    m->unresponsive++;
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
                      now_ns); /* it may hear us all the same: in every cycle from now on */
-    drive_take_back(&m->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    drive_take_back(&m->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     m->state.stopping = m->state.back = false;
     m->said_bytes = 0;
 }
@@ -56,7 +56,7 @@ void board_told(board_machine *m, int64_t now_ns)
     }
     if (m->table.answers == 0) { /* the port has taken its bytes: that is all there is to know */
         m->stamp_ns = m->knows_ns = now_ns;
-        board_heard(m, now_ns);
+        board_received(m, now_ns);
     }
 }
 
@@ -72,9 +72,9 @@ static void believe(board_machine *m, bool kept, int64_t now_ns)
     board_begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
 }
 
-void board_heard(board_machine *m, int64_t now_ns)
+void board_received(board_machine *m, int64_t now_ns)
 {
-    m->heard_ns = now_ns;
+    m->received_ns = now_ns;
     bool kept = board_read(m);
     if (drive_is_cycled(&m->state)) {
         board_publish(m);
@@ -82,7 +82,7 @@ void board_heard(board_machine *m, int64_t now_ns)
     if (drive_is_cycled(&m->state) && m->knows_ns >= m->written_ns) {
         believe(m, kept, now_ns);
     }
-    if (m->state.mode == DRIVE_QUIET && !m->state.back && m->end.stage == END_NOT) {
+    if (m->state.mode == DRIVE_UNRESPONSIVE && !m->state.back && m->end.stage == END_NOT) {
         m->state.back = true;
         board_power_off(m, now_ns);
     }
@@ -103,8 +103,8 @@ void board_guard(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);
     board_begin_stop(m, drive_guard(&m->state, &view), now_ns);
-    if (drive_is_cycled(&m->state) && now_ns - m->heard_ns > m->table.silence_ns) {
-        go_quiet(m, now_ns);
+    if (drive_is_cycled(&m->state) && now_ns - m->received_ns > m->table.silence_ns) {
+        becomes_unresponsive(m, now_ns);
     }
     bool rests = m->knows_ns >= m->written_ns && board_at_rest(m);
     board_begin_stop(m, drive_end_stopping(&m->state, rests, now_ns), now_ns);
@@ -120,11 +120,11 @@ void board_obey_request(board_machine *m, int64_t now_ns)
     bool is_new = answer.request != REQUEST_NONE;
     m->notify |= is_new;
     board_begin_stop(m, answer.stop, now_ns);
-    bool stands_down = is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_QUIET;
+    bool stands_down = is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_UNRESPONSIVE;
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);
     } else if (answer.request == REQUEST_SET_UP) {
-        m->heard_ns = now_ns; /* who was set up has just spoken, or cannot */
+        m->received_ns = now_ns; /* who was set up has just spoken, or cannot */
         board_forget(m);
     } else if (answer.request == REQUEST_ARM) {
         m->told_ns = now_ns;

@@ -8,7 +8,7 @@
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
 /* Heard earlier than sent: the number is that of set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
-static const board_place HEARD_SEQUENCE = {.byte = 6, .bytes = 2}, HEARD_AGO = {.byte = 8, .bytes = 2};
+static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2}, RECEIVED_AGO = {.byte = 8, .bytes = 2};
 
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns)
 {
@@ -36,10 +36,10 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
  * newer than ours: the board would take none before we are ahead of it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
-    uint16_t sequence = (uint16_t)board_get(m->said, &HEARD_SEQUENCE);
+    uint16_t sequence = (uint16_t)board_get(m->said, &RECEIVED_SEQUENCE);
     uint16_t behind = (uint16_t)(m->sequence - sequence);
     int64_t sent_ns = behind < BOARD_SEQUENCES_KEPT ? m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] : 0;
-    int64_t trip_ns = now_ns - sent_ns - board_get(m->said, &HEARD_AGO) * HELD_UNIT_NS;
+    int64_t trip_ns = now_ns - sent_ns - board_get(m->said, &RECEIVED_AGO) * HELD_UNIT_NS;
     bool known = sent_ns > 0 && trip_ns >= -HELD_TOLERANCE_NS;
     m->knows_ns = known ? sent_ns : 0;
     if ((int16_t)(uint16_t)(m->next - sequence) <= 0) {
@@ -87,7 +87,7 @@ static void take_piece(board_machine *m, int64_t now_ns)
     if (text ? take_line(m, now_ns) : take_frame(m, now_ns)) {
         m->received++;
         board_imu_read(m);
-        board_heard(m, now_ns);
+        board_received(m, now_ns);
     } else {
         m->bad_frames++;
     }
@@ -134,7 +134,7 @@ bool board_machine_order(board_machine *m, const board_order *order)
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
-    bool stopped = m->state.mode == DRIVE_QUIET || (order->guarded != 0 && order->stops != m->stops);
+    bool stopped = m->state.mode == DRIVE_UNRESPONSIVE || (order->guarded != 0 && order->stops != m->stops);
     if (!m->has_order || m->order_written) {
         return;
     }
@@ -252,10 +252,10 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->bad_frames = m->bad_frames;
     report->received = m->received;
     report->published = m->published;
-    report->quiet = m->quiet;
+    report->unresponsive = m->unresponsive;
     report->cycle_ns = m->cycle.took_ns;
     report->setpoints_ns = m->newest.stamp_ns;
-    report->heard_ns = m->heard_ns;
+    report->received_ns = m->received_ns;
     report->knows_ns = m->knows_ns;
     report->written_ns = m->written_ns;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {

@@ -68,8 +68,8 @@ typedef struct {
     uint16_t next; /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
-    int64_t told_ns;  /* a frame went out last */
-    int64_t heard_ns; /* 0: never */
+    int64_t told_ns;     /* a frame went out last */
+    int64_t received_ns; /* 0: never */
     int64_t knows_ns;
     int64_t stamp_ns; /* of the newest word */
     cycle_clock cycle;
@@ -78,7 +78,7 @@ typedef struct {
     uint64_t bad_frames;
     uint64_t received;
     uint64_t published;
-    uint64_t quiet;
+    uint64_t unresponsive;
     board_sender send;
     void *sink;
     histogram *round_trips; /* NULL: not kept */
@@ -126,7 +126,7 @@ void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns);
 void board_obey_request(board_machine *m, int64_t now_ns);
 void board_guard(board_machine *m, int64_t now_ns);
 /* A good word has come. */
-void board_heard(board_machine *m, int64_t now_ns);
+void board_received(board_machine *m, int64_t now_ns);
 /* What it was told last has gone out. */
 void board_told(board_machine *m, int64_t now_ns);
 

@@ -156,23 +156,23 @@ static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
     const can_drive *table = &m->table.drive[number];
     drive->missing = 0;
     if (table->hello > 0 && drive->state.mode != DRIVE_READY && drive->state.mode != DRIVE_ARMED) {
-        int64_t heard_ns = drive->heard_ns[table->hello - 1];
-        drive->missing = heard_ns > 0 && now_ns - heard_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
+        int64_t received_ns = drive->received_ns[table->hello - 1];
+        drive->missing = received_ns > 0 && now_ns - received_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
         return;
     }
     for (uint32_t i = 0; i < table->input_count && drive->missing == 0; i++) {
         int64_t silence_ns = drive->silence_ns[i];
-        if (silence_ns > 0 && (drive->heard_ns[i] == 0 || now_ns - drive->heard_ns[i] > silence_ns)) {
+        if (silence_ns > 0 && (drive->received_ns[i] == 0 || now_ns - drive->received_ns[i] > silence_ns)) {
             drive->missing = i + 1;
         }
     }
 }
 
-static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
+static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    drive->quiet++;
-    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    drive->unresponsive++;
+    drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     m->notify = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
@@ -180,10 +180,10 @@ static void go_quiet(can_machine *m, uint32_t number, int64_t now_ns)
     }
     drive->stops++;
     drive->state.stopping = drive->state.back = drive->state.off_due = false;
-    drive->quiet_since_ns = drive->probe_at_ns = now_ns;
+    drive->unresponsive_since_ns = drive->probe_at_ns = now_ns;
     drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     if (m->table.drive[number].hello > 0) {
-        drive->heard_ns[m->table.drive[number].hello - 1] = 0;
+        drive->received_ns[m->table.drive[number].hello - 1] = 0;
     }
 }
 
@@ -196,7 +196,7 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         return;
     }
     bool told = true;
-    if (drive->may_turn && now_ns > drive->quiet_since_ns + DRIVE_STOPPING_NS) {
+    if (drive->may_turn && now_ns > drive->unresponsive_since_ns + DRIVE_STOPPING_NS) {
         told = write_all(m, number, table->disarm, table->disarm_count);
     } else if (drive->may_turn) {
         told = write_all(m, number, table->quick_stop, table->quick_stop_count);
@@ -230,8 +230,8 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
     look_for(m, number, now_ns);
     bool there = drive->missing == 0;
     if (!there && (drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED)) {
-        go_quiet(m, number, now_ns);
-    } else if (there && drive->state.mode == DRIVE_QUIET && !drive->state.back && m->end.stage == END_NOT) {
+        becomes_unresponsive(m, number, now_ns);
+    } else if (there && drive->state.mode == DRIVE_UNRESPONSIVE && !drive->state.back && m->end.stage == END_NOT) {
         drive->state.back = true;
         can_begin_stop(m, number, drive_power_off(&drive->state));
     }
@@ -249,7 +249,7 @@ static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
     drive->told_ns = now_ns;
     can_forget(m, number);
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-        drive->heard_ns[i] = now_ns; /* what comes only from now on has its time, too */
+        drive->received_ns[i] = now_ns; /* what comes only from now on has its time, too */
     }
 }
 
@@ -294,7 +294,7 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
     bool unheard = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
-    if (drive->state.mode == DRIVE_QUIET || unheard) {
+    if (drive->state.mode == DRIVE_UNRESPONSIVE || unheard) {
         probe(m, number, now_ns);
         return;
     }

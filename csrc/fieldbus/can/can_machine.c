@@ -44,7 +44,7 @@ static void init_drive(can_machine *m, uint32_t number, const can_before *before
     const can_drive *table = &m->table.drive[number];
     drive->state.epoch = before->epoch;
     drive->may_turn = (before->may_turn >> number & 1) != 0;
-    drive->quiet_since_ns = drive->probe_at_ns = now_ns;
+    drive->unresponsive_since_ns = drive->probe_at_ns = now_ns;
     drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     drive->state.enabled = 2;
     for (uint32_t o = 0; o < table->output_count; o++) {
@@ -93,7 +93,7 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
 {
     can_drive_state *drive = &m->drive[number];
     const can_input *input = &m->table.drive[number].input[place];
-    drive->heard_ns[place] = stamp_ns;
+    drive->received_ns[place] = stamp_ns;
     if (drive->sample_ns[place] > 0 && stamp_ns < drive->sample_ns[place] + input->spacing_ns) {
         return;
     }
@@ -345,8 +345,8 @@ void can_machine_report(const can_machine *m, can_report *report)
             .stops = drive->stops,
             .cycles = drive->cycles,
             .received = drive->received,
-            .quiet = drive->quiet,
-            .heard_ns = drive->newest_ns,
+            .unresponsive = drive->unresponsive,
+            .received_ns = drive->newest_ns,
             .epoch = drive->state.epoch,
             .may_turn = drive->may_turn,
             .stop_waits = drive->state.stop != STOP_NOTHING,

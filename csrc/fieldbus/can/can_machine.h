@@ -37,21 +37,21 @@ typedef struct {
     uint32_t stop_place;
     bool may_turn;   /* armed since it was last set up, before the bus was opened or after */
     int64_t told_ns; /* set-points went out last */
-    int64_t quiet_since_ns;
+    int64_t unresponsive_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
-    uint32_t fast;                      /* bit n: input n of the table is fast, ... */
-    uint32_t powers;                    /* ... says whether it has power, */
-    uint32_t known;                     /* ... has come since it was set up */
-    int64_t silence_ns[CAN_INPUTS_MAX]; /* the table's, in one place: looked at in each round */
-    int64_t heard_ns[CAN_INPUTS_MAX];   /* 0: never */
-    int64_t sample_ns[CAN_INPUTS_MAX];  /* of the values in use; 0: none since it was set up */
+    uint32_t fast;                       /* bit n: input n of the table is fast, ... */
+    uint32_t powers;                     /* ... says whether it has power, */
+    uint32_t known;                      /* ... has come since it was set up */
+    int64_t silence_ns[CAN_INPUTS_MAX];  /* the table's, in one place: looked at in each round */
+    int64_t received_ns[CAN_INPUTS_MAX]; /* 0: never */
+    int64_t sample_ns[CAN_INPUTS_MAX];   /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
     uint8_t told[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* what each set-point frame said last */
     uint64_t cycles;
     uint64_t slow_cycles; /* since it was set up */
     uint64_t received;
-    uint64_t quiet;
+    uint64_t unresponsive;
     int64_t newest_ns; /* any frame */
 } can_drive_state;
 

@@ -36,9 +36,9 @@ typedef struct {
     can_machine machine;
     can_control control[MAILBOX_SLOTS];
     can_report report[MAILBOX_SLOTS];
-    ring orders, heard;
+    ring orders, received;
     can_order order_place[CAN_ORDERS_MAX];
-    can_received heard_place[CAN_RECEIVED_MAX];
+    can_received received_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
     int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now has come since */
     can_report out;
@@ -112,7 +112,7 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
     can_received one = {.packet = {.id = frame->can_id, .bytes = frame->len, .fd = fd}, .stamp_ns = stamp_ns};
     memcpy(one.packet.data, frame->data, frame->len);
     one.drive = can_machine_receive(&t->machine, &one.packet, stamp_ns, now_ns);
-    if (one.drive != CAN_FOR_NOBODY && !ring_put(&t->heard, t->heard_place, CAN_RECEIVED_MAX, &one, sizeof one)) {
+    if (one.drive != CAN_FOR_NOBODY && !ring_put(&t->received, t->received_place, CAN_RECEIVED_MAX, &one, sizeof one)) {
         t->out.unheard++;
     }
 }
@@ -266,7 +266,7 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;
     }
     memset(&t->orders, 0, sizeof t->orders);
-    memset(&t->heard, 0, sizeof t->heard);
+    memset(&t->received, 0, sizeof t->received);
     memset(&t->out, 0, sizeof t->out);
     prepare_inbox(&t->inbox);
     put_report(t, true, 0);
@@ -304,7 +304,8 @@ int can_put_order(uint32_t line, const can_order *order)
 
 int can_take_received(uint32_t line, can_received *out)
 {
-    return line < LINES_MAX && ring_take(&threads[line].heard, threads[line].heard_place, CAN_RECEIVED_MAX, out, sizeof *out);
+    return line < LINES_MAX &&
+           ring_take(&threads[line].received, threads[line].received_place, CAN_RECEIVED_MAX, out, sizeof *out);
 }
 
 int can_read_report(uint32_t line, can_report *out)

@@ -50,7 +50,7 @@ static bool may_be_sent(const line_machine *m, const line_ask *ask, int64_t now_
     }
     const line_drive_state *drive = &m->drive[ask->drive];
     bool in_doubt = drive->held_until_ns > now_ns || line_may_be_late(m, ask->drive, &ask->frame, now_ns);
-    return drive->quiet_until_ns <= now_ns && (ask->urgent != 0 || !in_doubt);
+    return drive->silent_until_ns <= now_ns && (ask->urgent != 0 || !in_doubt);
 }
 
 uint32_t line_pick_ask(const line_machine *m, int64_t now_ns)

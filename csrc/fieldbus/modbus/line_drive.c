@@ -365,7 +365,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     }
     drive->answered_ns = m->end_ns;
     drive->count.exchanges++;
-    drive->count.heard_ns = now_ns;
+    drive->count.received_ns = now_ns;
     if (m->transaction.frame.reply_bytes > 0) {
         line_learn_turnaround(m, number, now_ns);
     }
@@ -398,7 +398,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     if (failure != ANSWER_REFUSED) {
         int64_t doubled_ns = 2 * drive->deadline_ns;
         drive->deadline_ns = doubled_ns < table->turnaround_ns ? doubled_ns : table->turnaround_ns;
-        drive->quiet_until_ns = m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
+        drive->silent_until_ns = m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
         line_owe(m, number);
     }
     drive->stage = STAGE_IDLE;
@@ -410,7 +410,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     }
     bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED || drive->state.stop != STOP_NOTHING;
     if (counts && drive->failures >= table->tries) {
-        line_go_quiet(m, number, now_ns);
+        line_becomes_unresponsive(m, number, now_ns);
     }
 }
 
@@ -420,6 +420,6 @@ void line_drive_not_reached(line_machine *m, uint32_t number, int64_t now_ns)
     count_failure(drive, ANSWER_NEVER_SILENT, 0);
     drive->due_ns = now_ns;
     if (drive->failures >= m->table.drive[number].tries) {
-        line_go_quiet(m, number, now_ns);
+        line_becomes_unresponsive(m, number, now_ns);
     }
 }

@@ -180,7 +180,7 @@ void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     drive->count.exchanges++;
-    drive->count.heard_ns = now_ns;
+    drive->count.received_ns = now_ns;
     drive->stage = STAGE_IDLE;
     if (m->current == number) {
         m->current = LINE_DRIVES_MAX;
@@ -234,20 +234,20 @@ void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t n
 }
 
 /* What was heard beside the answer, if there was one. The copy that an adapter hears of its request is no noise. */
-void line_sort_heard(line_machine *m, const heard *verdict, int64_t now_ns)
+void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
     uint32_t request_bytes = t->frame.request_bytes;
     bool copied =
-        m->echo != ECHO_NONE && t->heard_bytes >= request_bytes && memcmp(t->heard, t->frame.request, request_bytes) == 0;
+        m->echo != ECHO_NONE && t->received_bytes >= request_bytes && memcmp(t->received, t->frame.request, request_bytes) == 0;
     uint32_t from = verdict->echoed || (verdict->bytes == 0 && copied) ? request_bytes : 0;
-    uint32_t end = verdict->bytes > 0 ? verdict->offset : t->heard_bytes;
+    uint32_t end = verdict->bytes > 0 ? verdict->offset : t->received_bytes;
     if (end > from) {
-        line_stray(m, t->heard + from, end - from, now_ns);
+        line_stray(m, t->received + from, end - from, now_ns);
     }
     uint32_t after = verdict->offset + verdict->bytes;
-    if (verdict->bytes > 0 && t->heard_bytes > after) {
-        line_stray(m, t->heard + after, t->heard_bytes - after, now_ns);
+    if (verdict->bytes > 0 && t->received_bytes > after) {
+        line_stray(m, t->received + after, t->received_bytes - after, now_ns);
     }
 }
 

@@ -27,7 +27,7 @@ static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_fr
     m->sent = false;
     m->urgent_by_ns = 0;
     m->transaction.frame = *frame;
-    m->transaction.heard_bytes = 0;
+    m->transaction.received_bytes = 0;
     out->send = m->transaction.frame.request;
     out->send_bytes = frame->request_bytes;
 }
@@ -83,7 +83,7 @@ void line_machine_sent(line_machine *m, int64_t now_ns)
     shorten_wait(m, now_ns);
 }
 
-static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
+static void finish_ask(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
 {
     const line_frame *frame = &m->transaction.frame;
     line_answer_ask(m, m->transaction.ask_id, kind, now_ns);
@@ -93,7 +93,7 @@ static void finish_ask(line_machine *m, uint32_t kind, const heard *verdict, int
     m->answer.echoed = verdict->echoed;
     if (kind == ANSWER_OK) {
         m->answer.reply_bytes = frame->reply_bytes;
-        memcpy(m->answer.reply, m->transaction.heard + verdict->offset, frame->reply_bytes);
+        memcpy(m->answer.reply, m->transaction.received + verdict->offset, frame->reply_bytes);
     }
 }
 
@@ -107,11 +107,11 @@ static void doubt_echo(line_machine *m)
     m->echo = understood ? m->echo : m->table.echo;
 }
 
-static void drive_ended(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
+static void drive_ended(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
 {
     uint32_t worker = m->worker;
     if (kind == ANSWER_OK) {
-        line_drive_answered(m, worker, m->transaction.heard + verdict->offset, now_ns);
+        line_drive_answered(m, worker, m->transaction.received + verdict->offset, now_ns);
         return;
     }
     line_drive_failed(m, worker, kind, verdict->exception, now_ns);
@@ -123,10 +123,10 @@ static void drive_ended(line_machine *m, uint32_t kind, const heard *verdict, in
     doubt_echo(m);
 }
 
-static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, int64_t now_ns)
+static void end_exchange(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
 {
     uint32_t work = m->work;
-    line_sort_heard(m, verdict, now_ns);
+    line_sort_received(m, verdict, now_ns);
     m->answers += verdict->bytes > 0;
     m->ours_ns = later(m->ours_ns, now_ns + m->table.gap_ns);
     if (kind == ANSWER_OK && m->transaction.frame.reply_bytes > 0) {
@@ -152,16 +152,16 @@ static void end_exchange(line_machine *m, uint32_t kind, const heard *verdict, i
 }
 
 /* Nothing but late replies, or the copy of the request, is as if nothing had come. */
-static void end_in_vain(line_machine *m, const heard *verdict, int64_t now_ns)
+static void end_in_vain(line_machine *m, const received *verdict, int64_t now_ns)
 {
     uint64_t noise_bytes = m->noise_bytes;
-    line_sort_heard(m, verdict, now_ns);
-    m->transaction.heard_bytes = 0;
-    bool noise = m->noise_bytes != noise_bytes || verdict->kind == HEARD_BAD;
+    line_sort_received(m, verdict, now_ns);
+    m->transaction.received_bytes = 0;
+    bool noise = m->noise_bytes != noise_bytes || verdict->kind == RECEIVED_BAD;
     end_exchange(m, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, verdict, now_ns);
 }
 
-/* A quiet drive that can be read: an echo shall not make it seem to be back. */
+/* An unresponsive drive that can be read: an echo shall not make it seem to be back. */
 static bool will_read(const line_machine *m)
 {
     if (m->work != WORK_PROBE) {
@@ -173,17 +173,18 @@ static bool will_read(const line_machine *m)
 
 /* What the bytes since the request say. Where it is not known whether the adapter hears itself, an answer that looks
  * like its request is taken: only what is read decides (and set-ups are read back). */
-static heard listen(line_machine *m, const uint8_t *bytes, uint32_t count)
+static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 {
     line_transaction *t = &m->transaction;
-    uint32_t room = HEARD_BYTES_MAX - t->heard_bytes;
+    uint32_t room = RECEIVED_BYTES_MAX - t->received_bytes;
     bool full = count >= room;
-    memcpy(t->heard + t->heard_bytes, bytes, full ? room : count);
-    t->heard_bytes += full ? room : count;
+    memcpy(t->received + t->received_bytes, bytes, full ? room : count);
+    t->received_bytes += full ? room : count;
     bool alike = m->echo == ECHO_UNKNOWN && !will_read(m) && rtu_answer_is_request(&t->frame, t->frame.request);
-    heard found = rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->heard, t->heard_bytes);
-    if (found.kind == HEARD_MORE && full) {
-        found.kind = HEARD_BAD;
+    received found =
+        rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->received, t->received_bytes);
+    if (found.kind == RECEIVED_MORE && full) {
+        found.kind = RECEIVED_BAD;
     }
     return found;
 }
@@ -191,7 +192,7 @@ static heard listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 /* Whatever comes keeps the line busy: the gap counts from the last byte. */
 static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count)
 {
-    heard verdict = {.kind = HEARD_MORE};
+    received verdict = {.kind = RECEIVED_MORE};
     bool answers = m->transaction.frame.reply_bytes > 0;
     if (count > 0) {
         m->free_ns = later(m->free_ns, now_ns + m->table.gap_ns);
@@ -205,11 +206,11 @@ static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t
     } else if (m->echo == ECHO_NONE) {
         line_stray(m, bytes, count, now_ns);
     }
-    if (verdict.kind == HEARD_ANSWER) {
+    if (verdict.kind == RECEIVED_ANSWER) {
         end_exchange(m, ANSWER_OK, &verdict, now_ns);
-    } else if (verdict.kind == HEARD_REFUSED) {
+    } else if (verdict.kind == RECEIVED_REFUSED) {
         end_exchange(m, ANSWER_REFUSED, &verdict, now_ns);
-    } else if (verdict.kind == HEARD_BAD || (now_ns >= m->until_ns && answers)) {
+    } else if (verdict.kind == RECEIVED_BAD || (now_ns >= m->until_ns && answers)) {
         end_in_vain(m, &verdict, now_ns);
     } else if (now_ns >= m->until_ns) {
         end_exchange(m, ANSWER_OK, &verdict, now_ns);
@@ -217,7 +218,7 @@ static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t
 }
 
 /* ------------------------------------------------------------------------------------------------- whose turn */
-/* Quiet ones do not keep the others waiting, nor one of them the next: 0 comes first. */
+/* Unresponsive ones do not keep the others waiting, nor one of them the next: 0 comes first. */
 static uint32_t stop_rank(const line_drive_state *drive)
 {
     return drive->failures > 0 ? 1 + drive->stop_failures : 0;
@@ -260,7 +261,7 @@ static bool is_cyclic(const line_machine *m, uint32_t number)
 static int64_t due_of(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
-    return is_cyclic(m, number) ? later(drive->due_ns, later(drive->quiet_until_ns, drive->held_until_ns)) : FAR_NS;
+    return is_cyclic(m, number) ? later(drive->due_ns, later(drive->silent_until_ns, drive->held_until_ns)) : FAR_NS;
 }
 
 /* Earliest deadline first; among equals the first one. */
@@ -310,12 +311,12 @@ static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_o
 static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_output *out)
 {
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
-    uint32_t quiet = line_due_probe(m, false, now_ns);
+    uint32_t unresponsive = line_due_probe(m, false, now_ns);
     uint32_t place = line_pick_ask(m, now_ns);
     const line_ask *ask = place < LINE_ASKS_MAX ? &m->ask[place] : NULL;
-    bool probe_first = quiet < LINE_DRIVES_MAX && (ask == NULL || (ask->urgent == 0 && m->slot_turn % 2 != 0));
+    bool probe_first = unresponsive < LINE_DRIVES_MAX && (ask == NULL || (ask->urgent == 0 && m->slot_turn % 2 != 0));
     if (probe_first && mine) {
-        begin_probe(m, quiet, now_ns, out);
+        begin_probe(m, unresponsive, now_ns, out);
         spend_slot(m, now_ns);
         return true;
     }
@@ -359,11 +360,11 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
 {
     uint32_t place = line_pick_ask(m, now_ns);
-    uint32_t quiet = line_due_probe(m, true, now_ns);
+    uint32_t unresponsive = line_due_probe(m, true, now_ns);
     if (place < LINE_ASKS_MAX && m->ask[place].urgent != 0) {
         begin_ask(m, place, out);
-    } else if (quiet < LINE_DRIVES_MAX) {
-        begin_probe(m, quiet, now_ns, out);
+    } else if (unresponsive < LINE_DRIVES_MAX) {
+        begin_probe(m, unresponsive, now_ns, out);
     }
 }
 
@@ -420,8 +421,8 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
         if (drive->state.told_motion || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
-        if (drive->state.mode == DRIVE_QUIET && m->end.stage < END_POWER_OFF) {
-            int64_t probe_ns = later(drive->probe_at_ns, drive->quiet_until_ns);
+        if (drive->state.mode == DRIVE_UNRESPONSIVE && m->end.stage < END_POWER_OFF) {
+            int64_t probe_ns = later(drive->probe_at_ns, drive->silent_until_ns);
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }
         if (drive->state.stop != STOP_NOTHING) {

@@ -7,7 +7,7 @@
  * line_values.c   set-points into requests, replies into feedback
  * line_drive.c    one drive: its cycle, its failures, its stops
  * line_late.c     replies that come late, and how long a drive takes
- * line_quiet.c    a drive that does not answer, a line that is never silent
+ * line_unresponsive.c    a drive that does not answer, a line that is never silent
  * line_end.c      how a line is shut down
  * line_asks.c     requests from outside the cycle
  * line_report.c   what the line tells of itself
@@ -24,7 +24,7 @@ static const int64_t LINE_MS = 1000000;
 /* Between the reply's last byte on the wire and our hearing of it: USB frames, receive buffers, a busy machine. */
 static const int64_t LINE_HOST_NS = 20 * LINE_MS;
 
-enum { HEARD_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64, OWED_MAX = 4 };
+enum { RECEIVED_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64, OWED_MAX = 4 };
 
 /* What tells one reply from another. */
 typedef struct {
@@ -49,8 +49,8 @@ typedef struct {
     line_frame frame; /* request as it goes out */
     uint64_t ask_id;  /* WORK_ASK: whose it is, and how long its drive may take */
     int64_t ask_turnaround_ns;
-    uint32_t heard_bytes;
-    uint8_t heard[HEARD_BYTES_MAX];
+    uint32_t received_bytes;
+    uint8_t received[RECEIVED_BYTES_MAX];
 } line_transaction;
 
 /* What the exchange under way is for. */
@@ -85,10 +85,10 @@ typedef struct {
     bool extra_due;
     int64_t arming_until_ns;
     int64_t due_ns;
-    int64_t quiet_until_ns; /* a late answer may come till then: it is not asked again before */
-    int64_t held_until_ns;  /* a reply was doubtful: silence but for stops and urgent requests */
-    int64_t failed_ns;      /* the newest request that it did not answer in time; 0: none */
-    int64_t least_ns;       /* turn-around: the shortest that is certain; 0: not known */
+    int64_t silent_until_ns; /* a late answer may come till then: it is not asked again before */
+    int64_t held_until_ns;   /* a reply was doubtful: silence but for stops and urgent requests */
+    int64_t failed_ns;       /* the newest request that it did not answer in time; 0: none */
+    int64_t least_ns;        /* turn-around: the shortest that is certain; 0: not known */
     uint32_t owed_count;
     line_owed owed[OWED_MAX]; /* in the order of their newest requests */
     int64_t probe_at_ns;
@@ -240,17 +240,17 @@ void line_settle(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_doubt(line_machine *m, uint32_t drive, int64_t now_ns);
 /* Bytes that belong to no answer: noise, or a late reply. */
 void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
-void line_sort_heard(line_machine *m, const heard *verdict, int64_t now_ns);
+void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns);
 void line_learn_turnaround(line_machine *m, uint32_t drive, int64_t now_ns);
 /* From what was learned, else from its profile; never longer than its replies are waited for. */
 int64_t line_expected_turnaround_ns(const line_machine *m, uint32_t drive);
 /* When the values of the reply that has just come were taken. */
 int64_t line_stamp(const line_machine *m, uint32_t drive, int64_t now_ns);
 
-/* ------------------------------------------------------------------------ line_quiet.c */
-void line_go_quiet(line_machine *m, uint32_t drive, int64_t now_ns);
+/* ------------------------------------------------------------------------ line_unresponsive.c */
+void line_becomes_unresponsive(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
-/* The first quiet drive that may be asked now, of those that may turn or of all; LINE_DRIVES_MAX: none. */
+/* The first unresponsive drive that may be asked now, of those that may turn or of all; LINE_DRIVES_MAX: none. */
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);
 /* The line is not silent: whether what is urgent goes out all the same. */
 bool line_ends_patience(line_machine *m, int64_t now_ns);

@@ -151,31 +151,31 @@ bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
     return frame->reply_bytes == frame->request_bytes && is_answer(frame, request, request);
 }
 
-static heard hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
+static received hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
 {
     for (uint32_t at = from; at < count; at++) {
         uint32_t left = count - at;
         if (left >= frame->reply_bytes && is_answer(frame, request, bytes + at)) {
-            return (heard){.kind = HEARD_ANSWER, .offset = at, .bytes = frame->reply_bytes};
+            return (received){.kind = RECEIVED_ANSWER, .offset = at, .bytes = frame->reply_bytes};
         }
         if (left >= EXCEPTION_BYTES && is_exception(frame, request, bytes + at)) {
-            return (heard){.kind = HEARD_REFUSED, .offset = at, .bytes = EXCEPTION_BYTES, .exception = bytes[at + 2]};
+            return (received){.kind = RECEIVED_REFUSED, .offset = at, .bytes = EXCEPTION_BYTES, .exception = bytes[at + 2]};
         }
     }
-    return (heard){.kind = HEARD_MORE};
+    return (received){.kind = RECEIVED_MORE};
 }
 
 /* One that does not say what it answers is nothing but all that came. */
-static heard whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes, uint32_t count)
+static received whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes, uint32_t count)
 {
     if (count < frame->reply_bytes) {
-        return (heard){.kind = HEARD_MORE};
+        return (received){.kind = RECEIVED_MORE};
     }
     bool good = count == frame->reply_bytes && is_answer(frame, request, bytes);
-    return (heard){.kind = good ? HEARD_ANSWER : HEARD_BAD, .bytes = good ? count : 0};
+    return (received){.kind = good ? RECEIVED_ANSWER : RECEIVED_BAD, .bytes = good ? count : 0};
 }
 
-heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count)
+received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count)
 {
     if (frame->exact != 0) {
         return whole(frame, request, bytes, count);
@@ -184,11 +184,11 @@ heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t 
     uint32_t same = count < sent ? count : sent;
     bool comes_back = memcmp(bytes, request, same) == 0;
     if (echo == 1 && !comes_back) {
-        return (heard){.kind = HEARD_BAD};
+        return (received){.kind = RECEIVED_BAD};
     }
     /* not known whether there is an echo: what is like the request is none, until it has come twice */
     bool passes = echo != 0 && comes_back;
-    heard found = hunt(frame, request, passes ? sent : 0, bytes, count);
+    received found = hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;
     return found;
 }

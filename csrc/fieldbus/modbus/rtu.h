@@ -6,19 +6,19 @@
 #include "rt.h"
 
 typedef enum {
-    HEARD_MORE, /* not yet: more bytes may make it an answer */
-    HEARD_ANSWER,
-    HEARD_REFUSED, /* the drive's exception: see exception */
-    HEARD_BAD      /* the echo is not what was sent: a collision, no answer can follow */
-} heard_kind;
+    RECEIVED_MORE, /* not yet: more bytes may make it an answer */
+    RECEIVED_ANSWER,
+    RECEIVED_REFUSED, /* the drive's exception: see exception */
+    RECEIVED_BAD      /* the echo is not what was sent: a collision, no answer can follow */
+} received_kind;
 
 typedef struct {
-    heard_kind kind;
+    received_kind kind;
     uint32_t offset; /* where the answer begins, and how long it is */
     uint32_t bytes;
     uint32_t exception;
     uint32_t echoed; /* 1: the request came back before it */
-} heard;
+} received;
 
 /* CRC of Modbus over Serial Line V1.02, 6.2.2: reflected 0x8005, start 0xFFFF. */
 uint16_t rtu_crc16(const uint8_t *bytes, uint32_t count);
@@ -43,6 +43,6 @@ int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form);
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
 /* The answer to `request` (frame's, as it was sent) among what was heard since. echo: as line_table.echo. Garbage
  * before it is passed over; nothing but prefix, whole length and seal makes an answer. */
-heard rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count);
+received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count);
 
 #endif

@@ -61,7 +61,7 @@ class Joint:
     """A wheel and its drive."""
 
     drive: str = ""
-    """unknown, ready, armed or quiet."""
+    """unknown, ready, armed or unresponsive."""
     fault_words: tuple[str, ...] = ()
     position_rad: float | None = None
     velocity_rad_s: float | None = None

@@ -16,7 +16,7 @@ from motord.tools.latency.load import LOADS
 from motord.tools.latency.plot import PlotMissing, plot, require_matplotlib
 from motord.tools.latency.report import FIGURES, LatencyReport
 
-QUIET_PERIOD_S = 5.0
+UNRESPONSIVE_PERIOD_S = 5.0
 """Between two lines of progress where stderr is no terminal."""
 
 
@@ -168,7 +168,7 @@ class ProgressLine:
         if self._terminal:
             click.echo(f"\r\033[K{line}", nl=False, err=True)
         elif time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + QUIET_PERIOD_S
+            self._next_s = time.monotonic() + UNRESPONSIVE_PERIOD_S
             click.echo(line, err=True)
 
     def end(self) -> None:

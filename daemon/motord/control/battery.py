@@ -76,7 +76,7 @@ class BatteryWatch:
     def __init__(self, section: Battery, now_ns: int) -> None:
         self._section = section
         self._measure: Measure | None = None
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         self._towards = BatteryLevel.UNKNOWN
         self._since_ns = now_ns
         self._said_silent = False
@@ -86,7 +86,7 @@ class BatteryWatch:
         """Look at a measure, or at there being none. What is worth a line in the log, or None."""
         if measure is None or not measure.counts:
             return self._miss(now_ns)
-        self._measure, self._heard_ns, self._said_silent = measure, now_ns, False
+        self._measure, self._received_ns, self._said_silent = measure, now_ns, False
         wanted = self._judge(measure.voltage_v)
         if wanted is not self._towards:
             self._towards, self._since_ns = wanted, now_ns
@@ -108,7 +108,7 @@ class BatteryWatch:
         return BatteryLevel.NORMAL
 
     def _miss(self, now_ns: int) -> str | None:
-        silent_s = (now_ns - self._heard_ns) / 1e9
+        silent_s = (now_ns - self._received_ns) / 1e9
         if silent_s < self._section.silent_s:
             return None
         self._measure, self.level = None, BatteryLevel.UNKNOWN

@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 
 _WORRYING = {
     EventKind.LINE_LOST,
-    EventKind.DRIVE_QUIET,
+    EventKind.DRIVE_UNRESPONSIVE,
     EventKind.DRIVE_FAULT,
     EventKind.DRIVE_WARNING,
 }
@@ -388,7 +388,7 @@ class Operation:
         said_of = about(line=event.line, joints=event.joints, event=event.kind)
         _log.log(level, "%s", event.text, extra=said_of)
         self.waiting.note(event)
-        if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_QUIET):
+        if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_UNRESPONSIVE):
             self.fault(event.text)
         elif event.kind is EventKind.DRIVE_FAULT and self.state is State.FAULT:
             self._name_also(event.text)

@@ -15,7 +15,7 @@ class Waiting:
     def __init__(self) -> None:
         self._lost: dict[str, str] = {}
         """By line."""
-        self._quiet: dict[str, str] = {}
+        self._unresponsive: dict[str, str] = {}
         """By joint."""
 
     def note(self, event: LineEvent) -> None:
@@ -25,10 +25,10 @@ class Waiting:
         elif event.kind is EventKind.LINE_OPEN:
             self._lost.pop(event.line, None)
         for joint in event.joints:
-            if event.kind is EventKind.DRIVE_QUIET:
-                self._quiet[joint] = event.text
+            if event.kind is EventKind.DRIVE_UNRESPONSIVE:
+                self._unresponsive[joint] = event.text
             elif event.kind in _HERE_AGAIN:
-                self._quiet.pop(joint, None)
+                self._unresponsive.pop(joint, None)
 
     def of(self, line: Line) -> str | None:
         """What this line waits for now; None: it and all of its drives are ready."""
@@ -36,5 +36,8 @@ class Waiting:
             name, port = line.spec.name, line.spec.port
             return self._lost.get(name, f"{name}: {port} is being opened")
         absent = (name for name, state in line.drive_states.items() if state not in _PRESENT)
-        texts = [self._quiet.get(name, f"{name}: the drive is being configured") for name in absent]
+        texts = [
+            self._unresponsive.get(name, f"{name}: the drive is being configured")
+            for name in absent
+        ]
         return "; ".join(dict.fromkeys(texts)) or None

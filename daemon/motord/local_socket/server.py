@@ -217,7 +217,7 @@ async def _accepted(listener: socket.socket) -> socket.socket | None:
 def _make_room(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> None:
     if len(connections) >= CONNECTIONS_MAX:
         idle = [one for number, one in connections.items() if not stays(number)]
-        min(idle, key=lambda one: one.heard_s).drop("room for another")
+        min(idle, key=lambda one: one.received_s).drop("room for another")
 
 
 async def _attend(number: int, connections: dict[int, _Connection]) -> None:
@@ -243,7 +243,7 @@ class _Connection:
         self._on_close = on_close
         self._calls = 0
         self._writer: asyncio.StreamWriter | None = None
-        self.heard_s = asyncio.get_running_loop().time()
+        self.received_s = asyncio.get_running_loop().time()
 
     def drop(self, why: str) -> None:
         """End it without waiting for anything."""
@@ -260,7 +260,7 @@ class _Connection:
         try:
             async with asyncio.TaskGroup() as calls:
                 while (line := await self._read(reader)) is not None:
-                    self.heard_s = asyncio.get_running_loop().time()
+                    self.received_s = asyncio.get_running_loop().time()
                     self._take(line, calls)
                     await asyncio.sleep(0)  # who floods us waits for everybody else
                 self._on_close(self._caller.connection)

@@ -83,7 +83,7 @@ class Asker:
     port: OpenPort
     baudrate: int
     parity: str
-    heard_bytes: int = 0
+    received_bytes: int = 0
     echoes: int = 0
     answers: int = 0
     turnaround_s: list[float] = field(default_factory=list)
@@ -117,13 +117,13 @@ class Asker:
         wire_s = frame_time_s(len(frame) + max(sizes), self.baudrate, self.parity, 1)
         end_s = time.monotonic() + wire_s + REPLY_WITHIN_S
         sent_s = time.monotonic() + frame_time_s(len(frame), self.baudrate, self.parity, 1)
-        heard = b""
+        received = b""
         while (left_s := end_s - time.monotonic()) > 0:
             if not select.select([self.port.fd], [], [], left_s)[0]:
                 break
-            heard += self._read()
-            for size, start in ((size, start) for size in sizes for start in range(len(heard))):
-                part = heard[start : start + size]
+            received += self._read()
+            for size, start in ((size, start) for size in sizes for start in range(len(received))):
+                part = received[start : start + size]
                 if len(part) < size or (start == 0 and part == frame):
                     continue
                 try:
@@ -131,10 +131,10 @@ class Asker:
                 except FrameError:
                     continue
                 self.answers += 1
-                self.echoes += heard.startswith(frame)
+                self.echoes += received.startswith(frame)
                 self.turnaround_s.append(max(time.monotonic() - sent_s, 0.0))
                 return answer
-        self.heard_bytes += len(heard)
+        self.received_bytes += len(received)
         return None
 
     def _drain(self) -> None:
@@ -198,8 +198,8 @@ def scan(
                 for found in _look(asker, unit, say):
                     anybody = True
                     yield found
-            if asker.heard_bytes and not anybody:
-                say(f"{asker.heard_bytes} bytes came, but no frame: baud rate or parity differ")
+            if asker.received_bytes and not anybody:
+                say(f"{asker.received_bytes} bytes came, but no frame: baud rate or parity differ")
         finally:
             opened.close()
         if anybody:

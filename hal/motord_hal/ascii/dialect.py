@@ -46,13 +46,13 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
     try:
         said = Text(spec.text.setpoints, setpoint_fields(names))
         check_setpoints(said, names)
-        heard = Text(spec.text.feedback, feedback_fields(names)) if spec.text.feedback else None
+        received = Text(spec.text.feedback, feedback_fields(names)) if spec.text.feedback else None
     except ValueError as error:
         raise ProfileError(f"{spec.name}: {error}") from error
-    return spec.text, said, heard
+    return spec.text, said, received
 
 
-def why_not_possible(said: Text, heard: Text | None) -> str:
+def why_not_possible(said: Text, received: Text | None) -> str:
     """What of the templates cannot be written or read, and what to write instead; empty:
     nothing."""
     for _, name, form in said.parts:
@@ -61,7 +61,7 @@ def why_not_possible(said: Text, heard: Text | None) -> str:
                 f'the format "{form}" of {{{name}}} has no letter d, f or g: write {{{name}:d}}, '
                 f"{{{name}:.3f}} or {{{name}:g}}"
             )
-    after = [literal for literal, _, _ in heard.parts[1:]] if heard else []
+    after = [literal for literal, _, _ in received.parts[1:]] if received else []
     joined = [literal for literal in after if literal[0] in "0123456789.eE"]
     if not joined:
         return ""
@@ -74,12 +74,12 @@ class TextDialect:
     def __init__(self, spec: LineSpec) -> None:
         self.bad = 0
         self._spec_of_line = spec
-        self._spec, self._said, self._heard = texts_of(spec)
+        self._spec, self._said, self._received = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
         if self._profile.protocol != "ascii":
             raise ProfileError(f"{spec.name}: {self._profile.name} speaks {self._profile.protocol}")
-        self.answers = self._heard is not None
+        self.answers = self._received is not None
         self.reset()
 
     def reset(self) -> None:
@@ -99,8 +99,8 @@ class TextDialect:
         return self._profile.registers[name].to_si(raw.get(name, 0))
 
     def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:
-        for line in self._lines.feed(data) if self._heard else ():
-            numbers = self._heard.read(line) if self._heard else None
+        for line in self._lines.feed(data) if self._received else ():
+            numbers = self._received.read(line) if self._received else None
             if numbers is None:
                 self.bad += 1
                 continue
@@ -133,11 +133,11 @@ def _imu(numbers: Mapping[str, float]) -> BoardImu | None:
 
 def text_bytes(spec: LineSpec) -> int:
     """Of the longer of both lines of text, with numbers of a usual size."""
-    _, said, heard = texts_of(spec)
+    _, said, received = texts_of(spec)
     size = len(said.say(dict.fromkeys(said.fields, -999.0)))
-    if heard is None:
+    if received is None:
         return size
-    return max(size, len(heard.say(dict.fromkeys(heard.fields, -99999.0))))
+    return max(size, len(received.say(dict.fromkeys(received.fields, -99999.0))))
 
 
 def _sign(joint: JointSpec) -> float:

@@ -26,7 +26,7 @@ _STATES = {
     Mode.OFF: DriveState.UNKNOWN,
     Mode.READY: DriveState.READY,
     Mode.ARMED: DriveState.ARMED,
-    Mode.QUIET: DriveState.QUIET,
+    Mode.UNRESPONSIVE: DriveState.UNRESPONSIVE,
 }
 
 AnyPlan = TypeVar("AnyPlan", bound=Plan, covariant=True)
@@ -65,7 +65,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._values: dict[str, int] = {}
         """Register → the newest raw value."""
         self._rules = DriveRules()
-        self._said_quiet = False
+        self._said_unresponsive = False
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
@@ -117,15 +117,15 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """What else could be the reason for its silence, as its medium shows it."""
         return ""
 
-    def _becomes_quiet(self, error: HalError) -> bool:
+    def _becomes_unresponsive(self, error: HalError) -> bool:
         """Nothing is heard of it. Returns whether that is new, and was said."""
         self._forget(error)
         self._rules.unresponsive()
-        if self._said_quiet:
+        if self._said_unresponsive:
             return False
-        self._said_quiet = True
+        self._said_unresponsive = True
         why = "; ".join(filter(None, (str(error), self._hint())))
-        self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {why}")
+        self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {why}")
         return True
 
     # -------------------------------------------------------------------------------- what it says
@@ -223,11 +223,11 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     def _configured(self) -> None:
         self._rules.request(Mode.READY)
-        if self._said_quiet:
+        if self._said_unresponsive:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
             self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_quiet = False
+        self._said_unresponsive = False
 
     def _armed(self) -> None:
         self._rules.request(Mode.ARMED, self.enabled_count)
@@ -269,7 +269,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """What does not get through becomes a job, but for a drive that is not heard: that one is
         probed."""
         left = await self._write_now(steps)
-        if left and self.state is not DriveState.QUIET:
+        if left and self.state is not DriveState.UNRESPONSIVE:
             self.submit(Job(name, left, urgent=True))
 
     def _powerless(self) -> None:

@@ -139,8 +139,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive. The power-off is sent whatever the stop ends
         in, also in a mistake of this program."""
-        # a quiet drive may hear it all the same, but it shall not keep the others waiting
-        left = sorted(self._drives, key=lambda drive: drive.state is DriveState.QUIET)
+        # an unresponsive drive may hear it all the same, but it shall not keep the others waiting
+        left = sorted(self._drives, key=lambda drive: drive.state is DriveState.UNRESPONSIVE)
         end_s = now_s() + SHUTDOWN_WITHIN_S
         try:
             with contextlib.suppress(TimeoutError, PortError):

@@ -67,15 +67,15 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._set_up_at_s = 0.0
         self._held: dict[str, int] = {}
         self._runner = StepRunner(plan, self._write, self._ask)
-        self._heard_s: dict[str, float] = {}
-        self._heard_ns: dict[str, int] = {}
+        self._received_s: dict[str, float] = {}
+        self._received_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
         """Frame that was asked for since it came last → since when, and how often."""
         self._told_s = -math.inf
         """When set-points went out last."""
         self._waits_since_s = 0.0
         """Nothing is known of it since then: the line was opened."""
-        self._quiet_since_s = 0.0
+        self._unresponsive_since_s = 0.0
         self._probe_at_s = 0.0
         self._cycles = 0
         self._may_turn = False
@@ -87,21 +87,21 @@ class CanDrive(AsyncioDrive[CanPlan]):
     # ------------------------------------------------------------------------------- what it says
     def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
         """A frame of this drive has come. Nothing is sent from here."""
-        self._heard_s[frame.name] = stamp_ns * 1e-9
+        self._received_s[frame.name] = stamp_ns * 1e-9
         self._unanswered.pop(frame.name, None)
-        self._runner.heard(frame, values)
-        next_ns = self._heard_ns.get(frame.name, 0) + SAMPLE_PART * frame.period_s * 1e9
+        self._runner.received(frame, values)
+        next_ns = self._received_ns.get(frame.name, 0) + SAMPLE_PART * frame.period_s * 1e9
         if frame in self.plan.measuring and stamp_ns < next_ns:
             return
         self._values.update(values)
-        self._heard_ns[frame.name] = stamp_ns
+        self._received_ns[frame.name] = stamp_ns
         if self.state in PRESENT and frame in self.plan.fast:
             self._publish()
             self._check_power(frame)
 
     def _publish(self) -> None:
         """To the core, once everything that the wheel is judged by is known."""
-        if not all(frame.name in self._heard_ns for frame in self.plan.fast):
+        if not all(frame.name in self._received_ns for frame in self.plan.fast):
             return
         for joint in self.plan.joints:
             reading = self.plan.reading(joint, self._values)
@@ -110,7 +110,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity
             frame = self.plan.read_frame_of(measured) if measured else self.plan.fast[0]
-            self._put_feedback(joint, reading, self._heard_ns[frame.name])
+            self._put_feedback(joint, reading, self._received_ns[frame.name])
 
     def _check_power(self, frame: Frame) -> None:
         """What the frame says of the power, against what it should be."""
@@ -130,17 +130,17 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _missing(self) -> Frame | None:
         """A frame that has not come for too long."""
         hello = self.plan.hello
-        if hello is not None and self.state in (DriveState.UNKNOWN, DriveState.QUIET):
-            heard_s = self._heard_s.get(hello.name, -math.inf)
-            return None if now_s() - heard_s < HELLO_GOOD_FOR_S else hello
+        if hello is not None and self.state in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE):
+            received_s = self._received_s.get(hello.name, -math.inf)
+            return None if now_s() - received_s < HELLO_GOOD_FOR_S else hello
         return next((frame for frame in self.plan.watched if self._is_missing(frame)), None)
 
     def _is_missing(self, frame: Frame) -> bool:
         """What comes only when it is asked for is missed where it was asked for: this program may
         have had a pause."""
-        heard_s = self._heard_s.get(frame.name, -math.inf)
-        if frame.period_s or heard_s == -math.inf:
-            return now_s() - heard_s > self._silence_s(frame)
+        received_s = self._received_s.get(frame.name, -math.inf)
+        if frame.period_s or received_s == -math.inf:
+            return now_s() - received_s > self._silence_s(frame)
         since_s, questions = self._unanswered.get(frame.name, (math.inf, 0))
         return questions >= self.tries and now_s() - since_s > self._silence_s(frame)
 
@@ -160,11 +160,11 @@ class CanDrive(AsyncioDrive[CanPlan]):
         missing = self._missing()
         setting_up = any(job.name == "configure" for job in self.jobs)
         if missing is None:
-            if self.state in (DriveState.UNKNOWN, DriveState.QUIET) and not setting_up:
+            if self.state in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE) and not setting_up:
                 self._set_up_again()
         elif setting_up or self.state in self._past_patience():
-            self._go_quiet(missing)
-        if self.state in (DriveState.UNKNOWN, DriveState.QUIET):
+            self._mark_unresponsive(missing)
+        if self.state in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE):
             self._probe()
 
     def _set_up_again(self) -> None:
@@ -180,17 +180,17 @@ class CanDrive(AsyncioDrive[CanPlan]):
             return DriveState.READY, DriveState.ARMED, DriveState.UNKNOWN
         return DriveState.READY, DriveState.ARMED
 
-    def _go_quiet(self, missing: Frame) -> None:
-        heard_s = self._heard_s.get(missing.name)
-        since = "" if heard_s is None else f" for {now_s() - heard_s:.2g} s"
+    def _mark_unresponsive(self, missing: Frame) -> None:
+        received_s = self._received_s.get(missing.name)
+        since = "" if received_s is None else f" for {now_s() - received_s:.2g} s"
         error = NoReply(f"{self}: no {missing.name} frame{since}")
-        self._quiet(error)
+        self._unresponsive(error)
 
-    def _quiet(self, error: HalError) -> None:
+    def _unresponsive(self, error: HalError) -> None:
         if self.plan.hello is not None:
-            self._heard_s.pop(self.plan.hello.name, None)
-        if self._becomes_quiet(error):
-            self._quiet_since_s = now_s()
+            self._received_s.pop(self.plan.hello.name, None)
+        if self._becomes_unresponsive(error):
+            self._unresponsive_since_s = now_s()
             self._backoff.reset()
             self._probe_at_s = 0.0
 
@@ -200,7 +200,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
-        if self._may_turn and now_s() > self._quiet_since_s + STOPPING_WITHIN_S:
+        if self._may_turn and now_s() > self._unresponsive_since_s + STOPPING_WITHIN_S:
             self._write_all(self.plan.profile.disarm)
         elif self._may_turn:
             self._write_all(self.plan.profile.quick_stop)
@@ -236,8 +236,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def tell(self, wanted: Wanted) -> None:
         """Only the set-points."""
-        heard = self.state is DriveState.ARMED or self.is_stopping
-        if heard or self.plan.table.idle_setpoints:
+        received = self.state is DriveState.ARMED or self.is_stopping
+        if received or self.plan.table.idle_setpoints:
             self._send_setpoints(wanted if self.state is DriveState.ARMED else {})
 
     def _send_setpoints(self, wanted: Wanted) -> None:
@@ -271,20 +271,20 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _forget(self, error: HalError) -> None:
         super()._forget(error)
-        self._heard_ns.clear()
+        self._received_ns.clear()
         self._held.clear()
 
     def lose(self, error: HalError) -> None:
         """As AsyncioDrive.lose."""
         super().lose(error)
-        self._heard_s.clear()
+        self._received_s.clear()
         self._unanswered.clear()
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
         """The drive may speak. One that may turn is told to stop, as one that has just fallen
         silent."""
-        self._waits_since_s = self._quiet_since_s = now_s()
+        self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 
@@ -304,7 +304,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._drop(job)
             job.fail(error)
             if job.name == "configure":
-                self._quiet(error)
+                self._unresponsive(error)
 
     def _armed(self) -> None:
         super()._armed()
@@ -318,7 +318,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._set_up_at_s = 0.0
         self._may_turn = self.told_motion = False
         if self.plan.hello is not None:  # its frames begin now
-            self._heard_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
+            self._received_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
         super()._configured()
 
     # ----------------------------------------------------------------------------------- stopping

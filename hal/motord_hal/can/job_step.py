@@ -36,7 +36,7 @@ class StepRunner:
         self._confirmed = False
         self._aborted: int | None = None
 
-    def heard(self, frame: Frame, values: dict[str, int]) -> None:
+    def received(self, frame: Frame, values: dict[str, int]) -> None:
         """A frame has come."""
         step = self._step
         if step is None:

@@ -49,7 +49,7 @@ class Frame:
     period_s: float
     """How often the drive sends it unasked; 0: never."""
     silence_s: float
-    """A drive from which it has not come for so long is quiet; 0: it is not waited for."""
+    """A drive from which it has not come for so long is unresponsive; 0: it is not waited for."""
     source: str
     addressed: bool = True
     """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""

@@ -71,7 +71,7 @@ class CountingBoard:
         self._control = 0
         self._counts: dict[int, int] = {}
         self._origin = 0
-        self._heard_s = 0.0
+        self._received_s = 0.0
         self._well = False
         self._problem = ""
 
@@ -91,11 +91,11 @@ class CountingBoard:
         """Until the port has gone. Raises PortError."""
         self._stream.open()
         self._splitter, self._clock = Splitter(), BoardClock()
-        self._heard_s = now_s()
+        self._received_s = now_s()
         while True:
             self._stream.send(self._question())
             await asyncio.sleep(ASK_EVERY_S)
-            if now_s() - self._heard_s > SILENT_S:
+            if now_s() - self._received_s > SILENT_S:
                 self._fail(f"{self._port}: the board that counts is silent")
             elif self._well:
                 backoff.reset()
@@ -139,7 +139,7 @@ class CountingBoard:
         self._hear()
 
     def _hear(self) -> None:
-        self._heard_s = now_s()
+        self._received_s = now_s()
         if not self._well:
             self._well = True
             self._problem = ""

@@ -223,7 +223,9 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     async def disarm(self) -> None:
         """As ports.Line.disarm. From the call on, every set-point is zero."""
         self._check_open()
-        await self._stand_down([one for one in self._drives if one.state is not DriveState.QUIET])
+        await self._stand_down(
+            [one for one in self._drives if one.state is not DriveState.UNRESPONSIVE]
+        )
 
     async def clear_faults(self) -> None:
         """As ports.Line.clear_faults. Drives without a fault are left as they are."""

@@ -249,20 +249,20 @@ class LineState(enum.StrEnum):
 
 
 class DriveState(enum.StrEnum):
-    """A drive on a line. QUIET drives are probed with back-off and come back as READY, never as
-    ARMED."""
+    """A drive on a line. UNRESPONSIVE drives are probed with back-off and come back as READY, never
+    as ARMED."""
 
     UNKNOWN = "unknown"
     READY = "ready"
     ARMED = "armed"
-    QUIET = "quiet"
+    UNRESPONSIVE = "unresponsive"
 
 
 class EventKind(enum.StrEnum):
     LINE_OPEN = "line_open"
     LINE_LOST = "line_lost"
     DRIVE_READY = "drive_ready"
-    DRIVE_QUIET = "drive_quiet"
+    DRIVE_UNRESPONSIVE = "drive_unresponsive"
     DRIVE_BACK = "drive_back"
     DRIVE_FAULT = "drive_fault"
     DRIVE_FAULT_GONE = "drive_fault_gone"

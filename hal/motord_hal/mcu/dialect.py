@@ -18,7 +18,7 @@ class Said:
     """Register → raw."""
     stamp_ns: int
     """When it was true, CLOCK_MONOTONIC."""
-    heard_ns: int
+    received_ns: int
     """When the newest set-points that the board had heard by then were sent; where the protocol
     cannot say, when the feedback came."""
     round_trip_s: float | None

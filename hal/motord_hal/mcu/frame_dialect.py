@@ -14,15 +14,15 @@ from motord_hal.mcu.dialect import Said
 from motord_hal.mcu.frames import (
     Frame,
     FrameError,
-    Heard,
+    Received,
     Splitter,
     Type,
     build,
-    heard_in,
     imu_in,
     newer,
     parse,
     pick,
+    received_in,
     setpoints_payload,
     wire_bytes,
 )
@@ -74,18 +74,18 @@ class FrameDialect:
                 if frame.type != Type.FEEDBACK:
                     raise FrameError(f"type {frame.type:#x} is not for us")
                 values = {r.name: pick(frame.payload, r) for r in self._read}
-                heard, imu = heard_in(frame.payload), imu_in(frame.payload)
+                received, imu = received_in(frame.payload), imu_in(frame.payload)
             except FrameError:
                 self.bad += 1
                 continue
-            yield replace(self._said(frame, values, heard, now_ns), imu=imu)
+            yield replace(self._said(frame, values, received, now_ns), imu=imu)
 
-    def _said(self, frame: Frame, values: dict[str, int], heard: Heard, now_ns: int) -> Said:
-        sent_ns = self._sent_ns.get(heard.sequence)
+    def _said(self, frame: Frame, values: dict[str, int], received: Received, now_ns: int) -> Said:
+        sent_ns = self._sent_ns.get(received.sequence)
         stamp_ns = self._clock.stamp_ns(frame.time_us, now_ns)
-        trip_s = -math.inf if sent_ns is None else (now_ns - sent_ns) * 1e-9 - heard.held_s
-        if not newer(self._sequence + 1, heard.sequence):  # the board would not take ours
-            self._sequence = heard.sequence
+        trip_s = -math.inf if sent_ns is None else (now_ns - sent_ns) * 1e-9 - received.held_s
+        if not newer(self._sequence + 1, received.sequence):  # the board would not take ours
+            self._sequence = received.sequence
             self._sent_ns.clear()
         if sent_ns is None or trip_s < -HELD_TOLERANCE_S:
             return Said(values, stamp_ns, 0, None)

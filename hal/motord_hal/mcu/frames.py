@@ -169,7 +169,7 @@ def setpoints_payload(
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Received:
     """What the board says of the set-points that it heard last."""
 
     sequence: int
@@ -177,16 +177,20 @@ class Heard:
     """From hearing them to this feedback."""
 
 
-def heard_in(payload: bytes) -> Heard:
+def received_in(payload: bytes) -> Received:
     """Raises FrameError."""
     if len(payload) < FEEDBACK_HEAD_BYTES:
         raise FrameError(f"{len(payload)} bytes of payload are no feedback")
     sequence, held = struct.unpack_from("<HH", payload, 6)
-    return Heard(sequence, held * HELD_UNIT_S)
+    return Received(sequence, held * HELD_UNIT_S)
 
 
 def feedback_payload(
-    registers: Iterable[Register], raw: Mapping[str, int], motors: int, period_ms: int, heard: Heard
+    registers: Iterable[Register],
+    raw: Mapping[str, int],
+    motors: int,
+    period_ms: int,
+    received: Received,
 ) -> bytes:
     """What a board says: the simulator's side."""
     payload = bytearray(FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors)
@@ -194,8 +198,8 @@ def feedback_payload(
         if "r" in register.access:
             place(payload, register, raw[register.name])
     payload[1] = motors
-    held = min(round(heard.held_s / HELD_UNIT_S), 0xFFFF)
-    struct.pack_into("<HHH", payload, 4, period_ms, heard.sequence, held)
+    held = min(round(received.held_s / HELD_UNIT_S), 0xFFFF)
+    struct.pack_into("<HHH", payload, 4, period_ms, received.sequence, held)
     return bytes(payload)
 
 

@@ -64,7 +64,7 @@ class _Halt:
         return {**raw, **self._plan.setpoints({})}
 
     def _rests(self, since_ns: int) -> bool:
-        said = self._heard_since(since_ns)
+        said = self._received_since(since_ns)
         if said is None:
             return False
         readings = [self._plan.reading(joint, said.values, {}) for joint in self._plan.joints]
@@ -72,12 +72,12 @@ class _Halt:
         return all(abs(reading.velocity_rad_s) < rest_rad_s for reading in readings)
 
     def _is_off(self, since_ns: int) -> bool:
-        said = self._heard_since(since_ns)
+        said = self._received_since(since_ns)
         return said is not None and self._plan.enabled(said.values) is not True
 
-    def _heard_since(self, since_ns: int) -> Said | None:
+    def _received_since(self, since_ns: int) -> Said | None:
         said = self._said
-        return said if said is not None and said.heard_ns >= since_ns else None
+        return said if said is not None and said.received_ns >= since_ns else None
 
 
 async def halt_board(spec: LineSpec, dialect: Dialect) -> list[str]:

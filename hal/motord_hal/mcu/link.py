@@ -20,9 +20,9 @@ FRAMES_WAITING_MAX = 2
 class Stream:
     """One port. `heard` is called with what came, from the event loop."""
 
-    def __init__(self, spec: LineSpec, heard: Callable[[bytes], None]) -> None:
+    def __init__(self, spec: LineSpec, received: Callable[[bytes], None]) -> None:
         self._spec = spec
-        self._heard = heard
+        self._received = received
         self._port: OpenPort | None = None
         self._lost = ""
 
@@ -54,7 +54,7 @@ class Stream:
             self._lose(error.strerror or str(error))
             return
         if data:
-            self._heard(data)
+            self._received(data)
         else:
             self._lose("end of file")
 

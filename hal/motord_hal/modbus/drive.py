@@ -227,7 +227,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._drop(job)
         job.fail(error)
         if job.name == "configure":
-            self._go_quiet(error)
+            self._mark_unresponsive(error)
 
     async def _step(self, job: Job, step: Step) -> None:
         if step.value is not None:
@@ -270,20 +270,20 @@ class Drive(AsyncioDrive[DrivePlan]):
     def _failed(self, error: HalError) -> None:
         self._failures += 1
         if self._failures >= self.tries:
-            self._go_quiet(error)
+            self._mark_unresponsive(error)
 
     def _hint(self) -> str:
-        return self._link.client.quiet_hint()
+        return self._link.client.unresponsive_hint()
 
-    def _go_quiet(self, error: HalError) -> None:
-        if self._becomes_quiet(error):
+    def _mark_unresponsive(self, error: HalError) -> None:
+        if self._becomes_unresponsive(error):
             self._probes = deque(self._probe_requests())
             self._probes_at_once = len(self._probes) - 1
         self.probe_at_s = now_s() + self._probe_pause_s()
 
     def _probe_requests(self) -> Iterable[Request]:
         """It may hear us though we do not hear it, and then do what it was last told, as long as
-        questions keep its watchdog quiet: so one that may turn is told to stop."""
+        questions keep its watchdog fed: so one that may turn is told to stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
                 if step.value is not None:
@@ -300,7 +300,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         return 0.0 if self._probes_at_once >= 0 else self._backoff.next_s()
 
     async def probe(self) -> None:
-        """Ask a quiet drive once whether it is back; PortError passes."""
+        """Ask an unresponsive drive once whether it is back; PortError passes."""
         self.probe_at_s = now_s() + self._probe_pause_s()
         request = self._probes[0]
         self._probes.rotate(-1)

@@ -67,7 +67,7 @@ URGENT_UNIT_S = 0.05
 for a unit that is to be left alone. Then it goes out all the same: a stop that may collide is
 better than one that is never sent."""
 
-# One failing try is no line in the log: the line says once when a drive goes quiet.
+# One failing try is no line in the log: the line says once when a drive stops answering.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
@@ -187,10 +187,10 @@ class GuardedClient:
         self._lock = asyncio.Lock()
         self._last_byte_s = 0.0
         self._sent_s = 0.0
-        self._line_quiet_until_s = 0.0
-        self._unit_quiet_until_s: dict[int, float] = {}
+        self._line_silent_until_s = 0.0
+        self._unit_silent_until_s: dict[int, float] = {}
         self._witness = Witness()
-        self._heard_bytes = 0
+        self._received_bytes = 0
         self._frames = 0
         self._noise_bytes = 0
         """Heard since the request; heard since opening without an answer among them."""
@@ -228,7 +228,7 @@ class GuardedClient:
         self._witness.forget()
         self._noise_bytes = 0
         self._last_byte_s = now_s()
-        self._unit_quiet_until_s.clear()
+        self._unit_silent_until_s.clear()
 
     def close(self) -> None:
         """Let the port go; nothing happens when it is not open."""
@@ -241,7 +241,7 @@ class GuardedClient:
 
     def _trace_packet(self, sending: bool, data: bytes) -> bytes:
         self._last_byte_s = now_s()
-        self._heard_bytes = 0 if sending else self._heard_bytes + len(data)
+        self._received_bytes = 0 if sending else self._received_bytes + len(data)
         if sending:
             self._sent_s = self._last_byte_s
             self._last_byte_s += self.wire_time_s(len(data))
@@ -346,27 +346,27 @@ class GuardedClient:
         if self._port is not None and self._port.is_stuck:
             self.close()  # a set-point that goes out later must not move anything
             self._lost = "takes no bytes"
-        self._noise_bytes += self._heard_bytes
+        self._noise_bytes += self._received_bytes
         now = now_s()
         sent = self._sent_s + self.wire_time_s(len(build_request(request)))
         if request.unit == BROADCAST_UNIT:
-            self._line_quiet_until_s = max(now, sent) + BROADCAST_TURNAROUND_S
+            self._line_silent_until_s = max(now, sent) + BROADCAST_TURNAROUND_S
         else:
-            self._unit_quiet_until_s[request.unit] = max(now, sent + within_s) + within_s
+            self._unit_silent_until_s[request.unit] = max(now, sent + within_s) + within_s
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
         """Until the line was silent for the gap and nobody is to be left alone. Raises BadReply
         when it is never silent; an urgent request is sent then."""
-        asked_s = self._unit_quiet_until_s.get(unit, 0.0)
+        asked_s = self._unit_silent_until_s.get(unit, 0.0)
         patience_s = NEVER_SILENT_S
         if urgent:
             asked_s = min(asked_s, now_s() + URGENT_UNIT_S)
             patience_s = self.gap_s + URGENT_NOISE_S
-        quiet_s = max(self._line_quiet_until_s, asked_s)
-        give_up_s = max(now_s(), quiet_s) + patience_s
+        silent_until_s = max(self._line_silent_until_s, asked_s)
+        give_up_s = max(now_s(), silent_until_s) + patience_s
         while True:
             self._drain()
-            free_s = max(self._last_byte_s + self.gap_s, quiet_s)
+            free_s = max(self._last_byte_s + self.gap_s, silent_until_s)
             now = now_s()
             if now >= free_s:
                 return
@@ -380,8 +380,8 @@ class GuardedClient:
     def _traffic(self) -> Traffic:
         return Traffic(noise_bytes=self._noise_bytes, frames=self._frames)
 
-    def quiet_hint(self) -> str:
-        """What the UART's driver has to say of a drive that is quiet; empty: nothing."""
+    def unresponsive_hint(self) -> str:
+        """What the UART's driver has to say of a drive that is unresponsive; empty: nothing."""
         if self._port is None or not self.connected:
             return ""
         return self._witness.hint(self._port.fileno(), self._traffic)

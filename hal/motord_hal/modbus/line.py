@@ -2,8 +2,9 @@
 """The Modbus RTU line on asyncio: one task owns the port and goes round the drives.
 
 A cycle: every drive in turn gets the newest set-points and is read; then one acyclic slot, for one
-exchange of one job (configure, arm, disarm, clear) or one probe of a quiet drive. So a dead drive
-costs its neighbours one reply deadline now and then, and a job costs them one exchange a cycle.
+exchange of one job (configure, arm, disarm, clear) or one probe of an unresponsive drive. So a dead
+drive costs its neighbours one reply deadline now and then, and a job costs them one exchange a
+cycle.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
         silent = [
             drive
             for drive in order
-            if drive.state is DriveState.QUIET and drive.probe_at_s <= now_s()
+            if drive.state is DriveState.UNRESPONSIVE and drive.probe_at_s <= now_s()
         ]
         if urgent:
             await urgent[0].slot()

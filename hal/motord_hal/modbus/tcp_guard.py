@@ -149,7 +149,7 @@ class GatewayClient(GuardedClient):
         self._client, self._framer = client, framer
         self._silent_since_s = math.inf
         self._last_byte_s = now_s()
-        self._unit_quiet_until_s.clear()
+        self._unit_silent_until_s.clear()
         self._set_options()
 
     def _set_options(self) -> None:

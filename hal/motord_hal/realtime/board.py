@@ -57,10 +57,10 @@ class BoardSays:
     orders_dropped: int
     knows: bool
     """What it said last, it said when it had heard all that was written to it."""
-    heard_ns: int
+    received_ns: int
     """0: never."""
     said: bytes
-    """Its newest word; empty: it has not spoken since it was quiet, or ever."""
+    """Its newest word; empty: it has not spoken since it was unresponsive, or ever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class BoardReport(LineLife):
     no_room: int
     bad_frames: int
     received: int
-    quiet: int
+    unresponsive: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -139,7 +139,7 @@ class BoardThread(ThreadDoor):
             no_room=raw.no_room,
             bad_frames=raw.bad_frames,
             received=raw.received,
-            quiet=raw.quiet,
+            unresponsive=raw.unresponsive,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
@@ -166,6 +166,6 @@ def _says(raw: Any) -> BoardSays:
         orders_sent=raw.orders_sent,
         orders_dropped=raw.orders_dropped,
         knows=raw.knows_ns >= raw.written_ns,
-        heard_ns=raw.heard_ns,
+        received_ns=raw.received_ns,
         said=bytes(ffi.buffer(raw.said, raw.said_bytes)),
     )

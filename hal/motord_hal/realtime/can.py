@@ -66,7 +66,7 @@ class CanReport(LineLife):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Received:
     """A frame of a drive, or an error frame of the controller."""
 
     drive: int
@@ -95,7 +95,7 @@ class CanThread(ThreadDoor):
         self._exchange = exchange
         self._drives = 0
         self._ordered: list[int] = []
-        self._heard = ffi.new("can_received *")
+        self._received = ffi.new("can_received *")
         self._report = ffi.new("can_report *")
 
     def start(self, table: Plain, *, before: Plain, **config: int) -> None:
@@ -128,13 +128,13 @@ class CanThread(ThreadDoor):
         """Orders for a drive since the start; the report says what has become of them."""
         return self._ordered[drive]
 
-    def take(self) -> Heard | None:
+    def take(self) -> Received | None:
         """The next frame that is for Python."""
-        raw = self._heard
+        raw = self._received
         if lib.can_take_received(self._line, raw) != 1:
             return None
         packet = raw.packet
-        return Heard(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
+        return Received(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
 
     def report(self) -> CanReport:
         """As the bus has it now."""

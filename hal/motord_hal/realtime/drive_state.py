@@ -14,7 +14,7 @@ class Mode(enum.IntEnum):
     OFF = lib.DRIVE_OFF
     READY = lib.DRIVE_READY
     ARMED = lib.DRIVE_ARMED
-    QUIET = lib.DRIVE_QUIET
+    UNRESPONSIVE = lib.DRIVE_UNRESPONSIVE
     BACK = lib.DRIVE_BACK
     STAND_DOWN = lib.DRIVE_STAND_DOWN
     """Only as a request."""
@@ -26,7 +26,7 @@ class FaultReason(enum.IntFlag):
     LEFT_ALONE = lib.DRIVE_FAULT_LEFT_ALONE
     LOST_SETUP = lib.DRIVE_FAULT_LOST_SETUP
     DISABLED_ITSELF = lib.DRIVE_FAULT_DISABLED_ITSELF
-    QUIET = lib.DRIVE_FAULT_QUIET
+    UNRESPONSIVE = lib.DRIVE_FAULT_UNRESPONSIVE
     STILL_ENABLED = lib.DRIVE_FAULT_STILL_ENABLED
 
 
@@ -79,7 +79,7 @@ class DriveRules:
         lib.drive_obey(self._state, self._request, self._view)
 
     def unresponsive(self) -> None:
-        lib.drive_take_back(self._state, FaultReason.QUIET, Mode.QUIET)
+        lib.drive_take_back(self._state, FaultReason.UNRESPONSIVE, Mode.UNRESPONSIVE)
 
     def guard(
         self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the UART's driver counted, and what it says about a drive that is quiet.
+"""What the UART's driver counted, and what it says about a drive that is unresponsive.
 
 Source: kernel, include/uapi/linux/serial.h (struct serial_icounter_struct), ioctl TIOCGICOUNT.
 """
@@ -15,7 +15,7 @@ from motord_hal.base.clock import now_s
 
 LOOK_EVERY_S = 0.2
 LOOKS_KEPT = 10
-"""What a quiet drive may have to do with came within the last two seconds."""
+"""What an unresponsive drive may have to do with came within the last two seconds."""
 
 _TIOCGICOUNT = 0x545D
 _ICOUNTER = struct.Struct("=20i")
@@ -59,14 +59,14 @@ class Traffic:
 NOTHING = Traffic()
 
 
-def quiet_hint(
+def unresponsive_hint(
     before: Counters | None,
     after: Counters | None,
     seen: Traffic = NOTHING,
     now: Traffic = NOTHING,
 ) -> str:
-    """Why a drive may be quiet, to stand behind "is quiet"; empty: nothing hints at anything.
-    `seen` is of the time of `before`."""
+    """Why a drive may be unresponsive, to stand behind "is unresponsive"; empty: nothing hints at
+    anything. `seen` is of the time of `before`."""
     if before is not None and after is not None:
         framing, parity = after.framing - before.framing, after.parity - before.parity
         if parity > 0 and parity >= framing:
@@ -91,7 +91,7 @@ def quiet_hint(
 
 
 class Witness:
-    """Remembers what an open port counted lately, for the moment when a drive falls quiet."""
+    """Remembers what an open port counted lately, for the moment when a drive stops answering."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, Counters | None, Traffic]] = deque(maxlen=LOOKS_KEPT)
@@ -107,8 +107,8 @@ class Witness:
             self._seen.append((now, read_counters(fd), traffic))
 
     def hint(self, fd: int, traffic: Traffic = NOTHING) -> str:
-        """As quiet_hint, from the oldest look that is remembered to now."""
+        """As unresponsive_hint, from the oldest look that is remembered to now."""
         if not self._seen:
             return ""
         _, before, seen = self._seen[0]
-        return quiet_hint(before, read_counters(fd), seen, traffic)
+        return unresponsive_hint(before, read_counters(fd), seen, traffic)

@@ -113,9 +113,9 @@ class Graph:
         stream = self._socket.makefile("rb")
         with contextlib.suppress(OSError, ValueError):
             while raw := _frame(stream):
-                self._heard(*pickle.loads(raw))
+                self._received(*pickle.loads(raw))
 
-    def _heard(self, what, *rest):
+    def _received(self, what, *rest):
         if what == "hello":
             with self.lock:
                 for key, endpoint in self.here.items():

@@ -44,8 +44,8 @@ class MqttCommands:
         self._connection = MqttConnection(f"input.{name}", section, runtime)
         self._gate = CommandGate(name, section, runtime)
         names = self._connection.names
-        self._commands = {names.heard(topic): topic for topic in COMMANDS}
-        self._call_topic = names.heard(CALL)
+        self._commands = {names.received(topic): topic for topic in COMMANDS}
+        self._call_topic = names.received(CALL)
         self._calls: set[asyncio.Task[None]] = set()
         self._refusals: set[asyncio.Task[None]] = set()
 

@@ -37,7 +37,7 @@ class Names(Protocol):
         """Where its messages are told."""
         ...
 
-    def heard(self, what: str) -> str:
+    def received(self, what: str) -> str:
         """Where commands of that topic, or calls, are heard."""
         ...
 
@@ -61,7 +61,7 @@ class Plain:
         """As Names."""
         return f"{self._prefix}/{topic}"
 
-    heard = data
+    received = data
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Told]:
         """As Names."""
@@ -85,7 +85,7 @@ class Sparkplug:
         """As Names."""
         return f"{self._head}/DDATA/{self._robot}/{topic}"
 
-    def heard(self, what: str) -> str:
+    def received(self, what: str) -> str:
         """As Names."""
         kind, device = ("NCMD", "") if what == CALL else ("DCMD", f"/{what}")
         return f"{self._head}/{kind}/{self._robot}{device}"

@@ -113,7 +113,7 @@ class Ros2Commands:
             sender = over.writer_of(reader, writer)
             self._mover.driven(now_s)
             self._gate.name_absurd(*command, sender)
-            self._contests["cmd_vel"].heard(sender, command, now_s)
+            self._contests["cmd_vel"].received(sender, command, now_s)
 
         return receiver.Twists(made, reader, self._gate, taken)
 
@@ -122,7 +122,7 @@ class Ros2Commands:
             self._gate.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
-            self._contests["cmd_vel"].heard(sender, (twist.linear.x, twist.angular.z))
+            self._contests["cmd_vel"].received(sender, (twist.linear.x, twist.angular.z))
 
     def _drive_joints(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):
@@ -131,7 +131,7 @@ class Ros2Commands:
                 del command["header"]
             self._gate.drive_joints(command, waited_s)
             self._mover.driven()
-            self._contests["joint_commands"].heard(sender, tuple(message.velocity))
+            self._contests["joint_commands"].received(sender, tuple(message.velocity))
 
     def _rivals(self) -> dict[str, Any]:
         """By topic, where senders command against each other."""

@@ -83,7 +83,7 @@ class Contest:
         self._senders: OrderedDict[str, _Sender] = OrderedDict()
         self._said: set[frozenset[str]] = set()
 
-    def heard(self, name: str, command: tuple[float, ...], now_s: float | None = None) -> None:
+    def received(self, name: str, command: tuple[float, ...], now_s: float | None = None) -> None:
         """A command that was taken."""
         now_s = time.monotonic() if now_s is None else now_s
         me = self._senders.get(name)

@@ -126,12 +126,12 @@ class Service:
         return None if found is None else client_of(found.qos)
 
     def _hearing(self) -> set[bytes | None]:
-        heard: set[bytes | None] = set()
+        received: set[bytes | None] = set()
         for handle in self.writer.entity.get_matched_subscriptions():
             try:
                 found = self.writer.entity.get_matched_subscription_data(handle)
             except DDSException:
                 continue  # it has just gone
             if found is not None:
-                heard.add(client_of(found.qos))
-        return heard
+                received.add(client_of(found.qos))
+        return received

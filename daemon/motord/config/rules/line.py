@@ -107,17 +107,17 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             text = None
             yield Finding(template, str(error))
         try:
-            heard = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
+            received = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
         except ValueError as error:
             yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
             continue
-        yield from _counts(robot, joints, heard.fields if heard else ())
+        yield from _counts(robot, joints, received.fields if received else ())
         if text is not None:
-            yield from _text_formats(name, text, heard)
+            yield from _text_formats(name, text, received)
 
 
-def _text_formats(name: str, said: Text, heard: Text | None) -> Iterator[Finding]:
-    if why := why_not_possible(said, heard):
+def _text_formats(name: str, said: Text, received: Text | None) -> Iterator[Finding]:
+    if why := why_not_possible(said, received):
         yield Finding((("line", name, "template"), ("line", name, "feedback")), why)
 
 
@@ -129,7 +129,7 @@ def _twist(
         yield Finding(at, "v and w need a left and a right joint on this line")
 
 
-def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> Iterator[Finding]:
+def _counts(robot: Robot, joints: tuple[str, ...], received: tuple[str, ...]) -> Iterator[Finding]:
     for joint in joints:
         line = robot.joint[joint].line
         at: tuple[Path, ...] = (
@@ -137,7 +137,7 @@ def _counts(robot: Robot, joints: tuple[str, ...], heard: tuple[str, ...]) -> It
             ("joint", joint, "line"),
             ("line", line, "kind"),
         )
-        told, given = joint + COUNT in heard, robot.joint[joint].counts_per_turn
+        told, given = joint + COUNT in received, robot.joint[joint].counts_per_turn
         if told and not given:
             yield Finding(at, "is missing: the board tells a count")
         elif not told and given:

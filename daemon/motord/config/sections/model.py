@@ -275,7 +275,7 @@ class Joint(Section):
     """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
     number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
     which changes with every cycle while the motor may move."""
-    tries: int = number("requests before the drive counts as quiet", 1, 10, "1", 3)
+    tries: int = number("requests before the drive counts as unresponsive", 1, 10, "1", 3)
     reply_timeout_s: float | None = number(
         "deadline for a reply; from baud rate, length and drive where it is not given",
         0.001,

@@ -40,17 +40,17 @@ class BoardRtDrive(RtDrive):
     def __str__(self) -> str:
         return f"the board of {', '.join(self.names)}"
 
-    def _why_quiet(self, report: Any) -> str:
+    def _why_unresponsive(self, report: Any) -> str:
         del report
         return f"nothing for {self._silence_s * 1e3:.0f} ms"
 
     async def _present(self) -> None:
         """Until it speaks. One that was restarted by the opening of its port takes its time."""
         patience_s = now_s() + START_GRACE_S
-        while not self._board.report().drives[0].heard_ns:
+        while not self._board.report().drives[0].received_ns:
             if now_s() > patience_s:
                 self._failed_setup = True
-                self._is_quiet(f"nothing for {START_GRACE_S:g} s")
+                self._is_unresponsive(f"nothing for {START_GRACE_S:g} s")
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _arming_steps(self) -> tuple[Step, ...]:

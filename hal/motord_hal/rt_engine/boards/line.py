@@ -125,7 +125,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         drive = self._drive_of(joint)
         found = readable(drive.jobs.profile, register)
         self._check_open()
-        raw = None if drive.state is DriveState.QUIET else drive.jobs.value(register)
+        raw = None if drive.state is DriveState.UNRESPONSIVE else drive.jobs.value(register)
         if raw is None:
             raise NoReply(f"{drive} has not said its {register}")
         return found.to_si(raw)
@@ -144,6 +144,6 @@ def _errors(report: BoardReport) -> Counter[str]:
     counts = {
         "bad_reply": report.bad_frames,
         "no_room": report.no_room,
-        "no_reply": report.quiet,
+        "no_reply": report.unresponsive,
     }
     return Counter({kind: count for kind, count in counts.items() if count})

@@ -25,7 +25,7 @@ from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
 Plain = dict[str, Any]
 
-QUIET_ALLOWANCE_S = 0.12
+UNRESPONSIVE_ALLOWANCE_S = 0.12
 """On top of the feedback that may be lost: an adapter may be late."""
 _FRAMES, _TEXT = 0, 1
 _NS_PER_S = 1e9
@@ -88,21 +88,21 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
         "payload_bytes": end,
         "written": board_text.written(spec, [_setpoint_of(plan, j) for j in plan.joints]),
     }
-    _, _, heard = texts_of(spec)
-    if heard is None:
+    _, _, received = texts_of(spec)
+    if received is None:
         return Layout(told, {}, dialect)
     registers = _fields_of(plan)
     said = {
         registers[field].name: board_text.place_of(number)
-        for number, field in enumerate(heard.fields)
+        for number, field in enumerate(received.fields)
         if field in registers
     }
     dialect |= {
         "answers": 1,
-        "said_bytes": board_text.NUMBER_BYTES * len(heard.fields),
-        "read": board_text.read(heard, registers),
+        "said_bytes": board_text.NUMBER_BYTES * len(received.fields),
+        "read": board_text.read(received, registers),
     }
-    gyro = heard.fields.index(GYRO_Z) if GYRO_Z in heard.fields else None
+    gyro = received.fields.index(GYRO_Z) if GYRO_Z in received.fields else None
     return Layout(told, said, dialect, None if gyro is None else board_text.place_of(gyro))
 
 
@@ -141,7 +141,7 @@ def board_table(
         "tries": tries,
         "period_ns": round(period_s * _NS_PER_S),
         "gap_ns": round(gap_s * _NS_PER_S),
-        "silence_ns": round((tries * period_s + QUIET_ALLOWANCE_S) * _NS_PER_S),
+        "silence_ns": round((tries * period_s + UNRESPONSIVE_ALLOWANCE_S) * _NS_PER_S),
         "setpoint_timeout_ns": round(spec.setpoint_timeout_s * _NS_PER_S),
         "rest_velocity_rad_s": spec.rest_velocity_rad_s,
         "watchdog_ns": round(watchdog_s * _NS_PER_S),

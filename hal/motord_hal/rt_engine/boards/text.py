@@ -39,8 +39,8 @@ _FORMAT = re.compile(
 
 def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
     """The text of the set-points, from their raw values in this order."""
-    _, said, heard = texts_of(spec)
-    if why := why_not_possible(said, heard):
+    _, said, received = texts_of(spec)
+    if why := why_not_possible(said, received):
         raise ProfileError(f"{spec.name}: {why}")
     factors = _factors(spec, setpoints)
 
@@ -84,7 +84,7 @@ def place_of(number: int) -> Plain:
     return {"byte": NUMBER_BYTES * number, "bytes": NUMBER_BYTES, "is_signed": 1}
 
 
-def read(heard: Text, registers: Mapping[str, Register]) -> Plain:
+def read(received: Text, registers: Mapping[str, Register]) -> Plain:
     """The text of the feedback; `registers`: what a field is, where it is one."""
 
     def number(name: str, form: str) -> Plain:
@@ -92,10 +92,10 @@ def read(heard: Text, registers: Mapping[str, Register]) -> Plain:
         scaled = name == VOLTAGE or name.endswith((VELOCITY, CURRENT))
         factor = 1.0 / si_per_raw(registers[name]) if scaled and name in registers else 1.0
         factor = 1.0 / RATE_UNIT_RAD_S if name == GYRO_Z else factor
-        place = place_of(heard.fields.index(name))
+        place = place_of(received.fields.index(name))
         return {"form": _FORMS["f"], "place": place, "raw_per_number": factor}
 
-    return _pieces(heard, number)
+    return _pieces(received, number)
 
 
 def _pieces(text: Text, number: Callable[[str, str], Plain]) -> Plain:

@@ -61,7 +61,7 @@ class CanRtDrive(RtDrive):
         self._faults = report.faults
         super().update(report, fault_words)
 
-    def _why_quiet(self, report: Any) -> str:
+    def _why_unresponsive(self, report: Any) -> str:
         if not report.missing:
             return "its frames were missing"
         frame, silent_s = (these[report.missing - 1] for these in (self._inputs, self._silences_s))
@@ -74,7 +74,7 @@ class CanRtDrive(RtDrive):
         while (report := self._bus.report().drives[self._index]).missing:
             if now_s() > patience_s:
                 self._failed_setup = True
-                self._is_quiet(self._why_quiet(report))
+                self._is_unresponsive(self._why_unresponsive(report))
             if now_s() > probe_s:
                 probe_s = now_s() + backoff.next_s()
                 for frame in self._probes:

@@ -55,10 +55,10 @@ class CanJobs:
         """Longest time until a frame is on the bus, or will never be."""
         return self._cycle_s + ORDER_WITHIN_S
 
-    def heard(self, frame: Frame, values: dict[str, int]) -> None:
+    def received(self, frame: Frame, values: dict[str, int]) -> None:
         """A frame has come."""
         for runner in self._runners:
-            runner.heard(frame, values)
+            runner.received(frame, values)
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always

@@ -22,7 +22,7 @@ from motord_hal.realtime.can import (
     EXTENDED,
     CanReport,
     CanThread,
-    Heard,
+    Received,
     check_table,
 )
 from motord_hal.realtime.exchange import Exchange
@@ -147,22 +147,22 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         return report
 
     def _take_frames(self) -> None:
-        while (heard := self._thread.take()) is not None:
-            if heard.drive == DRIVES_MAX:
-                self._note(heard)
+        while (received := self._thread.take()) is not None:
+            if received.drive == DRIVES_MAX:
+                self._note(received)
                 continue
-            found = self._plans[heard.drive].parse(
-                heard.identifier & _IDENTIFIER,
-                heard.data,
-                extended=heard.identifier & EXTENDED != 0,
+            found = self._plans[received.drive].parse(
+                received.identifier & _IDENTIFIER,
+                received.data,
+                extended=received.identifier & EXTENDED != 0,
             )
             if found is None:
                 self._errors["bad_frame"] += 1
                 continue
-            self._drives[heard.drive].jobs.heard(*found)
+            self._drives[received.drive].jobs.received(*found)
 
-    def _note(self, heard: Heard) -> None:
-        kinds, trouble = error_words(heard.identifier & ~ERROR, heard.data)
+    def _note(self, received: Received) -> None:
+        kinds, trouble = error_words(received.identifier & ~ERROR, received.data)
         self._errors.update(kinds)
         for warning in self._warnings.new(kinds, now_s()):
             text = f"{self.spec.name}: {self.spec.port}: {warning}"

@@ -190,7 +190,7 @@ def _told_by(frame: Frame) -> Iterator[int]:
 
 
 def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
-    """So long without a frame that is waited for, and the drive is quiet; 0: it is not."""
+    """So long without a frame that is waited for, and the drive is unresponsive; 0: it is not."""
     if frame not in plan.watched:
         return 0.0
     if frame.period_s:

@@ -36,7 +36,7 @@ _STATES = MappingProxyType(
         Mode.OFF: DriveState.UNKNOWN,
         Mode.READY: DriveState.READY,
         Mode.ARMED: DriveState.ARMED,
-        Mode.QUIET: DriveState.QUIET,
+        Mode.UNRESPONSIVE: DriveState.UNRESPONSIVE,
         Mode.BACK: DriveState.UNKNOWN,
     }
 )
@@ -115,7 +115,7 @@ class RtDrive(abc.ABC):
         self._report: DriveSays | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
-        self._said_quiet = False
+        self._said_unresponsive = False
         self.stops = 0
         """How often it was told to stand down: an arming that began before is over."""
         self._standing_down = 0
@@ -126,7 +126,7 @@ class RtDrive(abc.ABC):
         return f"{', '.join(self.names)} (unit {self._jobs.unit})"
 
     @abc.abstractmethod
-    def _why_quiet(self, report: Any) -> str:
+    def _why_unresponsive(self, report: Any) -> str:
         """In words, for people."""
 
     @abc.abstractmethod
@@ -154,7 +154,7 @@ class RtDrive(abc.ABC):
     def state(self) -> DriveState:
         state = _STATES[self.mode]
         failed = state is DriveState.UNKNOWN and self._failed_setup
-        return DriveState.QUIET if failed else state
+        return DriveState.UNRESPONSIVE if failed else state
 
     @property
     def is_stopping(self) -> bool:
@@ -178,25 +178,25 @@ class RtDrive(abc.ABC):
                 self.faults[joint.name].update(fault_words[joint.index])
         if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
             self._is_ready()
-        elif report.mode in (Mode.QUIET, Mode.BACK):
-            self._is_quiet(self._why_quiet(report))
+        elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
+            self._is_unresponsive(self._why_unresponsive(report))
         for bit in report.fault_reasons & ~said:
             if bit in _WARNINGS:
                 self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
 
     def _is_ready(self) -> None:
         self._backoff.reset()
-        if self._said_quiet:
+        if self._said_unresponsive:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
             self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_quiet = False
+        self._said_unresponsive = False
 
-    def _is_quiet(self, why: str) -> None:
-        if not self._said_quiet:
-            self._said_quiet = True
+    def _is_unresponsive(self, why: str) -> None:
+        if not self._said_unresponsive:
+            self._said_unresponsive = True
             said = "; ".join(filter(None, (why, self._hint())))
-            self._say(EventKind.DRIVE_QUIET, self.names, f"{self} is quiet: {said}")
+            self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {said}")
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
@@ -213,7 +213,7 @@ class RtDrive(abc.ABC):
                 pass  # the line has seen it, too, and ends this task
             except HalError as error:
                 self._failed_setup = True
-                self._is_quiet(str(error))
+                self._is_unresponsive(str(error))
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
@@ -320,7 +320,7 @@ class SerialDrive(RtDrive):
     async def _present(self) -> None:
         """Only what it answers says so."""
 
-    def _why_quiet(self, report: DriveReport) -> str:
+    def _why_unresponsive(self, report: DriveReport) -> str:
         return _last_failure(report)
 
     def _arming_steps(self) -> tuple[Step, ...]:

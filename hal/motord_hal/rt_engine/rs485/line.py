@@ -49,7 +49,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
                 self._thread,
                 self._notifier,
                 self._say,
-                self._quiet_hint,
+                self._unresponsive_hint,
             )
             for index, drive in enumerate(frames)
         ]
@@ -82,7 +82,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         self._witness.look(self._port.fd)
         return self._port.facts
 
-    def _quiet_hint(self) -> str:
+    def _unresponsive_hint(self) -> str:
         if self._port is None or self._report is None:
             return ""
         return self._witness.hint(self._port.fd, _traffic(self._report))

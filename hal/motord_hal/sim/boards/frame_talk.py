@@ -11,7 +11,7 @@ from motord_hal.mcu.frames import (
     RESTARTED,
     Frame,
     FrameError,
-    Heard,
+    Received,
     Splitter,
     Type,
     build,
@@ -45,8 +45,8 @@ class FrameTalk:
         self._splitter = Splitter()
         self._restarted = True
         self._sequence = 0
-        self._heard_sequence = 0
-        self._heard_s = 0.0
+        self._received_sequence = 0
+        self._received_s = 0.0
 
     def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
         for piece in self._splitter.feed(data):
@@ -61,16 +61,18 @@ class FrameTalk:
             if frame.type != Type.SETPOINTS:
                 yield None
                 continue
-            self._heard_sequence, self._heard_s = frame.sequence, now_s
+            self._received_sequence, self._received_s = frame.sequence, now_s
             self.feedback_s = int.from_bytes(frame.payload[4:6], "little") / 1000
             self._restarted &= not frame.payload[0] & RESTARTED
             yield written
 
     def feedback(self, content: NamedContent, now_s: float) -> bytes:
         raw = {r.name: content.value(r.name) for r in self._registers if "r" in r.access}
-        heard = Heard(self._heard_sequence, now_s - self._heard_s)
+        received = Received(self._received_sequence, now_s - self._received_s)
         period_ms = round(self.feedback_s * 1000)
-        payload = bytearray(feedback_payload(self._registers, raw, self._motors, period_ms, heard))
+        payload = bytearray(
+            feedback_payload(self._registers, raw, self._motors, period_ms, received)
+        )
         payload[0] |= RESTARTED if self._restarted else 0
         if self._gyro is not None:
             payload[0] |= HAS_IMU

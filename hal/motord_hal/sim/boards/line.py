@@ -79,14 +79,14 @@ class SimulatedBoard:
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
-            self._quiet()
+            self._unresponsive()
 
     def pull(self) -> None:
         self.port.pull()
-        self._quiet()
+        self._unresponsive()
 
-    def _quiet(self) -> None:
-        self.wire.quiet()
+    def _unresponsive(self) -> None:
+        self.wire.unresponsive()
         self._incoming.clear()
 
     # ------------------------------------------------------------------------------- the poll loop
@@ -94,9 +94,9 @@ class SimulatedBoard:
         """When `work` has to be called next, bytes or not."""
         if not self.port.plugged:
             return math.inf
-        heard_s = self._incoming[0][0] if self._incoming else math.inf
+        received_s = self._incoming[0][0] if self._incoming else math.inf
         port_s = self.port.due_s(now_s)
-        return min(heard_s, self.wire.due_s(), port_s, self._feedback_due_s)
+        return min(received_s, self.wire.due_s(), port_s, self._feedback_due_s)
 
     @property
     def _feedback_due_s(self) -> float:
@@ -108,7 +108,7 @@ class SimulatedBoard:
             return
         data = self.port.take_in(now_s)
         if data is None:
-            self._quiet()
+            self._unresponsive()
         elif data:
             self._hear(data, now_s)
         while self._incoming and self._incoming[0][0] <= now_s:
@@ -173,5 +173,5 @@ class SimulatedBoard:
         if spoiled.frame:
             self.counters.replies += 1
             held_s = self._talk.feedback_s if spoiled.held else 0.0
-            heard = self._disturbed(spoiled.frame, now_s)
-            self.wire.send(heard, now_s + spoiled.delay_s + held_s)
+            received = self._disturbed(spoiled.frame, now_s)
+            self.wire.send(received, now_s + spoiled.delay_s + held_s)

@@ -20,10 +20,10 @@ class TextTalk:
     def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
         """`gyro`: a sensor on the board."""
         self._gyro = gyro
-        self._spec, self._said, self._heard = texts_of(spec)
+        self._spec, self._said, self._received = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
-        self._feedback_s = 1.0 / spec.cycle_hz if self._heard else math.inf
+        self._feedback_s = 1.0 / spec.cycle_hz if self._received else math.inf
         self.power_up()
 
     def power_up(self) -> None:
@@ -54,7 +54,7 @@ class TextTalk:
 
     def feedback(self, content: NamedContent, now_s: float) -> bytes:
         del now_s
-        assert self._heard is not None  # without feedback there is no time for it
+        assert self._received is not None  # without feedback there is no time for it
         rate_rad_s = self._gyro.measure().angular_rad_s[2] if self._gyro else 0.0
         numbers = {VOLTAGE: self._si(content, self._profile.bus_voltage), GYRO_Z: rate_rad_s}
         for joint in self._joints:
@@ -62,7 +62,7 @@ class TextTalk:
             numbers[joint.name + COUNT] = self._si(content, channel.position)
             numbers[joint.name + VELOCITY] = self._si(content, channel.velocity)
             numbers[joint.name + CURRENT] = self._si(content, channel.current)
-        return self._heard.say(numbers)
+        return self._received.say(numbers)
 
     def _si(self, content: NamedContent, name: str | None) -> float:
         return self._profile.registers[name].to_si(content.value(name)) if name else 0.0

@@ -88,7 +88,7 @@ class SimulatedDrive:
         self._switching = _switching(profile)
         self._always_on = not any(step.value is not None for step in profile.arm)
         self._switch(on=self._always_on)
-        self._heard_s = math.inf
+        self._received_s = math.inf
         self._off_until_s = -math.inf
         self._keeps_counter = False
         self._flash_until_s = -math.inf
@@ -131,7 +131,7 @@ class SimulatedDrive:
     def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
         """Do what a request says; the words read. Raises Refusal."""
         self.stats.requests += 1
-        self._heard_s = now_s
+        self._received_s = now_s
         try:
             if now_s < self._flash_until_s:
                 raise Refusal(BUSY, "a setting is being stored")
@@ -160,7 +160,7 @@ class SimulatedDrive:
         """Do what a good DDSM frame says; what is answered, None where it is not known."""
         assert isinstance(self.registers, FrameContent)
         self.stats.requests += 1
-        self._heard_s = now_s
+        self._received_s = now_s
         self._obey(self.registers.write(frame))
         reply = self.registers.reply(self.unit, frame[1])
         if reply is not None:
@@ -184,13 +184,13 @@ class SimulatedDrive:
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
         """A frame to this drive has come, and these signals in it."""
         self.stats.requests += 1
-        self._heard_s = now_s
+        self._received_s = now_s
         self._obey(written)
 
     def obey(self, written: Mapping[str, int], now_s: float) -> None:
         """Do what a frame says that carries every register; a sequence goes on with a change."""
         self.stats.requests += 1
-        self._heard_s = now_s
+        self._received_s = now_s
         changed = [
             (name, raw) for name, raw in written.items() if raw != self.registers.stored(name)
         ]
@@ -296,21 +296,21 @@ class SimulatedDrive:
             return
         if self._watchdog_bites(now_s):
             self.stats.watchdog_bites += 1
-            self._heard_s = math.inf
+            self._received_s = math.inf
             self._brake()
             self._apply()
         elif any(motor.braking for motor in self._motors.values()):
             self._apply()
 
     def _watchdog_bites(self, now_s: float) -> bool:
-        if self._heard_s == math.inf:
+        if self._received_s == math.inf:
             return False
         watchdog = self.profile.watchdog
         limit_s = self._watchdog_s
         if watchdog is not None:
             register = self.profile.registers[watchdog.register]
             limit_s = register.to_si(self.registers.stored(watchdog.register))
-        return limit_s > 0.0 and now_s - self._heard_s > limit_s
+        return limit_s > 0.0 and now_s - self._received_s > limit_s
 
     def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
         """Power fails for this long; then everything is as after power-up, but for the counter of
@@ -324,7 +324,7 @@ class SimulatedDrive:
 
     def _power_up(self) -> None:
         self._off_until_s = -math.inf
-        self._heard_s = math.inf
+        self._received_s = math.inf
         self.registers.power_up()
         self._switch(on=self._always_on)
         for motor in self._motors.values():

@@ -64,13 +64,13 @@ class SimulatedLine:
         self._bits = character_bits(spec.parity, spec.stop_bits)
         self._master: MasterSettings | None = None
         self.wire = Wire(port, self._bits / spec.baudrate)
-        self._quiet()
+        self._unresponsive()
 
-    def _quiet(self) -> None:
+    def _unresponsive(self) -> None:
         self._request = bytearray()
         self._frame_ends_s = math.inf
         self._gap_s = math.inf
-        self.wire.quiet()
+        self.wire.unresponsive()
         self._held: list[bytes] = []
 
     # ---------------------------------------------------------------------------------- plugging
@@ -79,11 +79,11 @@ class SimulatedLine:
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
-            self._quiet()
+            self._unresponsive()
 
     def pull(self) -> None:
         self.port.pull()
-        self._quiet()
+        self._unresponsive()
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
@@ -121,7 +121,7 @@ class SimulatedLine:
         never measured shorter than it was."""
         data = self.port.take_in(now_s)
         if data is None:
-            self._quiet()
+            self._unresponsive()
         elif data:
             self._hear(data, clock())
         return data is not None
@@ -227,8 +227,8 @@ class SimulatedLine:
         deaf_s = ended_s + spoiled.deafening_s - starts_s
         lost = max(0, math.ceil(deaf_s / self.wire.character_s))
         if lost < len(spoiled.frame):
-            heard = self._disturbed(spoiled.frame[lost:], now_s)
-            self._reply(heard, starts_s + lost * self.wire.character_s)
+            received = self._disturbed(spoiled.frame[lost:], now_s)
+            self._reply(received, starts_s + lost * self.wire.character_s)
 
     def _reply(self, frame: bytes, starts_s: float) -> None:
         self.wire.send(frame, starts_s)

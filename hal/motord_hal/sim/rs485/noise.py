@@ -13,16 +13,16 @@ def disturb(data: bytes, ber: float, bits: int, source: random.Random) -> tuple[
     bit is flipped."""
     if ber <= 0.0:
         return data, 0
-    heard: list[int | None] = list(data)
+    received: list[int | None] = list(data)
     hits, at = 0, _next_hit(ber, source)
     while at < len(data) * bits:
         place, bit = divmod(at, bits)
-        byte = heard[place]
+        byte = received[place]
         is_data = 1 <= bit <= 8
-        heard[place] = byte ^ 1 << (bit - 1) if is_data and byte is not None else None
+        received[place] = byte ^ 1 << (bit - 1) if is_data and byte is not None else None
         hits += 1
         at += 1 + _next_hit(ber, source)
-    return bytes(byte for byte in heard if byte is not None), hits
+    return bytes(byte for byte in received if byte is not None), hits
 
 
 def _next_hit(ber: float, source: random.Random) -> int:

@@ -59,9 +59,9 @@ class Wire:
         self.lateness = Lateness()
         self.bytes_sent = 0
         self._port = port
-        self.quiet()
+        self.unresponsive()
 
-    def quiet(self) -> None:
+    def unresponsive(self) -> None:
         """Forget what was on its way."""
         self.free_s = -math.inf
         self._outgoing: deque[_Outgoing] = deque()

@@ -33,12 +33,12 @@ static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
     }
 }
 
-static void a_quiet_drive_is_asked_less_and_less_often(void)
+static void an_unresponsive_drive_is_asked_less_and_less_often(void)
 {
     begin_with_questions();
     for (uint32_t again = 0; again < 2; again++) {
         w.silent = true;
-        while (state_of(0)->state.mode != DRIVE_QUIET) {
+        while (state_of(0)->state.mode != DRIVE_UNRESPONSIVE) {
             forget_sent();
             go_on(MS);
         }
@@ -52,11 +52,11 @@ static void a_quiet_drive_is_asked_less_and_less_often(void)
         w.silent = false;
         go_on(50 * MS);
         request(0, DRIVE_READY);
-        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->quiet == again + 1);
+        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->unresponsive == again + 1);
     }
 }
 
-static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_and_off_after_a_second(void)
+static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second(void)
 {
     begin_with(1);
     arm_and_go();
@@ -65,14 +65,14 @@ static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_an
         go_on(MS);
     }
     forget_sent();
-    int64_t quiet_ns = w.now_ns;
+    int64_t unresponsive_ns = w.now_ns;
     go_on(950 * MS);
     CHECK(told_ns(0, QUICK_STOP) > 0 && told_ns(0, DISABLE) == 0 && !state_of(0)->state.told_motion);
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(speed_in(&w.sent[i]) == 0);
     }
     go_on(1000 * MS);
-    CHECK(told_ns(0, DISABLE) > quiet_ns + 1000 * MS);
+    CHECK(told_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(void)
@@ -85,7 +85,7 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     restart();
     arm_and_go();
     w.not_taken = CONTROL;
-    become_quiet();
+    become_unresponsive();
     forget_sent();
     go_on(50 * MS);
     CHECK(count_sent(SPEED) >= 8); /* two a cycle: its stop and its zero */
@@ -97,14 +97,14 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     CHECK(w.sent_count == 0);
 }
 
-static void a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
+static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
 {
     begin_with(1);
     table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
     restart();
     arm_and_go();
     w.not_taken = SPEED;
-    become_quiet();
+    become_unresponsive();
     forget_sent();
     go_on(50 * MS);
     CHECK(count_sent(CONTROL) >= 4 && state_of(0)->state.told_motion);
@@ -117,7 +117,7 @@ static void one_that_was_switched_off_while_it_came_back_stays_off(void)
 {
     begin_with(1);
     arm_and_go();
-    become_quiet();
+    become_unresponsive();
     w.silent = w.powered = false;
     w.full = true;
     go_on(30 * MS);
@@ -136,7 +136,7 @@ static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(v
     go_on(190 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_READY);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 2);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
 /* Heard all the time, but set up anew only where it answers what it was asked. */
@@ -156,10 +156,10 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     CHECK(state_of(0)->missing == 0);
     arm_and_go();
     CHECK(state_of(0)->missing == 0);
-    become_quiet();
+    become_unresponsive();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && state_of(0)->missing == 3); /* its old answer counts no more */
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 3); /* its old answer counts no more */
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);
@@ -167,7 +167,7 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     CHECK(state_of(0)->missing == 3);
 }
 
-static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
+static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive(void)
 {
     begin_with(1);
     arm_and_go();
@@ -176,7 +176,7 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
     forget_sent();
     w.machine.control.shut_down = 1;
     go_on(250 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_QUIET && w.machine.end.stage == END_RESTING);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && w.machine.end.stage == END_RESTING);
     w.full = false;
     go_on(2 * MS);
     CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);
@@ -187,13 +187,13 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet(void)
 int main(void)
 {
     one_is_asked_in_each_cycle_and_what_may_wait_takes_turns();
-    a_quiet_drive_is_asked_less_and_less_often();
-    one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_quiet_and_off_after_a_second();
+    an_unresponsive_drive_is_asked_less_and_less_often();
+    one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second();
     a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
-    a_quiet_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
+    an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
     one_that_was_switched_off_while_it_came_back_stays_off();
     one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word();
     one_with_a_hello_is_back_when_it_has_answered();
-    a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_quiet();
-    return checks_report("can quiet");
+    a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive();
+    return checks_report("can unresponsive");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_quiet.c: a drive that does not answer: what it is told all the same, and how often it is asked. A line that is never
- * silent: how long a stop waits for silence. */
+ * line_unresponsive.c: what a drive that does not answer is sent all the same, and how often it is polled; how long a
+ * stop waits on a line that is never silent. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -18,20 +18,20 @@ static uint32_t zero_exchanges(const line_drive *table)
     return count;
 }
 
-/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog quiet. */
+/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog fed. */
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
     return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(table) : 0;
 }
 
-void line_go_quiet(line_machine *m, uint32_t number, int64_t now_ns)
+void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
-    if (drive->state.mode != DRIVE_QUIET) {
-        drive->count.quiet++;
+    if (drive->state.mode != DRIVE_UNRESPONSIVE) {
+        drive->count.unresponsive++;
     }
-    drive_take_back(&drive->state, DRIVE_FAULT_QUIET, DRIVE_QUIET);
+    drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     if (m->end.stage < END_POWER_OFF) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
     }
@@ -86,7 +86,7 @@ uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        bool due = drive->state.mode == DRIVE_QUIET && drive->probe_at_ns <= now_ns && drive->quiet_until_ns <= now_ns;
+        bool due = drive->state.mode == DRIVE_UNRESPONSIVE && drive->probe_at_ns <= now_ns && drive->silent_until_ns <= now_ns;
         if (due && (drive->may_turn || !may_turn)) {
             return i;
         }

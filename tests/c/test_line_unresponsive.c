@@ -33,23 +33,23 @@ static void restart(void)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-/* Silent from now on; what is sent since it is quiet. */
-static void become_quiet(void)
+/* Silent from now on; what is sent since it is unresponsive. */
+static void become_unresponsive(void)
 {
     w.dead = 1;
-    while (w.machine.drive[0].state.mode != DRIVE_QUIET) {
+    while (w.machine.drive[0].state.mode != DRIVE_UNRESPONSIVE) {
         sent_count = 0;
-        look(); /* the first one goes out in the look that finds it quiet */
+        look(); /* the first one goes out in the look that finds it unresponsive */
     }
 }
 
-static void become_quiet_while_it_may_turn(void)
+static void become_unresponsive_while_it_may_turn(void)
 {
     arm(0);
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }
-    become_quiet();
+    become_unresponsive();
 }
 
 static bool is_quick_stop(const sent_frame *frame)
@@ -65,20 +65,20 @@ static bool is_zero(const sent_frame *frame)
 static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_questions(void)
 {
     begin_with(1, 0);
-    become_quiet_while_it_may_turn();
+    become_unresponsive_while_it_may_turn();
     look_for(20000 * MS);
     CHECK(sent_count >= 12);
     for (uint32_t i = 0; i + 2 < sent_count; i += 3) {
         CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
         CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
     }
-    CHECK(w.machine.drive[0].count.quiet == 1 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_QUIET);
+    CHECK(w.machine.drive[0].count.unresponsive == 1 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_UNRESPONSIVE);
 }
 
 static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)
 {
     begin_with(1, 0);
-    become_quiet_while_it_may_turn();
+    become_unresponsive_while_it_may_turn();
     look_for(12000 * MS);
     const int64_t pauses_ms[] = {0, 0, 100, 200, 400, 800, 1600, 2000, 2000};
     CHECK(sent_count >= 10);
@@ -96,7 +96,7 @@ static void one_that_does_not_turn_is_only_asked(void)
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }
-    become_quiet();
+    become_unresponsive();
     look_for(5000 * MS);
     CHECK(sent_count >= 4);
     for (uint32_t i = 0; i < sent_count; i++) {
@@ -116,7 +116,7 @@ static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_th
         for (uint32_t i = 0; i < 20; i++) {
             go_on();
         }
-        become_quiet();
+        become_unresponsive();
         look_for(1000 * MS);
         CHECK(sent_count >= 3);
         for (uint32_t i = 0; i < sent_count; i++) {
@@ -134,7 +134,7 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }
-    become_quiet();
+    become_unresponsive();
     look_for(1000 * MS);
     CHECK(sent_count >= 3 && is_zero(&sent[0]) && is_zero(&sent[1]) && is_zero(&sent[2]));
 }
@@ -145,9 +145,9 @@ static void one_that_answers_is_told_off_and_is_back(void)
     begin_with(1, 0);
     for (uint64_t times = 1; times <= 2; times++) {
         w.dead = 0;
-        become_quiet_while_it_may_turn();
+        become_unresponsive_while_it_may_turn();
         look_for(450 * MS); /* so that the round breaks off in its middle */
-        CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) && w.machine.drive[0].count.quiet == times);
+        CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) && w.machine.drive[0].count.unresponsive == times);
         CHECK(sent[1].at_ns - sent[0].at_ns < 90 * MS && sent[2].at_ns - sent[1].at_ns < 90 * MS);
         CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS && sent[3].at_ns - sent[2].at_ns < 101 * MS);
         w.dead = 0;
@@ -171,7 +171,7 @@ static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
     w.machine.newest.stamp_ns = 0;
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* old set-points: it comes to rest */
     CHECK(w.machine.drive[0].state.stopping);
-    become_quiet();
+    become_unresponsive();
     CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
@@ -186,8 +186,9 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else
         drive->state.back = true;
         memset(drive->way_told, 1, sizeof drive->way_told);
         w.machine.current = current;
-        line_go_quiet(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.mode == DRIVE_QUIET && drive->stage == STAGE_IDLE && drive->probe_place == 0 && !drive->state.back);
+        line_becomes_unresponsive(&w.machine, 0, w.now_ns);
+        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
+              !drive->state.back);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
             CHECK(drive->way_told[way] == WAY_UNKNOWN);
@@ -205,7 +206,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         table->cyclic[1].setpoint_count = 1;
         table->cyclic_count = writes == 2 ? 2 : 1; /* what lies behind the last is none of its exchanges */
         w.machine.drive[0].may_turn = true;
-        line_go_quiet(&w.machine, 0, w.now_ns);
+        line_becomes_unresponsive(&w.machine, 0, w.now_ns);
         CHECK(w.machine.drive[0].probes_at_once == 1 + writes + 1);
     }
 }
@@ -221,5 +222,5 @@ int main(void)
     a_stop_that_was_under_way_is_over_when_a_drive_falls_silent();
     one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up();
     the_first_round_is_as_long_as_what_stops_the_drive();
-    return checks_report("line quiet");
+    return checks_report("line unresponsive");
 }
