@@ -15,7 +15,7 @@ typedef struct {
     uint32_t still_enabled;    /* how often in a row it said so without being armed */
     uint32_t stop;             /* drive_stop that it has not got yet: it goes before all else */
     bool was_enabled;          /* set-points were enabled since it was armed */
-    bool told_motion;          /* set-points that are not zero were sent, and zero not since */
+    bool sent_motion;          /* set-points that are not zero were sent, and zero not since */
     bool stopping;             /* after a quick stop, until its power goes off */
     bool off_due;              /* its own word calls for a power-off, which goes out with its cycle */
     bool back;                 /* it was unresponsive and answers again: BACK when it has got its power-off */

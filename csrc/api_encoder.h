@@ -2,7 +2,7 @@
  * api_encoder.h: quadrature encoders of wheels whose drive does not count: by the edges of two GPIO lines, by a counter of the
  * kernel, or by what a board says that somebody else talks to. Pure but for encoder_read. Read by cffi too. */
 
-enum { ENCODER_NONE = 0, ENCODER_EDGES = 1, ENCODER_COUNTER = 2, ENCODER_TOLD = 3 };
+enum { ENCODER_NONE = 0, ENCODER_EDGES = 1, ENCODER_COUNTER = 2, ENCODER_REPORTED = 3 };
 
 typedef struct {
     uint32_t kind;     /* ENCODER_* */
@@ -11,7 +11,7 @@ typedef struct {
     uint32_t b_offset;
     uint32_t levels; /* EDGES: 2 A + B when it begins */
     uint32_t reserved;
-    uint64_t ceiling;     /* COUNTER, TOLD: after this count comes 0; UINT64_MAX: as wide as it can be */
+    uint64_t ceiling;     /* COUNTER, REPORTED: after this count comes 0; UINT64_MAX: as wide as it can be */
     double rad_per_count; /* of the wheel; signed, finite, not 0 */
 } encoder_config;
 
@@ -28,8 +28,8 @@ typedef struct {
     int64_t from_count; /* where the last measure of the speed ended */
     int64_t from_ns;
     double counts_per_s;
-    int64_t told_ns; /* TOLD: stamp of the newest sample; 0: none yet */
-    uint32_t origin; /* TOLD: as the newest sample has it */
+    int64_t reported_ns; /* REPORTED: stamp of the newest sample; 0: none yet */
+    uint32_t origin;     /* REPORTED: as the newest sample has it */
     uint32_t reserved;
 } encoder_state;
 
@@ -46,8 +46,8 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
                   int64_t stamp_ns);
 /* What a counter says now. */
 void encoder_counter(encoder_state *state, const encoder_config *config, uint64_t raw, int64_t now_ns);
-/* TOLD: what the board has said. */
-void encoder_told(encoder_state *state, const encoder_config *config, const encoder_sample *sample);
+/* REPORTED: what the board has said. */
+void encoder_reported(encoder_state *state, const encoder_config *config, const encoder_sample *sample);
 /* Of the wheel, since the last call. */
 double encoder_velocity_rad_s(encoder_state *state, const encoder_config *config, int64_t now_ns);
 /* Takes what the descriptor holds, a bounded number of events. 0 or -errno. */

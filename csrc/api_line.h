@@ -258,7 +258,7 @@ typedef struct {
     uint32_t request_seen;  /* count of the last request that was obeyed */
     uint32_t enabled;       /* 1, 0, 2: it has not said since the last request */
     uint32_t stopping;      /* a quick stop was told, and the wheels have not been seen at rest since */
-    uint32_t told_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
+    uint32_t sent_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
     uint32_t failures;      /* in a row */
     uint32_t last_failure;  /* answer_kind */
     uint32_t last_exception;

@@ -138,7 +138,7 @@ drive_answer drive_obey(drive_state *drive, const mode_request *request, const d
     }
     answer.overtaken = request->count - drive->request_seen > 1;
     drive->request_seen = request->count;
-    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->told_motion || drive->off_due;
+    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->sent_motion || drive->off_due;
     if ((answer.overtaken || request->mode == DRIVE_OFF) && powered) {
         drive->off_due = false;
         answer.stop = drive_power_off(drive);

@@ -73,14 +73,14 @@ void encoder_counter(encoder_state *state, const encoder_config *config, uint64_
     state->edge_ns = now_ns;
 }
 
-void encoder_told(encoder_state *state, const encoder_config *config, const encoder_sample *sample)
+void encoder_reported(encoder_state *state, const encoder_config *config, const encoder_sample *sample)
 {
     if (state->seeded && sample->origin != state->origin) {
         state->epoch++;
         state->seeded = 0;
     }
     state->origin = sample->origin;
-    state->told_ns = sample->stamp_ns;
+    state->reported_ns = sample->stamp_ns;
     encoder_counter(state, config, (uint64_t)sample->count, sample->stamp_ns);
 }
 
@@ -145,7 +145,7 @@ static int read_counter(encoder_state *state, const encoder_config *config, int6
 
 int encoder_read(encoder_state *state, const encoder_config *config, int64_t now_ns)
 {
-    if (config->kind == ENCODER_NONE || config->kind == ENCODER_TOLD) {
+    if (config->kind == ENCODER_NONE || config->kind == ENCODER_REPORTED) {
         return 0;
     }
     return config->kind == ENCODER_EDGES ? read_events(state, config) : read_counter(state, config, now_ns);
@@ -158,8 +158,8 @@ int encoder_config_check(const encoder_config *config)
     }
     bool lines = config->kind != ENCODER_EDGES || config->a_offset != config->b_offset;
     bool range = config->kind == ENCODER_EDGES || config->ceiling > 0;
-    bool file = config->kind == ENCODER_TOLD || config->fd >= 0;
-    bool good =
-        config->kind <= ENCODER_TOLD && file && lines && range && isfinite(config->rad_per_count) && config->rad_per_count != 0.0;
+    bool file = config->kind == ENCODER_REPORTED || config->fd >= 0;
+    bool good = config->kind <= ENCODER_REPORTED && file && lines && range && isfinite(config->rad_per_count) &&
+                config->rad_per_count != 0.0;
     return good ? 0 : -EINVAL;
 }

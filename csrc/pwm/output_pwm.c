@@ -40,7 +40,7 @@ typedef struct {
     exchange *exchange;
     control_box_pwm control;
     report_box_pwm report;
-    sample_box told[JOINTS_MAX];
+    sample_box reported[JOINTS_MAX];
     bridge_control request;
     bridge_state state;
     setpoints newest;
@@ -225,8 +225,8 @@ static int read_encoders(pwm_thread *t, int64_t now_ns)
     uint64_t illegal = 0, lost = 0;
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         encoder_sample sample;
-        if (mailbox_take(&t->told[i].box, t->told[i].slot, &sample, sizeof sample) != 0) {
-            encoder_told(&t->encoder[i], &t->config.joint[i].encoder, &sample);
+        if (mailbox_take(&t->reported[i].box, t->reported[i].slot, &sample, sizeof sample) != 0) {
+            encoder_reported(&t->encoder[i], &t->config.joint[i].encoder, &sample);
         }
         int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
         if (error != 0) {
@@ -246,8 +246,8 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
 {
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         const encoder_config *encoder = &t->config.joint[i].encoder;
-        bool counts = encoder->kind != ENCODER_NONE, told = encoder->kind == ENCODER_TOLD;
-        const int64_t at_ns = told ? t->encoder[i].told_ns : now_ns; /* a silent board's feedback gets old */
+        bool counts = encoder->kind != ENCODER_NONE, reported = encoder->kind == ENCODER_REPORTED;
+        const int64_t at_ns = reported ? t->encoder[i].reported_ns : now_ns; /* a silent board's feedback gets old */
         joint_feedback feedback = {
             .stamp_ns = at_ns,
             .count = (uint64_t)t->encoder[i].count,
@@ -354,7 +354,7 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     mailbox_init(&t->control.box);
     mailbox_init(&t->report.box);
     for (uint32_t i = 0; i < JOINTS_MAX; i++) {
-        mailbox_init(&t->told[i].box);
+        mailbox_init(&t->reported[i].box);
     }
     t->out.running = 1;
     t->out.error_output = AT_GPIO;
@@ -388,8 +388,8 @@ void pwm_line_put_control(uint32_t line, const bridge_control *control)
 void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sample)
 {
     if (line < LINES_MAX && threads[line].made && joint < threads[line].config.joint_count &&
-        threads[line].config.joint[joint].encoder.kind == ENCODER_TOLD) {
-        mailbox_put(&threads[line].told[joint].box, threads[line].told[joint].slot, sample, sizeof *sample);
+        threads[line].config.joint[joint].encoder.kind == ENCODER_REPORTED) {
+        mailbox_put(&threads[line].reported[joint].box, threads[line].reported[joint].slot, sample, sizeof *sample);
     }
 }
 

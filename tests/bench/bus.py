@@ -85,10 +85,10 @@ def table(found: dict[str, Any]) -> str:
 def verdicts(found: dict[str, Any]) -> Verdicts:
     """As wire.verdicts."""
     said: Verdicts = []
-    told = found["messages_us"]
-    for name, goal_us, topics in (("cdr", CDR_US, told), ("json", JSON_US, OFTEN)):
+    sent = found["messages_us"]
+    for name, goal_us, topics in (("cdr", CDR_US, sent), ("json", JSON_US, OFTEN)):
         for topic in topics:
-            one_us = told[topic][name]
+            one_us = sent[topic][name]
             text = f"{topic} from snapshot to {name}: {one_us:.2f} µs ({goal_us:g})"
             said.append((text, one_us <= goal_us, False))
     memory = found["memory_mb"]

@@ -104,8 +104,8 @@ def ways(topic: str) -> dict[str, Callable[[], Any]]:
 def measure(rounds: int) -> dict[str, dict[str, float]]:
     """µs a message, by topic and way; ways take turns and each keeps its best round."""
     view = moving()
-    told = [name for name, topic in TOPICS.items() if as_message(topic, BODY)(view, 0) is not None]
-    all_ways = {topic: ways(topic) for topic in told}
+    sent = [name for name, topic in TOPICS.items() if as_message(topic, BODY)(view, 0) is not None]
+    all_ways = {topic: ways(topic) for topic in sent}
     best = {topic: dict.fromkeys(found, math.inf) for topic, found in all_ways.items()}
     for _ in range(rounds):
         for topic, found in all_ways.items():

@@ -184,13 +184,13 @@ async def with_python_can(path: str, seconds: float) -> dict[str, int]:
         due_s = time.monotonic()
         while True:
             for node in NODES:
-                told = can.Message(
+                sent = can.Message(
                     arbitration_id=node << 5 | INPUT_VELOCITY,
                     is_extended_id=False,
                     data=struct.pack("<ff", 0.0, 0.0),
                 )
                 with contextlib.suppress(can.CanError):  # a full queue: the next one is newer
-                    bus.send(told)
+                    bus.send(sent)
             due_s = max(due_s + 1 / RATE_HZ, time.monotonic())
             await asyncio.sleep(due_s - time.monotonic())
 
@@ -224,13 +224,13 @@ def with_a_script(path: str, seconds: float) -> dict[str, int]:
             if not begun and due_s >= begin_s:
                 begun, meter = True, Meter(path)
             for node in NODES:
-                told = can.Message(
+                sent = can.Message(
                     arbitration_id=node << 5 | INPUT_VELOCITY,
                     is_extended_id=False,
                     data=struct.pack("<ff", 0.0, 0.0),
                 )
                 with contextlib.suppress(BlockingIOError):
-                    bus.send(build_can_frame(told))
+                    bus.send(build_can_frame(sent))
             try:
                 while message := capture_message(bus):
                     if message.arbitration_id & 0x1F == ESTIMATES:

@@ -39,7 +39,7 @@ static inline board_place at(uint32_t byte, uint32_t bytes, uint32_t is_signed)
 }
 
 /* Of the newest frame: a number of its payload. */
-static inline int64_t told(uint32_t byte, uint32_t bytes, uint32_t is_signed)
+static inline int64_t last_sent(uint32_t byte, uint32_t bytes, uint32_t is_signed)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     uint32_t count = board_frame_parse(w.sent + 1, w.sent_bytes - 2, raw);
@@ -58,7 +58,7 @@ static inline bool take_bytes(void *sink, const uint8_t *bytes, uint32_t count)
     w.sent_bytes = count;
     w.sent_count++;
     if (w.table.dialect == BOARD_FRAMES) {
-        w.moving_count += told(TARGET, 4, 1) != 0 || told(TARGET + 6, 4, 1) != 0;
+        w.moving_count += last_sent(TARGET, 4, 1) != 0 || last_sent(TARGET + 6, 4, 1) != 0;
         for (uint32_t i = 0; !w.deaf && i < count; i++) {
             motord_board_byte(&w.peer, bytes[i], (uint32_t)(w.now_ns / 1000));
         }

@@ -216,7 +216,7 @@ static inline const can_packet *newest_of(uint32_t drive)
 }
 
 /* First time that a frame with this control word went out; 0: never. */
-static inline int64_t told_ns(uint32_t drive, uint8_t word)
+static inline int64_t last_sent_ns(uint32_t drive, uint8_t word)
 {
     for (uint32_t i = 0; i < w.sent_count; i++) {
         if (w.sent[i].id == SPEED + drive && w.sent[i].data[0] == word) {
@@ -230,7 +230,7 @@ static inline void arm_and_go(void)
 {
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 100);
 }
 
 #endif

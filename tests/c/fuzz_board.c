@@ -32,8 +32,8 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
         CHECK(may_move() || (count == 4 && memcmp(bytes, "0,0\n", 4) == 0));
         return true;
     }
-    CHECK(may_move() || (told(TARGET, 4, 1) == 0 && told(TARGET + 6, 4, 1) == 0));
-    CHECK(w.machine.state.mode != DRIVE_UNRESPONSIVE || told(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
+    CHECK(may_move() || (last_sent(TARGET, 4, 1) == 0 && last_sent(TARGET + 6, 4, 1) == 0));
+    CHECK(w.machine.state.mode != DRIVE_UNRESPONSIVE || last_sent(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
           w.machine.end.stage != END_NOT);
     return true;
 }

@@ -12,8 +12,8 @@ enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
 static const float SAID_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
 
 static uint32_t modes[DRIVES];
-static int16_t told[DRIVES]; /* the newest speed that each has been told */
-static uint8_t taking;       /* the bus: 0 takes all, 1 nothing, else every so many */
+static int16_t last_sent[DRIVES]; /* the newest speed that each has been told */
+static uint8_t taking;            /* the bus: 0 takes all, 1 nothing, else every so many */
 static uint32_t offered, refused;
 
 static bool may_move(uint32_t drive)
@@ -39,8 +39,8 @@ static void judge_packet(const can_packet *packet)
     switch (packet->id & ~0x0FU) {
     case SPEED:
         CHECK(drive < DRIVES);
-        told[drive] = speed_in(packet);
-        CHECK(told[drive] == 0 || may_move(drive));
+        last_sent[drive] = speed_in(packet);
+        CHECK(last_sent[drive] == 0 || may_move(drive));
         break;
     case CONTROL:
         CHECK(drive < DRIVES);
@@ -82,7 +82,7 @@ static void begin(void)
     w.table.sync[0] = packet_of(SYNC, 0);
     CHECK(can_machine_init(&w.machine, &w.table, &(can_before){.epoch = 7, .may_turn = 2}, offer, NULL, w.now_ns) == 0);
     memset(modes, 0, sizeof modes);
-    memset(told, 0, sizeof told);
+    memset(last_sent, 0, sizeof last_sent);
     taking = 0;
 }
 
@@ -211,7 +211,7 @@ static void judge_stops(bool cycled)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
         bool waits = w.machine.drive[i].state.mode == DRIVE_UNRESPONSIVE && !cycled;
-        CHECK(told[i] == 0 || may_move(i) || waits);
+        CHECK(last_sent[i] == 0 || may_move(i) || waits);
     }
 }
 
@@ -249,7 +249,7 @@ static void get_going(uint8_t how_far)
     if (how_far % 4 > 1) {
         request_all(DRIVE_ARMED);
         request_all(DRIVE_ARMED);
-        CHECK(told[0] != 0 && told[1] != 0 && told[2] != 0);
+        CHECK(last_sent[0] != 0 && last_sent[1] != 0 && last_sent[2] != 0);
     }
 }
 

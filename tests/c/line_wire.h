@@ -27,7 +27,7 @@ typedef struct {
     bool babbles;                         /* a device sends a byte a millisecond, unasked */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` heard by each */
     uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
-    uint32_t told_off[LINE_DRIVES_MAX];   /* sent to each, heard or not, as the next one */
+    uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, heard or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
     uint8_t refused; /* a register that cannot be written; 0: none */
     uint32_t refusals;
@@ -108,7 +108,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
         w.count = 8;
     }
     bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
-    w.told_off[number] += power_off;
+    w.sent_off[number] += power_off;
     w.quick_stop_sent[number] += request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP;
     if ((w.dead >> number & 1) != 0) {
         return;

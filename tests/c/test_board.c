@@ -23,7 +23,7 @@ static void the_newest_set_points_are_in_the_frame_that_leaves(void)
         w.now_ns = w.machine.cycle.due_ns;
         w.velocity_rad_s = 0.5 * i;
         step();
-        CHECK(told(TARGET, 4, 1) == 500 * i && told(TARGET + 6, 4, 1) == -500 * i);
+        CHECK(last_sent(TARGET, 4, 1) == 500 * i && last_sent(TARGET + 6, 4, 1) == -500 * i);
         speak();
     }
 }
@@ -37,11 +37,11 @@ static void a_set_point_that_is_no_number_or_too_great_is_harmless(void)
     for (uint32_t i = 0; i < 3; i++) {
         w.velocity_rad_s = bad[i];
         go_on(30 * MS);
-        CHECK(told(TARGET, 4, 1) == 0);
+        CHECK(last_sent(TARGET, 4, 1) == 0);
     }
     w.velocity_rad_s = 1e300;
     go_on(30 * MS);
-    CHECK(told(TARGET, 4, 1) == 1000000 && told(TARGET + 6, 4, 1) == -1000000);
+    CHECK(last_sent(TARGET, 4, 1) == 1000000 && last_sent(TARGET + 6, 4, 1) == -1000000);
 }
 
 static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
@@ -54,7 +54,7 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     w.now_ns += MS;
     uint32_t before = w.sent_count;
     step();
-    CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 0 && w.peer.enabled == 1);
+    CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 0 && w.peer.enabled == 1);
 }
 
 static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
@@ -65,7 +65,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     request(DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0);
-    CHECK(told(TARGET, 4, 1) == 0);
+    CHECK(last_sent(TARGET, 4, 1) == 0);
 }
 
 static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
@@ -81,10 +81,10 @@ static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
     CHECK(w.machine.has_order && w.machine.no_room > 0);
     w.full = false;
     go_on(11 * MS);
-    CHECK(!w.machine.has_order && told(CONTROL, 1, 0) == CONTROL_CLEAR);
+    CHECK(!w.machine.has_order && last_sent(CONTROL, 1, 0) == CONTROL_CLEAR);
     CHECK(received_news() && board_machine_order(&w.machine, &one));
     go_on(11 * MS);
-    CHECK(told(CONTROL, 1, 0) == 0 && received_news());
+    CHECK(last_sent(CONTROL, 1, 0) == 0 && received_news());
 }
 
 static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void)
@@ -218,7 +218,7 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
     w.now_ns += MS;
     step(); /* no cycle is due */
     CHECK(w.peer.enabled == 0 && w.peer.braking == 0 && w.machine.state.mode == DRIVE_READY);
-    CHECK(told(CONTROL, 1, 0) == CONTROL_OFF && told(TARGET, 4, 1) == 0);
+    CHECK(last_sent(CONTROL, 1, 0) == CONTROL_OFF && last_sent(TARGET, 4, 1) == 0);
 }
 
 static void a_stop_may_be_many_writes(void)
@@ -229,12 +229,12 @@ static void a_stop_may_be_many_writes(void)
     table.disarm[1] = (board_write){.place = at(4, 2, 0), .raw = 12};
     begin_with(table);
     go_on(20 * MS);
-    CHECK(told(4, 2, 0) == 12);
+    CHECK(last_sent(4, 2, 0) == 12);
     arm_and_turn();
     w.stuck = true;
     w.enabled = 2;
     go_on(125 * MS);
-    CHECK(told(CONTROL, 1, 0) == CONTROL_BRAKE && told(4, 2, 0) == 11);
+    CHECK(last_sent(CONTROL, 1, 0) == CONTROL_BRAKE && last_sent(4, 2, 0) == 11);
     w.enabled = 1;
     request(DRIVE_ARMED);
     CHECK(w.machine.state.mode == DRIVE_READY); /* not while it comes to rest */
@@ -274,7 +274,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     begin();
     arm_and_turn();
     request(DRIVE_STAND_DOWN);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && told(TARGET, 4, 1) == 0);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && last_sent(TARGET, 4, 1) == 0);
     begin();
     arm();
     w.velocity_rad_s = 0.0;
@@ -300,7 +300,7 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     CHECK(w.moving_count == 0 && w.machine.state.mode != DRIVE_ARMED);
 }
 
-static void a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does(void)
+static void a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does(void)
 {
     begin();
     arm_and_turn();
@@ -326,7 +326,7 @@ static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
     w.moving_count = 0;
     go_on(60 * MS);
     CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_DISABLED_ITSELF) != 0);
-    CHECK(w.peer.enabled == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
+    CHECK(w.peer.enabled == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
 static void a_restarted_board_has_lost_its_set_up(void)
@@ -341,7 +341,7 @@ static void a_restarted_board_has_lost_its_set_up(void)
     CHECK(w.machine.state.epoch == 2);
 }
 
-static void a_board_that_is_enabled_though_nobody_armed_it_is_told_off(void)
+static void a_board_that_is_enabled_though_nobody_armed_it_is_sent_off(void)
 {
     begin();
     set_up();
@@ -379,10 +379,10 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
     order(CONTROL, 1, CONTROL_ENABLE, 0);
-    CHECK(w.machine.orders_dropped == 1 && told(CONTROL, 1, 0) == CONTROL_BRAKE);
+    CHECK(w.machine.orders_dropped == 1 && last_sent(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
-    CHECK(w.machine.state.mode == DRIVE_BACK && told(CONTROL, 1, 0) == CONTROL_OFF && w.machine.unresponsive == 1 &&
+    CHECK(w.machine.state.mode == DRIVE_BACK && last_sent(CONTROL, 1, 0) == CONTROL_OFF && w.machine.unresponsive == 1 &&
           received_news());
     set_up();
 }
@@ -446,10 +446,10 @@ int main(void)
     armed_again_it_waits_again_for_the_core();
     standing_down_takes_the_power_with_the_next_frame();
     a_port_that_takes_nothing_is_a_board_left_alone();
-    a_stop_that_the_port_did_not_take_is_told_as_soon_as_it_does();
+    a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does();
     a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again();
     a_restarted_board_has_lost_its_set_up();
-    a_board_that_is_enabled_though_nobody_armed_it_is_told_off();
+    a_board_that_is_enabled_though_nobody_armed_it_is_sent_off();
     a_mute_board_is_unresponsive_braked_and_comes_back_disarmed();
     arming_needs_fresh_set_points_and_no_stop_under_way();
     frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();

@@ -9,7 +9,7 @@ static void begin_ready(void)
 {
     begin();
     m->state.mode = DRIVE_READY;
-    m->received_ns = m->told_ns = m->written_ns = m->knows_ns = w.now_ns;
+    m->received_ns = m->last_sent_ns = m->written_ns = m->knows_ns = w.now_ns;
     m->newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1};
     m->notify = false;
 }
@@ -39,7 +39,7 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
 {
     for (int late = 0; late < 2; late++) {
         begin_armed();
-        m->told_ns = w.now_ns - w.table.watchdog_ns - late;
+        m->last_sent_ns = w.now_ns - w.table.watchdog_ns - late;
         board_guard(m, w.now_ns);
         CHECK(m->state.mode == (late ? DRIVE_READY : DRIVE_ARMED) &&
               m->state.fault_reasons == (late ? DRIVE_FAULT_LEFT_ALONE : 0U));
@@ -48,7 +48,7 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
     for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: it has none */
         begin_armed();
         m->table.watchdog_ns = watchdog_ns;
-        m->told_ns = w.now_ns - 2;
+        m->last_sent_ns = w.now_ns - 2;
         board_guard(m, w.now_ns);
         CHECK(m->state.mode == (watchdog_ns ? DRIVE_READY : DRIVE_ARMED));
     }
@@ -107,10 +107,10 @@ static void power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nob
 static void arming_begins_its_watchdog_anew(void)
 {
     begin_ready();
-    m->told_ns = 1;
+    m->last_sent_ns = 1;
     m->control.request = (mode_request){.count = 1, .mode = DRIVE_ARMED};
     board_obey_request(m, w.now_ns);
-    CHECK(m->state.mode == DRIVE_ARMED && m->told_ns == w.now_ns);
+    CHECK(m->state.mode == DRIVE_ARMED && m->last_sent_ns == w.now_ns);
     board_guard(m, w.now_ns);
     CHECK(m->state.mode == DRIVE_ARMED);
 }
@@ -120,7 +120,7 @@ static void an_order_counts_when_it_has_gone_out(void)
     begin_ready();
     m->has_order = m->order_written = true;
     m->orders_sent = 7;
-    board_told(m, w.now_ns);
+    board_sent(m, w.now_ns);
     CHECK(m->orders_sent == 8 && m->notify && !m->has_order && !m->order_written);
 }
 

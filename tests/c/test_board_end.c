@@ -10,7 +10,7 @@ static void the_end_is_braked_switched_off_and_silent(void)
     step();
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0);
     go_on(100 * MS);
-    CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 && told(CONTROL, 1, 0) == CONTROL_OFF);
+    CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF);
     uint32_t before = w.sent_count;
     request(DRIVE_ARMED);
     go_on(200 * MS);
@@ -33,7 +33,7 @@ static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
     while (w.machine.end.stage != END_SILENT) {
         go_on(MS);
     }
-    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.told_ns + w.table.period_ns && received_news());
+    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.last_sent_ns + w.table.period_ns && received_news());
     board_report report;
     board_machine_report(&w.machine, &report);
     CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);

@@ -33,7 +33,7 @@ static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
     CHECK(w.sent_count == before);
     kick(2.0);
     step();
-    CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 2000);
+    CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 2000);
     CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle goes on from there */
     w.now_ns += MS;
     kick(3.0);
@@ -41,7 +41,7 @@ static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
     CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS); /* the wire is still busy */
     w.now_ns = w.wake_ns;
     step();
-    CHECK(w.sent_count == before + 2 && told(TARGET, 4, 1) == 3000);
+    CHECK(w.sent_count == before + 2 && last_sent(TARGET, 4, 1) == 3000);
 }
 
 static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
@@ -80,7 +80,7 @@ static void a_stop_goes_out_at_once_however_much_was_said_before(void)
     CHECK(w.sent_count == before);
     kick(0.0);
     step();
-    CHECK(w.sent_count == before + 1 && told(TARGET, 4, 1) == 0);
+    CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 0);
     kick(1.0);
     step();
     CHECK(w.sent_count == before + 1);

@@ -44,7 +44,7 @@ static void begin_again(void)
     w.machine.round_trips = &trips;
 }
 
-static void a_machine_begins_with_nothing_but_what_it_is_told(void)
+static void a_machine_begins_with_nothing_but_what_it_is_sent(void)
 {
     board_machine *m = malloc(sizeof *m), *untouched = malloc(sizeof *m);
     memset(m, 0xA5, sizeof *m);
@@ -59,7 +59,7 @@ static void a_machine_begins_with_nothing_but_what_it_is_told(void)
     CHECK(board_machine_init(m, &table, 7, 0xFFFF, 55) == 0);
     CHECK(m->state.epoch == 7 && m->sequence == 0xFFFF && m->next == 0 && m->cycle.due_ns == 55 && m->joints == 3);
     CHECK(m->state.mode == DRIVE_OFF && m->state.enabled == 2 && m->sent == 0 && m->received == 0 && m->end.stage == END_NOT);
-    CHECK(m->state.told_motion == 0 && m->tail.count == 0 && m->clock.samples == 0 && !m->has_order && m->sent_ns[3] == 0);
+    CHECK(m->state.sent_motion == 0 && m->tail.count == 0 && m->clock.samples == 0 && !m->has_order && m->sent_ns[3] == 0);
     CHECK(isnan(m->joint[0].feedback.velocity_rad_s) && isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
     CHECK(memcmp(m->held + 1, table.payload + 1, BOARD_PAYLOAD_MAX - 1) == 0);
     free(untouched);
@@ -156,7 +156,7 @@ static void a_frame_carries_our_time_and_what_the_port_refuses_is_counted(void)
     }
 }
 
-static void an_order_to_a_board_that_was_stopped_is_dropped_and_told(void)
+static void an_order_to_a_board_that_was_stopped_is_dropped_and_sent(void)
 {
     begin_again();
     board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = 1}, .guarded = 1, .stops = w.machine.stops + 1};
@@ -168,13 +168,13 @@ static void an_order_to_a_board_that_was_stopped_is_dropped_and_told(void)
 
 int main(void)
 {
-    a_machine_begins_with_nothing_but_what_it_is_told();
+    a_machine_begins_with_nothing_but_what_it_is_sent();
     a_frame_that_was_received_is_known_by_when_it_went_out();
     what_was_received_before_it_was_sent_is_another_frame();
     a_frame_is_remembered_until_so_many_more_have_gone_out();
     a_line_goes_on_ahead_of_what_the_board_has_received();
     a_word_is_of_the_board_s_time();
     a_frame_carries_our_time_and_what_the_port_refuses_is_counted();
-    an_order_to_a_board_that_was_stopped_is_dropped_and_told();
+    an_order_to_a_board_that_was_stopped_is_dropped_and_sent();
     return checks_report("test_board_machine");
 }

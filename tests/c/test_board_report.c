@@ -21,11 +21,11 @@ int main(void)
     for (uint32_t stage = END_NOT; stage <= END_SILENT; stage++) {
         m->end.stage = stage;
         m->state.stop = stage == END_POWER_OFF ? STOP_QUICK : STOP_NOTHING;
-        m->state.told_motion = stage == END_RESTING;
+        m->state.sent_motion = stage == END_RESTING;
         memset(&report, 0xEE, sizeof report);
         board_machine_report(m, &report);
         CHECK(report.shut_down == (stage == END_SILENT) && report.stop_waits == (stage == END_POWER_OFF));
-        CHECK(report.told_motion == (stage == END_RESTING));
+        CHECK(report.sent_motion == (stage == END_RESTING));
     }
     CHECK(report.mode == 1 && report.fault_reasons == 2 && report.request_seen == 3 && report.enabled == 4 && report.epoch == 5);
     CHECK(report.stopping == 1 && report.stops == 6 && report.orders_sent == 7 && report.orders_dropped == 8);

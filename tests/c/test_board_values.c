@@ -121,7 +121,7 @@ static void each_field_goes_where_its_meaning_says(void)
     CHECK(!m->notify && m->state.enabled == 0);
 }
 
-static void a_fault_word_stops_by_what_is_not_harmless_and_is_told_when_it_changes(void)
+static void a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_changes(void)
 {
     begin();
     field(0, 1, FIELD_FAULT, 0);
@@ -136,7 +136,7 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_told_when_it_chang
     CHECK(m->joint[0].fault_word == 0 && m->joint[0].feedback.drive_faults == 0);
 }
 
-static void what_is_enabled_and_what_was_kept_is_told_by_a_mask(void)
+static void what_is_enabled_and_what_was_kept_is_sent_by_a_mask(void)
 {
     begin();
     field(0, 0, FIELD_ENABLED, 0);
@@ -204,8 +204,8 @@ int main(void)
     a_payload_moves_where_any_set_point_of_it_does();
     what_is_not_armed_and_enabled_is_sent_zero();
     each_field_goes_where_its_meaning_says();
-    a_fault_word_stops_by_what_is_not_harmless_and_is_told_when_it_changes();
-    what_is_enabled_and_what_was_kept_is_told_by_a_mask();
+    a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_changes();
+    what_is_enabled_and_what_was_kept_is_sent_by_a_mask();
     feedback_is_published_for_the_joints_of_the_board();
     it_is_at_rest_when_each_of_its_joints_is_known_to_be();
     free(m);

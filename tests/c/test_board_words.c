@@ -138,7 +138,7 @@ static void text_without_feedback_lives_on_its_port(void)
     go_on(50 * MS);
     CHECK(w.machine.state.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
     CHECK(w.machine.feedback_mask == 3 && isnan(w.machine.joint[0].feedback.velocity_rad_s));
-    CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.told_ns && w.machine.received == 0);
+    CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.last_sent_ns && w.machine.received == 0);
     w.full = true;
     go_on(200 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);

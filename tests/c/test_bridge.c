@@ -255,7 +255,7 @@ static bool ends(uint32_t line, double duty, bridge_report *report)
     return report->running == 0;
 }
 
-static void pins_that_rest_after_a_failure_are_told_to_rest(void)
+static void pins_that_rest_after_a_failure_are_sent_to_rest(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
@@ -317,7 +317,7 @@ int main(void)
     a_config_that_cannot_be_is_refused();
     the_thread_writes_the_files_and_ends_at_rest();
     the_thread_ends_with_the_errno_and_the_pin();
-    pins_that_rest_after_a_failure_are_told_to_rest();
+    pins_that_rest_after_a_failure_are_sent_to_rest();
     a_motor_whose_duty_cannot_be_taken_back_is_not_turned();
     lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back();
     return checks_report("bridge");

@@ -199,12 +199,12 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
     go_on(150 * MS);
-    int64_t stopped_ns = told_ns(0, QUICK_STOP);
-    CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && told_ns(0, DISABLE) == 0);
+    int64_t stopped_ns = last_sent_ns(0, QUICK_STOP);
+    CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && last_sent_ns(0, DISABLE) == 0);
     CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     w.said_rad_s = 0.0;
     go_on(30 * MS);
-    CHECK(told_ns(0, DISABLE) > stopped_ns);
+    CHECK(last_sent_ns(0, DISABLE) > stopped_ns);
     w.enabled = 1;
     w.powered = false;
     go_on(100 * MS);
@@ -220,7 +220,7 @@ static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
     go_on(1300 * MS);
-    CHECK(told_ns(0, DISABLE) > last_ns + 1000 * MS && told_ns(0, DISABLE) < last_ns + 1150 * MS);
+    CHECK(last_sent_ns(0, DISABLE) > last_ns + 1000 * MS && last_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
 }
 
 static void enabled_that_is_taken_back_is_power_off_at_once(void)
@@ -235,7 +235,7 @@ static void enabled_that_is_taken_back_is_power_off_at_once(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
-static void a_stop_that_the_bus_did_not_take_is_told_again(void)
+static void a_stop_that_the_bus_did_not_take_is_sent_again(void)
 {
     begin_with(1);
     arm(0);
@@ -257,10 +257,10 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     restart();
     arm(0);
     go_on(2000 * MS);
-    CHECK(w.machine.drive[0].state.told_motion);
+    CHECK(w.machine.drive[0].state.sent_motion);
     w.velocity_rad_s = 0.0;
     go_on(10 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && !w.machine.drive[0].state.told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !w.machine.drive[0].state.sent_motion);
 }
 
 static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
@@ -286,7 +286,7 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
-static void a_drive_that_stays_enabled_is_told_off_once_a_cycle(void)
+static void a_drive_that_stays_enabled_is_sent_off_once_a_cycle(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -312,7 +312,7 @@ static void a_drive_that_is_being_armed_may_say_that_it_is_enabled(void)
     w.powered = true;
     forget_sent();
     go_on(100 * MS);
-    CHECK(told_ns(0, DISABLE) == 0 && w.machine.drive[0].state.fault_reasons == 0);
+    CHECK(last_sent_ns(0, DISABLE) == 0 && w.machine.drive[0].state.fault_reasons == 0);
 }
 
 static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(void)
@@ -326,8 +326,8 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
     w.machine.control.shut_down = 1;
     go_on(500 * MS);
     CHECK(w.machine.end.stage == END_SILENT);
-    CHECK(told_ns(0, QUICK_STOP) == asked_ns && told_ns(1, QUICK_STOP) == 0);
-    CHECK(told_ns(0, DISABLE) >= asked_ns + 350 * MS && told_ns(1, DISABLE) >= asked_ns + 350 * MS);
+    CHECK(last_sent_ns(0, QUICK_STOP) == asked_ns && last_sent_ns(1, QUICK_STOP) == 0);
+    CHECK(last_sent_ns(0, DISABLE) >= asked_ns + 350 * MS && last_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);
     forget_sent();
     go_on(100 * MS);
     CHECK(w.sent_count == 0);
@@ -347,9 +347,9 @@ static void silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch(
     }
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.now_ns - silent_ns < 230 * MS);
     go_on(50 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
     go_on(3000 * MS);
-    CHECK(told_ns(0, DISABLE) > 0);
+    CHECK(last_sent_ns(0, DISABLE) > 0);
     w.silent = false;
     w.powered = false;
     go_on(50 * MS);
@@ -464,11 +464,11 @@ int main(void)
     old_set_points_are_a_quick_stop_and_then_power_off_at_rest();
     a_wheel_that_turns_on_loses_its_power_after_a_second();
     enabled_that_is_taken_back_is_power_off_at_once();
-    a_stop_that_the_bus_did_not_take_is_told_again();
+    a_stop_that_the_bus_did_not_take_is_sent_again();
     a_set_point_of_zero_does_not_wait_for_its_cycle();
     a_pause_longer_than_the_watchdog_stops_the_drive();
     a_drive_that_is_armed_and_says_it_is_not_enabled_is_off();
-    a_drive_that_stays_enabled_is_told_off_once_a_cycle();
+    a_drive_that_stays_enabled_is_sent_off_once_a_cycle();
     a_drive_that_is_being_armed_may_say_that_it_is_enabled();
     shutting_down_stops_and_then_takes_the_power_within_half_a_second();
     silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch();

@@ -63,10 +63,10 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
     }
     w.now_ns = stopped_ns + 1000 * MS - 1;
     step();
-    CHECK(state_of(0)->state.stopping && told_ns(0, DISABLE) == 0);
+    CHECK(state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == 0);
     w.now_ns++;
     step();
-    CHECK(!state_of(0)->state.stopping && told_ns(0, DISABLE) == stopped_ns + 1000 * MS);
+    CHECK(!state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
 static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
@@ -80,7 +80,7 @@ static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
     arm(0);
     w.machine.cycle.due_ns = w.now_ns;
     step();
-    CHECK(state_of(0)->state.told_motion);
+    CHECK(state_of(0)->state.sent_motion);
     w.enabled = 2;
     say_motion(0, 1.0F, 1.0F);
     forget_sent();
@@ -215,11 +215,11 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     become_unresponsive();
     CHECK(!state_of(0)->state.stopping);
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
-    CHECK(told_ns(0, DISABLE) == 0);
+    CHECK(last_sent_ns(0, DISABLE) == 0);
     go_on(800 * MS);
-    CHECK(told_ns(0, DISABLE) == 0);
+    CHECK(last_sent_ns(0, DISABLE) == 0);
     go_on(1000 * MS);
-    CHECK(told_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
+    CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
@@ -445,7 +445,7 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
+    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
     forget_sent();
     for (uint32_t i = 0; i < 100; i++) {
         w.now_ns += MS / 10;

@@ -25,7 +25,7 @@ static void a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_f
     CHECK(say(STATE, all, 8) == 0 && say(STATE + 1, all, 8) == 1 && w.machine.received == 2);
 }
 
-static void identifiers_may_stand_in_any_order_and_frames_of_one_are_told_apart_by_their_bytes(void)
+static void identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_by_their_bytes(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -126,7 +126,7 @@ static void a_bad_table_is_refused_and_every_drive_begins_unknown(void)
     CHECK(can_machine_init(&w.machine, &w.table, &(can_before){0}, take, &w, w.now_ns) == -EINVAL);
 }
 
-static void one_that_may_turn_after_a_reopening_is_told_so_less_and_less_often(void)
+static void one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often(void)
 {
     begin_with(3);
     w.silent = true;
@@ -256,7 +256,7 @@ static void eight_drives_are_all_there_are(void)
     for (int stop = STOP_NOTHING; stop <= STOP_POWER_OFF; stop++) {
         can_drive_state mover = {.state.mode = DRIVE_ARMED,
                                  .state.stop = (uint32_t)stop,
-                                 .state.told_motion = true,
+                                 .state.sent_motion = true,
                                  .state.stopping = true,
                                  .may_turn = true,
                                  .missing = 1,
@@ -342,9 +342,9 @@ static void motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter(void)
     w.machine.table.period_ns = MS;
     arm(0);
     step();
-    int64_t told_at_ns = w.machine.motion_since_ns;
-    CHECK(told_at_ns > 0);
-    while (w.now_ns < told_at_ns + 5 * MS) {
+    int64_t sent_at_ns = w.machine.motion_since_ns;
+    CHECK(sent_at_ns > 0);
+    while (w.now_ns < sent_at_ns + 5 * MS) {
         w.now_ns += MS;
         step();
         CHECK(!w.machine.motion_stays);
@@ -392,7 +392,7 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was told no motion yet */
     say_state(0, 8);
     step();
-    CHECK(state_of(0)->state.stopping && !state_of(0)->state.told_motion && w.wake_ns == w.now_ns + 5 * MS);
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);
 }
 
 /* --------------------------------------------------------------------------------------------------------- end */
@@ -464,12 +464,12 @@ static void the_report_tells_fault_words_and_stops_that_wait(void)
 int main(void)
 {
     a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_fit();
-    identifiers_may_stand_in_any_order_and_frames_of_one_are_told_apart_by_their_bytes();
+    identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_by_their_bytes();
     the_first_frames_count_however_young_the_clock_is();
     the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone();
     only_a_frame_that_says_it_has_power_is_counted_against_a_drive();
     a_bad_table_is_refused_and_every_drive_begins_unknown();
-    one_that_may_turn_after_a_reopening_is_told_so_less_and_less_often();
+    one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often();
     the_cycles_keep_the_grid_that_began_with_the_bus();
     a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry();
     eight_drives_are_all_there_are();

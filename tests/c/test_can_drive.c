@@ -21,7 +21,7 @@ static void hold(uint32_t byte, uint8_t value)
 }
 
 /* ------------------------------------------------------------------------------------------- what it is told */
-static void one_that_is_told_all_the_time_is_never_left_alone(void)
+static void one_that_is_sent_all_the_time_is_never_left_alone(void)
 {
     begin_with(1);
     arm(0);
@@ -71,7 +71,7 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     hold(1, 0x5A);
     forget_sent();
     become_unresponsive();
-    CHECK(told_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
 }
 
 /* A drive of two wheels in two frames. */
@@ -94,26 +94,26 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
     w.enabled = 2;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
-    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 100);
+    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 100);
     CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
     w.machine.newest =
         (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {[1] = {.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
-    CHECK(state_of(0)->state.told_motion && speed_in(newest_of(0)) == 0);
+    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 0);
 }
 
-static void zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels(void)
+static void zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels(void)
 {
     begin_with_two_frames();
     arm_and_go();
     w.velocity_rad_s = 0.0;
     w.not_taken = SECOND;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.told_motion);
+    CHECK(state_of(0)->state.sent_motion);
     w.not_taken = 0;
     forget_sent();
     step();
-    CHECK(!state_of(0)->state.told_motion && count_sent(SECOND) >= 1);
+    CHECK(!state_of(0)->state.sent_motion && count_sent(SECOND) >= 1);
 }
 
 static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
@@ -122,16 +122,16 @@ static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
     w.not_taken = SECOND;
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.told_motion);
+    CHECK(state_of(0)->state.sent_motion);
     w.velocity_rad_s = 0.0;
     w.not_taken = 0;
     forget_sent();
     step();
-    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
 /* ------------------------------------------------------------------------------------------------- its power */
-static void one_that_has_power_without_being_armed_is_told_off_and_it_is_said_once(void)
+static void one_that_has_power_without_being_armed_is_sent_off_and_it_is_said_once(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -168,7 +168,7 @@ static void begin_with_one_that_cannot_say(void)
     request(0, DRIVE_READY);
 }
 
-static void one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed(void)
+static void one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_armed(void)
 {
     begin_with_one_that_cannot_say();
     forget_sent();
@@ -224,15 +224,15 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
     CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->state.stop == STOP_NOTHING);
 }
 
-static void after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing(void)
+static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing(void)
 {
     begin_with_one_that_cannot_say();
     request(0, DRIVE_ARMED);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.told_motion);
+    CHECK(state_of(0)->state.sent_motion);
     w.enabled = 0;
     step();
-    CHECK(!state_of(0)->state.told_motion && w.sent[w.sent_count - 1].id == CONTROL);
+    CHECK(!state_of(0)->state.sent_motion && w.sent[w.sent_count - 1].id == CONTROL);
     uint32_t speeds = count_sent(SPEED);
     go_on(100 * MS);
     CHECK(count_sent(SPEED) == speeds);
@@ -257,7 +257,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
     go_on(20 * MS);
     w.enabled = 2; /* a quick stop that waits for rest */
     go_on(120 * MS);
-    CHECK(state_of(0)->state.stopping && !state_of(0)->state.told_motion);
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion);
     forget_sent();
     request(0, DRIVE_OFF);
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
@@ -294,7 +294,7 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
     CHECK(state_of(0)->state.enabled == 2 && newest_of(0)->data[0] == DISABLE);
 }
 
-static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_told(void)
+static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent(void)
 {
     begin_with(1);
     arm_and_go();
@@ -369,18 +369,18 @@ static void asyncio_hears_of_each_change(void)
     CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_news());
 }
 
-static void each_of_its_frames_may_differ_from_what_it_was_told_and_no_other(void)
+static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(void)
 {
     for (uint32_t other = 0; other < 3; other++) {
         begin_with_two_frames();
         for (uint32_t o = 0; o < 2; o++) {
             can_packet packet;
             (void)can_build(&w.machine, 0, o, &packet);
-            memcpy(w.machine.drive[0].told[o], packet.data, packet.bytes);
+            memcpy(w.machine.drive[0].last_sent[o], packet.data, packet.bytes);
         }
         w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1]; /* behind the last one */
         CHECK(!can_differs(&w.machine, 0));
-        w.machine.drive[0].told[other][0] ^= 1;
+        w.machine.drive[0].last_sent[other][0] ^= 1;
         CHECK(can_differs(&w.machine, 0) == (other < 2));
     }
 }
@@ -395,24 +395,24 @@ static void news_of_one_is_not_lost_where_another_has_none(void)
 
 int main(void)
 {
-    one_that_is_told_all_the_time_is_never_left_alone();
+    one_that_is_sent_all_the_time_is_never_left_alone();
     what_the_bus_does_not_take_is_no_word_to_the_drive();
     a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others();
     what_was_held_is_forgotten_with_the_drive();
     a_drive_moves_while_one_of_its_frames_says_so();
-    zero_is_told_again_until_the_bus_has_taken_it_for_all_wheels();
+    zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels();
     motion_that_half_of_the_frames_said_has_to_be_taken_back();
-    one_that_has_power_without_being_armed_is_told_off_and_it_is_said_once();
-    one_that_cannot_say_is_told_off_now_and_then_but_not_while_it_is_armed();
+    one_that_has_power_without_being_armed_is_sent_off_and_it_is_said_once();
+    one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_armed();
     time_without_set_points_before_arming_is_not_being_left_alone();
     a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken();
-    after_its_power_off_one_that_is_told_nothing_at_rest_is_told_nothing();
+    after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing();
     switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing();
     what_it_said_before_a_change_is_not_what_it_says_now();
-    after_its_set_up_all_has_to_be_received_anew_before_the_core_is_told();
+    after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent();
     armed_again_it_may_wait_for_the_core_to_enable_it();
     asyncio_hears_of_each_change();
-    each_of_its_frames_may_differ_from_what_it_was_told_and_no_other();
+    each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other();
     news_of_one_is_not_lost_where_another_has_none();
     return checks_report("can drive");
 }

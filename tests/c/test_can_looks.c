@@ -25,15 +25,15 @@ static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(v
     CHECK(next_look_ns() == 20 * MS);
     arm(2); /* the last of them */
     w.machine.cycle.due_ns = w.now_ns + 500 * MS;
-    CHECK(!state_of(2)->state.told_motion && next_look_ns() == 5 * MS);
+    CHECK(!state_of(2)->state.sent_motion && next_look_ns() == 5 * MS);
     w.machine.cycle.due_ns = w.now_ns;
     step();
-    CHECK(state_of(2)->state.told_motion && next_look_ns() == 5 * MS);
+    CHECK(state_of(2)->state.sent_motion && next_look_ns() == 5 * MS);
     w.full = true;
     w.enabled = 0;
     CHECK(next_look_ns() == MS && state_of(2)->state.mode == DRIVE_READY);
     w.full = false;
-    CHECK(next_look_ns() == 20 * MS && !state_of(2)->state.told_motion);
+    CHECK(next_look_ns() == 20 * MS && !state_of(2)->state.sent_motion);
 }
 
 static void jobs_wait_in_their_order_and_are_looked_at_often(void)
@@ -68,19 +68,19 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     forget_sent();
     w.machine.control.shut_down = 1;
     step();
-    CHECK(told_ns(2, QUICK_STOP) > 0);
+    CHECK(last_sent_ns(2, QUICK_STOP) > 0);
     go_on(100 * MS);
-    CHECK(w.machine.end.stage == END_RESTING && told_ns(2, DISABLE) == 0);
+    CHECK(w.machine.end.stage == END_RESTING && last_sent_ns(2, DISABLE) == 0);
     say_motion(2, 1.0F, 0.0F);
     w.machine.notify = false;
     go_on(12 * MS);
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
     for (uint32_t i = 0; i < 3; i++) {
-        CHECK(told_ns(i, DISABLE) > 0);
+        CHECK(last_sent_ns(i, DISABLE) > 0);
     }
 }
 
-static void asyncio_is_told_of_errors_and_of_drives_that_it_listens_to(void)
+static void asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to(void)
 {
     begin_with(2);
     const uint8_t error[8] = {0};
@@ -124,7 +124,7 @@ int main(void)
     one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often();
     jobs_wait_in_their_order_and_are_looked_at_often();
     the_end_waits_until_the_last_of_them_is_at_rest();
-    asyncio_is_told_of_errors_and_of_drives_that_it_listens_to();
+    asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to();
     the_report_says_what_the_bus_has_done();
     return checks_report("can looks");
 }

@@ -13,7 +13,7 @@ static void begin_drive(void)
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
         drive->received_ns[i] = w.now_ns;
     }
-    drive->told_ns = w.now_ns;
+    drive->last_sent_ns = w.now_ns;
 }
 
 static void obey(uint32_t mode, uint32_t unseen)
@@ -36,7 +36,7 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
             drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
             drive->state.epoch = 4, drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->slow_cycles = 5;
             drive->state.back = drive->may_turn = true;
-            drive->state.told_motion = powered == 1;
+            drive->state.sent_motion = powered == 1;
             drive->state.stopping = powered == 2;
             drive->state.enabled = 1;
             w.now_ns += 7 * MS;
@@ -44,8 +44,8 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
             CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && drive->state.fault_reasons == 0 &&
                   drive->state.still_enabled == 0);
             CHECK(!drive->state.back && drive->may_turn == (powered != 0) && drive->slow_cycles == 0 &&
-                  drive->told_ns == w.now_ns);
-            CHECK(drive->state.stopping == (powered == 2) && drive->state.told_motion == (powered == 1) &&
+                  drive->last_sent_ns == w.now_ns);
+            CHECK(drive->state.stopping == (powered == 2) && drive->state.sent_motion == (powered == 1) &&
                   drive->state.enabled == 2);
             for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
                 CHECK(drive->received_ns[i] == w.now_ns);
@@ -73,7 +73,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         if (armed) {
             CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0 &&
                   drive->state.still_enabled == 0);
-            CHECK(drive->state.enabled == 2 && drive->told_ns == w.now_ns);
+            CHECK(drive->state.enabled == 2 && drive->last_sent_ns == w.now_ns);
         }
     }
 }
@@ -89,7 +89,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 begin_drive();
                 drive->state.mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
                 drive->state.stopping = has == 2;
-                drive->state.told_motion = has == 3;
+                drive->state.sent_motion = has == 3;
                 drive->state.off_due = has == 4;
                 drive->state.enabled = 1;
                 drive->state.back = true;
@@ -150,7 +150,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
-static void an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_stopped(void)
+static void an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 3; how++) {
         begin_armed();
@@ -186,7 +186,7 @@ int main(void)
     it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
     switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
     an_armed_drive_is_stopped_when_set_points_grow_old();
-    an_armed_drive_that_is_told_nothing_for_longer_than_its_watchdog_is_stopped();
+    an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_stopped();
     an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power();
     return checks_report("can steps");
 }

@@ -12,7 +12,7 @@ static void drive_off_on_a_full_bus(void)
     w.full = true;
 }
 
-static void standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest(void)
+static void standing_down_tells_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest(void)
 {
     begin_with(1);
     w.table.drive[0].idle_setpoints = 0;
@@ -34,7 +34,7 @@ static void switching_off_one_that_has_not_received_its_zero_takes_its_power(voi
     request(0, DRIVE_OFF);
     w.full = false;
     go_on(2 * MS);
-    CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void a_stop_that_waits_outlives_a_new_set_up(void)
@@ -46,7 +46,7 @@ static void a_stop_that_waits_outlives_a_new_set_up(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY); /* not before it has been stopped */
     w.full = false;
     go_on(2 * MS);
-    CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
@@ -57,10 +57,10 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     request(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY);
     go_on(2 * MS);
-    CHECK(told_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it(void)
+static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_takes_it(void)
 {
     drive_off_on_a_full_bus();
     w.silent = true;
@@ -69,10 +69,10 @@ static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_ta
     w.full = false;
     int64_t taken_ns = w.now_ns;
     go_on(12 * MS);
-    CHECK(told_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop(void)
+static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_sent_to_stop(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_OFF);
@@ -82,10 +82,10 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     w.full = false;
     go_on(12 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it(void)
+static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_nobody_hears_it(void)
 {
     begin_with(2);
     arm(0);
@@ -96,10 +96,10 @@ static void one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_he
     int64_t opened_ns = w.now_ns;
     go_on(12 * MS);
     CHECK(w.machine.drive[0].state.mode == DRIVE_OFF);
-    CHECK(told_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
     CHECK(count_sent(SPEED + 1) == 0); /* it was never armed */
     go_on(2500 * MS);
-    CHECK(told_ns(0, DISABLE) > opened_ns);
+    CHECK(last_sent_ns(0, DISABLE) > opened_ns);
     w.silent = false;
     go_on(100 * MS);
     forget_sent();
@@ -217,12 +217,12 @@ int main(void)
     no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();
     what_leaves_in_its_cycle_goes_on();
     what_is_said_to_have_left_some_milliseconds_late_goes_on();
-    one_that_was_armed_is_told_to_stop_over_a_reopening_though_nobody_hears_it();
-    standing_down_tells_zero_at_once_to_a_drive_that_is_told_nothing_at_rest();
+    one_that_was_armed_is_sent_to_stop_over_a_reopening_though_nobody_hears_it();
+    standing_down_tells_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest();
     switching_off_one_that_has_not_received_its_zero_takes_its_power();
     a_stop_that_waits_outlives_a_new_set_up();
     a_stop_that_was_overtaken_unseen_is_still_carried_out();
-    an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_takes_it();
-    one_that_falls_silent_after_a_set_up_it_did_not_hear_is_told_to_stop();
+    an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_takes_it();
+    one_that_falls_silent_after_a_set_up_it_did_not_hear_is_sent_to_stop();
     return checks_report("can stops");
 }

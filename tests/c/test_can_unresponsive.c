@@ -56,7 +56,7 @@ static void an_unresponsive_drive_is_asked_less_and_less_often(void)
     }
 }
 
-static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second(void)
+static void one_that_may_turn_is_sent_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second(void)
 {
     begin_with(1);
     arm_and_go();
@@ -67,12 +67,12 @@ static void one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_unrespon
     forget_sent();
     int64_t unresponsive_ns = w.now_ns;
     go_on(950 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && told_ns(0, DISABLE) == 0 && !state_of(0)->state.told_motion);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && last_sent_ns(0, DISABLE) == 0 && !state_of(0)->state.sent_motion);
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(speed_in(&w.sent[i]) == 0);
     }
     go_on(1000 * MS);
-    CHECK(told_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
+    CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(void)
@@ -97,7 +97,7 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     CHECK(w.sent_count == 0);
 }
 
-static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
+static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
 {
     begin_with(1);
     table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
@@ -107,10 +107,10 @@ static void an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_ha
     become_unresponsive();
     forget_sent();
     go_on(50 * MS);
-    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->state.told_motion);
+    CHECK(count_sent(CONTROL) >= 4 && state_of(0)->state.sent_motion);
     w.not_taken = 0;
     go_on(12 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
 static void one_that_was_switched_off_while_it_came_back_stays_off(void)
@@ -125,7 +125,7 @@ static void one_that_was_switched_off_while_it_came_back_stays_off(void)
     request(0, DRIVE_OFF);
     w.full = false;
     go_on(30 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_OFF && told_ns(0, DISABLE) > 0);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && last_sent_ns(0, DISABLE) > 0);
 }
 
 static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(void)
@@ -181,16 +181,16 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive
     go_on(2 * MS);
     CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);
     go_on(300 * MS);
-    CHECK(w.machine.end.stage == END_SILENT && told_ns(0, DISABLE) > 0);
+    CHECK(w.machine.end.stage == END_SILENT && last_sent_ns(0, DISABLE) > 0);
 }
 
 int main(void)
 {
     one_is_asked_in_each_cycle_and_what_may_wait_takes_turns();
     an_unresponsive_drive_is_asked_less_and_less_often();
-    one_that_may_turn_is_told_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second();
+    one_that_may_turn_is_sent_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second();
     a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
-    an_unresponsive_drive_is_told_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
+    an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
     one_that_was_switched_off_while_it_came_back_stays_off();
     one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word();
     one_with_a_hello_is_back_when_it_has_answered();

@@ -74,21 +74,21 @@ static const joint_feedback *feedback_of(uint32_t joint)
 }
 
 /* --------------------------------------------------------------------------------------------------- told */
-static void both_wheels_are_told_in_one_frame(void)
+static void both_wheels_are_sent_in_one_frame(void)
 {
     begin_with_two_wheels();
     arm(0);
     want(1.0, 0.0);
     go_on(15 * MS);
-    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0 && state_of(0)->state.told_motion);
+    CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0 && state_of(0)->state.sent_motion);
     want(0.0, -2.0);
     forget_sent();
     go_on(90 * MS);
-    CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->state.told_motion);
+    CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->state.sent_motion);
     CHECK(w.sent_count >= 8 && w.sent_count <= 10); /* one wheel turns: nothing is to be stopped between two cycles */
     want(0.0, 0.0);
     step();
-    CHECK(second_speed() == 0 && !state_of(0)->state.told_motion);
+    CHECK(second_speed() == 0 && !state_of(0)->state.sent_motion);
 }
 
 static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
@@ -99,7 +99,7 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     go_on(30 * MS);
     w.enabled = 2;
     go_on(150 * MS);
-    CHECK(told_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping && told_ns(0, DISABLE) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == 0);
     say_second(0, 1); /* 0 rad/s */
     step();
     CHECK(!state_of(0)->state.stopping);
@@ -107,7 +107,7 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
 
-static void each_kind_of_set_point_is_told_by_its_own_number(void)
+static void each_kind_of_set_point_is_sent_by_its_own_number(void)
 {
     const uint32_t kinds[] = {SETPOINT_VELOCITY, SETPOINT_DUTY, SETPOINT_TORQUE};
     for (uint32_t i = 0; i < 3; i++) {
@@ -246,7 +246,7 @@ static void a_joint_that_the_core_says_nothing_of_stands_still(void)
     CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0);
 }
 
-static void each_kind_of_set_point_is_told_to_whom_it_is_for(void)
+static void each_kind_of_set_point_is_sent_to_whom_it_is_for(void)
 {
     begin_with_two_wheels();
     table_of(0)->output[0].setpoint[0].scale.kind = SETPOINT_TORQUE;
@@ -282,9 +282,9 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
 int main(void)
 {
     a_range_that_the_place_cannot_hold_is_refused();
-    both_wheels_are_told_in_one_frame();
+    both_wheels_are_sent_in_one_frame();
     a_drive_is_at_rest_when_both_of_its_wheels_are();
-    each_kind_of_set_point_is_told_by_its_own_number();
+    each_kind_of_set_point_is_sent_by_its_own_number();
     numbers_without_their_top_bit_are_positive();
     what_raw_zero_says_is_added();
     feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word();
@@ -292,6 +292,6 @@ int main(void)
     a_fault_word_is_news_once_and_stops_unless_it_is_a_warning();
     a_fault_that_is_a_number_stops_unless_it_is_listed();
     a_joint_that_the_core_says_nothing_of_stands_still();
-    each_kind_of_set_point_is_told_to_whom_it_is_for();
+    each_kind_of_set_point_is_sent_to_whom_it_is_for();
     return checks_report("can values");
 }

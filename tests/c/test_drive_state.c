@@ -82,7 +82,7 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
             for (int power = 0; power < 4; power++) {
                 drive_state drive = {.mode = MODE[m], .request_seen = UINT32_MAX, .back = true};
                 drive.stopping = power == 1;
-                drive.told_motion = power == 2;
+                drive.sent_motion = power == 2;
                 drive.off_due = power == 3;
                 drive_view view = good_view();
                 mode_request request = {.count = 1, .mode = REQUEST[r]};

@@ -207,7 +207,7 @@ static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(vo
     CHECK(close(config.fd) == 0);
 }
 
-static void a_writer_that_has_gone_is_told_with_the_next_look(void)
+static void a_writer_that_has_gone_is_sent_with_the_next_look(void)
 {
     wheel w = new_wheel();
     encoder_config config = edges_on(w.in);
@@ -343,7 +343,7 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
         .output_count = 1,
         .joint = {{.index = 0,
                    .sign = 1.0,
-                   .encoder = {.kind = ENCODER_TOLD, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5}},
+                   .encoder = {.kind = ENCODER_REPORTED, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5}},
                   {.index = 1, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
@@ -387,7 +387,7 @@ int main(void)
     a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();
     a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care();
-    a_writer_that_has_gone_is_told_with_the_next_look();
+    a_writer_that_has_gone_is_sent_with_the_next_look();
     silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it();
     a_config_at_the_edge_of_its_range_is_good();
     the_thread_of_bridges_feeds_back_what_its_encoders_count();

@@ -70,7 +70,7 @@ static void without_pins_nothing_stops_and_nothing_is_written(void)
     CHECK(g.watchdog_edges == 0 && g.watchdog_errno == 0 && g.watchdog_well == 0);
 }
 
-static void a_pin_that_cannot_be_written_is_told_with_its_reason(void)
+static void a_pin_that_cannot_be_written_is_sent_with_its_reason(void)
 {
     guard g;
     guard_init(&g, &(guard_config){.watchdog = 1, .watchdog_fd = -1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = MS});
@@ -113,7 +113,7 @@ static uint32_t edges_in(rig *r, uint32_t ticks, bool asyncio, bool line)
     return edges;
 }
 
-static void while_all_live_the_pin_changes_as_often_as_it_is_told(void)
+static void while_all_live_the_pin_changes_as_often_as_it_is_sent(void)
 {
     rig r = living();
     r.input.enabled = true;
@@ -223,8 +223,8 @@ int main(void)
     a_level_that_nobody_knows_stops_whatever_else_is_said();
     an_input_that_was_lost_stays_lost();
     without_pins_nothing_stops_and_nothing_is_written();
-    a_pin_that_cannot_be_written_is_told_with_its_reason();
-    while_all_live_the_pin_changes_as_often_as_it_is_told();
+    a_pin_that_cannot_be_written_is_sent_with_its_reason();
+    while_all_live_the_pin_changes_as_often_as_it_is_sent();
     without_a_first_heartbeat_it_does_not_move();
     when_asyncio_hangs_it_stops_low_and_goes_on_with_it();
     a_line_without_enabled_drives_may_stand_still();

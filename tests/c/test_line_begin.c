@@ -55,15 +55,15 @@ static void a_table_that_is_wrong_begins_nothing(void)
     CHECK(line_machine_init(&w.machine, &table, 0, 7000 * MS) == -EINVAL);
 }
 
-static void each_drive_that_may_turn_is_told_to_stop_and_no_other(void)
+static void each_drive_that_may_turn_is_sent_to_stop_and_no_other(void)
 {
     for (uint32_t may_turn = 0; may_turn < 8; may_turn++) {
         line_table table = table_of(2);
         init(&table, may_turn);
         for (uint32_t i = 0; i < 3; i++) {
-            bool told = i < 2 && (may_turn >> i & 1) != 0;
-            CHECK(w.machine.drive[i].may_turn == told);
-            CHECK(w.machine.drive[i].state.stop == (told ? STOP_QUICK : STOP_NOTHING));
+            bool last_sent = i < 2 && (may_turn >> i & 1) != 0;
+            CHECK(w.machine.drive[i].may_turn == last_sent);
+            CHECK(w.machine.drive[i].state.stop == (last_sent ? STOP_QUICK : STOP_NOTHING));
         }
     }
 }
@@ -124,7 +124,7 @@ int main(void)
 {
     a_line_begins_with_nothing_of_before();
     a_table_that_is_wrong_begins_nothing();
-    each_drive_that_may_turn_is_told_to_stop_and_no_other();
+    each_drive_that_may_turn_is_sent_to_stop_and_no_other();
     each_drive_knows_its_joints();
     nothing_behind_a_list_is_looked_at();
     return checks_report("line begin");

@@ -15,25 +15,25 @@ static void goes(const uint32_t *frames, uint32_t count)
 }
 #define GOES(...) goes((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
 
-static void rest_is_told_before_another_way_and_the_way_after_its_first_magnitude(void)
+static void rest_is_sent_before_another_way_and_the_way_after_its_first_magnitude(void)
 {
     begin_ways(1.0);
     uint32_t rest = frame_to(WAY, WAY_REST), forward = frame_to(WAY, WAY_FORWARD), reverse = frame_to(WAY, WAY_REVERSE);
     uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
     GOES(rest, fast, forward, status);
-    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->state.told_motion);
+    CHECK(drive->way_sent[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->state.sent_motion);
     want(0.5);
     GOES(slow, status);
     want(-0.5);
     GOES(rest, slow, reverse, status);
-    CHECK(drive->way_told[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
+    CHECK(drive->way_sent[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
     want(0.0);
     GOES(still, rest, status);
-    CHECK(drive->way_told[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->state.told_motion);
+    CHECK(drive->way_sent[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->state.sent_motion);
     GOES(still, status);
     want(0.5);
     GOES(slow, forward, status);
-    CHECK(drive->way_told[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD);
+    CHECK(drive->way_sent[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD);
 }
 
 static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
@@ -42,15 +42,15 @@ static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(v
     GOES(frame_to(WAY, WAY_REST), frame_to(SPEED, 100), frame_to(WAY, WAY_FORWARD), frame_to(STATUS, 1));
     want(-1.0);
     line_cycle_begin(&w.machine, 0, w.now_ns);
-    CHECK(sends() == frame_to(WAY, WAY_REST) && drive->way_told[0] == WAY_UNKNOWN);
+    CHECK(sends() == frame_to(WAY, WAY_REST) && drive->way_sent[0] == WAY_UNKNOWN);
     answers_with(0);
-    CHECK(drive->way_told[0] == WAY_REST && drive->place == 1);
+    CHECK(drive->way_sent[0] == WAY_REST && drive->place == 1);
     CHECK(sends() == frame_to(SPEED, 100));
     answers_with(0);
     CHECK(sends() == frame_to(WAY, WAY_REVERSE));
     want(0.0); /* while it is on its way */
     answers_with(0);
-    CHECK(drive->way_told[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
+    CHECK(drive->way_sent[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
 }
 
 /* Two exchanges of set-points: one of them that is not zero is a motion. */
@@ -66,14 +66,14 @@ static void a_motion_in_any_exchange_is_a_motion(void)
         table->cyclic_count = 3;
         w.machine.newest.joint[which].velocity_rad_s = 1.0;
         GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0), frame_to(STATUS, 1));
-        CHECK(drive->state.told_motion);
+        CHECK(drive->state.sent_motion);
         w.machine.newest.joint[which].velocity_rad_s = 0.0;
         GOES(frame_to(SPEED, 0), frame_to(SPEED, 0), frame_to(STATUS, 1));
-        CHECK(!drive->state.told_motion);
+        CHECK(!drive->state.sent_motion);
     }
 }
 
-static void each_of_several_ways_is_told(void)
+static void each_of_several_ways_is_sent(void)
 {
     begin_ways(1.0);
     line_drive *table = &w.machine.table.drive[0];
@@ -81,7 +81,7 @@ static void each_of_several_ways_is_told(void)
     table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST),
                                .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
                                .reverse = frame_of(1, WRITE, WAY + 1, WAY_REVERSE)};
-    drive->way_told[0] = WAY_FORWARD;
+    drive->way_sent[0] = WAY_FORWARD;
     uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
     GOES(frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY + 1, WAY_FORWARD), status);
     want(-1.0);
@@ -90,7 +90,7 @@ static void each_of_several_ways_is_told(void)
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
-static void one_that_is_stopping_is_told_no_way(void)
+static void one_that_is_stopping_is_sent_no_way(void)
 {
     begin_ways(1.0);
     drive->state.mode = DRIVE_READY;
@@ -105,7 +105,7 @@ static void one_that_is_stopping_is_told_no_way(void)
 static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
 {
     begin_ways(0.0);
-    drive->way_told[0] = WAY_REST;
+    drive->way_sent[0] = WAY_REST;
     uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
     drive->state.mode = DRIVE_READY;
     drive->state.enabled = 0;
@@ -222,7 +222,7 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
 {
     begin_ways(0.0);
-    drive->way_told[0] = WAY_REST;
+    drive->way_sent[0] = WAY_REST;
     drive->cycle_count = 4;
     w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1]; /* behind the last one */
     line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -239,7 +239,7 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
 }
 
 /* Of two that are told and nothing that is read the first answer says all; else it is the last one that is read. */
-static void what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
+static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {
         begin_ways(0.0);
@@ -258,16 +258,16 @@ static void what_is_told_says_nothing_to_the_core_while_something_is_still_to_be
 
 int main(void)
 {
-    rest_is_told_before_another_way_and_the_way_after_its_first_magnitude();
+    rest_is_sent_before_another_way_and_the_way_after_its_first_magnitude();
     a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
     a_motion_in_any_exchange_is_a_motion();
-    each_of_several_ways_is_told();
-    one_that_is_stopping_is_told_no_way();
+    each_of_several_ways_is_sent();
+    one_that_is_stopping_is_sent_no_way();
     a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
     the_end_of_a_cycle_judges_what_the_drive_said();
     one_that_is_enabled_without_being_armed_is_switched_off();
     the_core_hears_of_a_cycle_with_the_last_of_what_it_reads();
-    what_is_told_says_nothing_to_the_core_while_something_is_still_to_be_read();
+    what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read();
     return checks_report("line cycle");
 }

@@ -27,14 +27,14 @@ static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
         drive->stop_place = 1, drive->stop_done = 3, drive->stop_failures = 2, drive->stop_refused = true;
         drive->stage = STAGE_READ;
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            drive->way_told[way] = WAY_FORWARD;
+            drive->way_sent[way] = WAY_FORWARD;
         }
         w.machine.current = current;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         CHECK(drive->state.stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
         CHECK(drive->stop_failures == 0 && !drive->stop_refused && drive->stage == STAGE_IDLE);
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
         }
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
     }
@@ -126,7 +126,7 @@ static void a_stop_does_not_wait_for_its_turn(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         line_drive_state *drive = begin_armed();
-        drive->state.told_motion = how != 1;
+        drive->state.sent_motion = how != 1;
         w.machine.newest.joint[0].velocity_rad_s = how == 2 ? 1.0 : 0.0;
         drive->due_ns = how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS;
         line_guard(&w.machine, 0, w.now_ns);
@@ -168,24 +168,24 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
             drive->state.epoch = 4;
             drive->state.fault_reasons = 0xff, drive->failures = 5, drive->state.still_enabled = 6;
-            drive->may_turn = drive->state.told_motion = drive->state.back = true;
+            drive->may_turn = drive->state.sent_motion = drive->state.back = true;
             drive->state.stop = pending == 1 ? STOP_QUICK : STOP_NOTHING;
             drive->state.stopping = pending == 2;
             drive->cycle_count = 9, drive->extra_next = 3, drive->cycle_start_ns = 77;
             drive->due_ns = drive->answered_ns = 1;
             for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-                drive->way_told[way] = WAY_REVERSE;
+                drive->way_sent[way] = WAY_REVERSE;
             }
             w.machine.joint[0].feedback.velocity_rad_s = 5.0;
             obey(DRIVE_READY, 0);
             CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && !drive->state.back);
             CHECK(drive->state.fault_reasons == 0 && drive->failures == 0 && drive->state.still_enabled == 0);
-            CHECK(drive->may_turn == (pending != 0) && drive->state.told_motion == (pending != 0));
+            CHECK(drive->may_turn == (pending != 0) && drive->state.sent_motion == (pending != 0));
             CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->state.stopping == (pending == 2));
             CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
             CHECK(drive->due_ns == w.now_ns && drive->answered_ns == w.now_ns);
             for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-                CHECK(drive->way_told[way] == WAY_UNKNOWN);
+                CHECK(drive->way_sent[way] == WAY_UNKNOWN);
             }
             CHECK(w.machine.joint[0].feedback.velocity_rad_s != 5.0);
         }
@@ -200,7 +200,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.was_enabled = true;
         drive->state.enabled_count = 3, w.machine.enabled_count = 8;
         drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->state.enabled = 1;
-        memset(drive->told, 0x11, sizeof drive->told);
+        memset(drive->last_sent, 0x11, sizeof drive->last_sent);
         w.now_ns += against == 1 ? 100 * MS + 1 : 100 * MS;
         drive->state.stopping = against == 2;
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
@@ -210,8 +210,8 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
             CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0);
-            CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 && drive->told[1][1] == 0 &&
-                  drive->told[0][0] == 0);
+            CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 && drive->last_sent[1][1] == 0 &&
+                  drive->last_sent[0][0] == 0);
         }
     }
 }
@@ -228,7 +228,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 line_drive_state *drive = begin_drive();
                 drive->state.mode = has == 1 ? DRIVE_ARMED : DRIVE_READY;
                 drive->state.stopping = has == 2;
-                drive->state.told_motion = has == 3;
+                drive->state.sent_motion = has == 3;
                 drive->state.enabled = 1;
                 drive->state.back = true;
                 drive->stage = STAGE_READ;
@@ -266,7 +266,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
     CHECK(drive->state.mode == DRIVE_UNRESPONSIVE);
 }
 
-static void frames_of_a_stop_are_told_until_each_is_done(void)
+static void frames_of_a_stop_are_sent_until_each_is_done(void)
 {
     line_drive_state *drive = begin_drive();
     line_frame frame;
@@ -327,7 +327,7 @@ int main(void)
     a_set_up_begins_anew_but_for_a_stop_that_is_pending();
     it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
     switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
-    frames_of_a_stop_are_told_until_each_is_done();
+    frames_of_a_stop_are_sent_until_each_is_done();
     news_of_one_is_not_lost_where_another_has_none();
     return checks_report("line drive");
 }

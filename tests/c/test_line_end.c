@@ -67,7 +67,7 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     look_at(begun_ns + REST_NS);
     CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.drive[0].state.stopping &&
           w.machine.drive[0].state.stop == STOP_POWER_OFF);
-    w.machine.drive[0].stop_told = w.machine.drive[1].stop_told = (1U << w.machine.table.drive[0].disarm_count) - 1;
+    w.machine.drive[0].stop_sent = w.machine.drive[1].stop_sent = (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
     CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.notify);
     look_at(begun_ns + END_NS);
@@ -77,7 +77,7 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
 /* One that is not heard may hear: a silent neighbour does not take its time away. */
 static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {
-    for (int told = 0; told < 2; told++) {
+    for (int last_sent = 0; last_sent < 2; last_sent++) {
         begin_with(2, 0);
         uint32_t frames = w.machine.table.drive[1].disarm_count;
         w.machine.control.shut_down = 1;
@@ -86,12 +86,12 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
         look_at(begun_ns);
         CHECK(w.machine.end.stage == END_POWER_OFF && frames > 0);
         w.machine.drive[0].state.stop = STOP_NOTHING;
-        w.machine.drive[1].stop_told = (1U << (frames - 1)) - 1;
+        w.machine.drive[1].stop_sent = (1U << (frames - 1)) - 1;
         look_at(begun_ns + END_NS);
         CHECK(w.machine.end.stage == END_POWER_OFF);
-        w.machine.drive[1].stop_told |= told ? 1U << (frames - 1) : 0;
+        w.machine.drive[1].stop_sent |= last_sent ? 1U << (frames - 1) : 0;
         look_at(begun_ns + UNHEARD_END_NS - 1);
-        CHECK(w.machine.end.stage == (told ? 3 : 2));
+        CHECK(w.machine.end.stage == (last_sent ? 3 : 2));
         look_at(begun_ns + UNHEARD_END_NS);
         CHECK(w.machine.end.stage == END_SILENT);
     }

@@ -200,7 +200,7 @@ static void no_value_is_older_than_it_says(bool one_look)
     }
 }
 
-static void a_late_reply_is_told_from_noise(void)
+static void a_late_reply_is_sent_from_noise(void)
 {
     begin_late(1, false, 1);
     run(1, 500 * MS);
@@ -398,7 +398,7 @@ int main(void)
 {
     no_value_is_older_than_it_says(false);
     no_value_is_older_than_it_says(true);
-    a_late_reply_is_told_from_noise();
+    a_late_reply_is_sent_from_noise();
     a_late_drive_does_not_keep_its_neighbour_waiting(false);
     a_late_drive_does_not_keep_its_neighbour_waiting(true);
     a_lost_reply_costs_a_drive_of_two_looks_no_pause();

@@ -14,7 +14,7 @@ static void begin_turning(uint32_t drives)
     for (uint32_t i = 0; i < drives; i++) {
         arm(i);
     }
-    while (!w.machine.drive[drives - 1].state.told_motion) {
+    while (!w.machine.drive[drives - 1].state.sent_motion) {
         go_on();
     }
 }
@@ -89,7 +89,7 @@ static void an_urgent_request_goes_out_and_no_other(void)
 }
 
 /* Nothing can be asked: nobody is known to be there. One that may turn is told to stop again and again. */
-static void its_drives_become_unresponsive_and_are_told_to_stop(void)
+static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
 {
     begin_turning(2);
     w.machine.table.drive[0].watchdog_ns = w.machine.table.drive[1].watchdog_ns = 0;
@@ -137,7 +137,7 @@ int main(void)
     all_drives_are_switched_off_at_the_end();
     a_stop_waits_for_silence_as_long_as_that_may_still_come();
     an_urgent_request_goes_out_and_no_other();
-    its_drives_become_unresponsive_and_are_told_to_stop();
+    its_drives_become_unresponsive_and_are_sent_to_stop();
     noise_before_a_turn_that_has_just_come_is_no_failure();
     return checks_report("line noise");
 }

@@ -6,7 +6,7 @@ static void a_reply_that_took_longer_than_usual_tells_no_value(void)
 {
     for (uint32_t late = 0; late < 3; late++) {
         begin_ways(0.0);
-        drive->way_told[0] = WAY_REST;
+        drive->way_sent[0] = WAY_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         answers_with(0);
@@ -25,7 +25,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
         begin_ways(0.0);
-        drive->way_told[0] = WAY_REST;
+        drive->way_sent[0] = WAY_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         drive->failures = 2;
@@ -44,7 +44,7 @@ static void what_is_not_answered_tells_no_turn_around(void)
 {
     for (uint32_t bytes = 0; bytes < 2; bytes++) {
         begin_ways(0.0);
-        drive->way_told[0] = WAY_REST;
+        drive->way_sent[0] = WAY_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         w.machine.transaction.frame.reply_bytes = bytes;
@@ -54,7 +54,7 @@ static void what_is_not_answered_tells_no_turn_around(void)
     }
 }
 
-static void an_unresponsive_drive_that_answers_is_told_to_switch_off_first(void)
+static void an_unresponsive_drive_that_answers_is_sent_to_switch_off_first(void)
 {
     begin_ways(0.0);
     drive->state.mode = DRIVE_UNRESPONSIVE;
@@ -179,7 +179,7 @@ int main(void)
     a_reply_that_took_longer_than_usual_tells_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
     what_is_not_answered_tells_no_turn_around();
-    an_unresponsive_drive_that_answers_is_told_to_switch_off_first();
+    an_unresponsive_drive_that_answers_is_sent_to_switch_off_first();
     each_failure_is_counted_by_its_kind();
     so_many_failures_as_it_has_tries_make_it_unresponsive();
     at_the_end_a_frame_that_fails_makes_room_for_the_next();

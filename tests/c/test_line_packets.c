@@ -8,7 +8,7 @@ static uint8_t sent[16];
 static uint32_t sent_bytes;
 static int64_t sent_ns;
 
-static line_frame told_by(uint8_t unit, uint8_t command)
+static line_frame sent_by(uint8_t unit, uint8_t command)
 {
     line_frame frame = {.request_bytes = 6,
                         .reply_bytes = 1,
@@ -32,13 +32,13 @@ static void begin_packets(uint32_t drives)
     for (uint32_t i = 0; i < drives; i++) {
         line_drive *drive = &w.table.drive[i];
         uint8_t unit = (uint8_t)(UNIT + i);
-        drive->cyclic[0].frame = told_by(unit, SPEEDS);
+        drive->cyclic[0].frame = sent_by(unit, SPEEDS);
         drive->cyclic[0].setpoint[0].byte = 2;
         drive->cyclic[1].frame = asked_by(unit);
         drive->cyclic[1].field[0].byte = 0;
-        drive->quick_stop[0] = told_by(unit, SPEEDS);
+        drive->quick_stop[0] = sent_by(unit, SPEEDS);
         drive->disarm_count = 1;
-        drive->disarm[0] = drive->idle[0] = told_by(unit, DUTIES);
+        drive->disarm[0] = drive->idle[0] = sent_by(unit, DUTIES);
         drive->idle_count = 1;
     }
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
@@ -71,7 +71,7 @@ static void look(bool answers, int16_t speed)
     }
 }
 
-static void look_until_told(uint8_t command)
+static void look_until_sent(uint8_t command)
 {
     sent_bytes = 0;
     for (uint32_t i = 0; i < 100 && !(sent_bytes == 6 && sent[1] == command); i++) {
@@ -90,15 +90,15 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
         CHECK(sent_bytes <= 2 || (sent_bytes == 6 && sent[1] == DUTIES && rtu_read(sent + 2, FORM_I16) == 0));
     }
     request(0, DRIVE_ARMED);
-    look_until_told(SPEEDS);
+    look_until_sent(SPEEDS);
     CHECK(rtu_read(sent + 2, FORM_I16) == 100);
     w.machine.control.shut_down = 1;
-    look_until_told(SPEEDS);
+    look_until_sent(SPEEDS);
     for (uint32_t i = 0; i < 10; i++) {
         CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0)); /* it turns: held at zero */
         look(true, 300);
     }
-    look_until_told(DUTIES);
+    look_until_sent(DUTIES);
 }
 
 static void a_late_answer_is_nobody_s(void)

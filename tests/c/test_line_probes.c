@@ -2,7 +2,7 @@
  * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what is urgent waits for silence. */
 #include "line_wire.h"
 
-static void one_that_becomes_unresponsive_forgets_what_it_was_told(void)
+static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         begin_with(2, 0);
@@ -13,7 +13,7 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_told(void)
         drive->state.stopping = drive->state.back = true;
         drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7, drive->probe_at_ns = 1;
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            drive->way_told[way] = WAY_FORWARD;
+            drive->way_sent[way] = WAY_FORWARD;
         }
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
@@ -25,7 +25,7 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_told(void)
         /* one quick stop, one set-point of zero, and a question; or the question alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
         }
         CHECK(w.machine.current == (how == 1 ? 1 : (uint32_t)LINE_DRIVES_MAX));
     }
@@ -125,7 +125,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
 int main(void)
 {
-    one_that_becomes_unresponsive_forgets_what_it_was_told();
+    one_that_becomes_unresponsive_forgets_what_it_was_sent();
     probes_of_one_that_may_turn_stop_it_in_each_round();
     the_exchange_that_asks_goes_before_the_extra_ranges();
     the_first_unresponsive_drive_whose_time_has_come_is_asked();

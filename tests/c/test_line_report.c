@@ -36,13 +36,13 @@ static void fill(line_drive_state *drive, uint32_t n)
 {
     drive->count = (drive_report){.cycles = n + 20, .exchanges = n + 21, .unresponsive = n + 22, .received_ns = n + 23};
     drive->state = (drive_state){.mode = n + 1, .fault_reasons = n + 2, .request_seen = n + 3, .enabled = n + 4};
-    drive->state.stopping = n == 0, drive->state.told_motion = n != 0;
+    drive->state.stopping = n == 0, drive->state.sent_motion = n != 0;
     drive->may_turn = n == 0;
     drive->failures = n + 5, drive->last_failure = n + 6, drive->last_exception = n + 7;
     drive->smoothed_ns = n + 8, drive->deadline_ns = n + 9, drive->cycle_ns = n + 10;
 }
 
-static void each_drive_is_told_by_itself(void)
+static void each_drive_is_sent_by_itself(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
     for (uint32_t n = 0; n < LINE_DRIVES_MAX; n++) {
@@ -52,7 +52,7 @@ static void each_drive_is_told_by_itself(void)
     for (uint32_t n = 0; n < LINE_DRIVES_MAX; n++) {
         const drive_report *to = &report.drive[n];
         CHECK(to->mode == n + 1 && to->fault_reasons == n + 2 && to->request_seen == n + 3 && to->enabled == n + 4);
-        CHECK(to->stopping == (n == 0) && to->told_motion == (n != 0) && to->may_turn == (n == 0));
+        CHECK(to->stopping == (n == 0) && to->sent_motion == (n != 0) && to->may_turn == (n == 0));
         CHECK(to->failures == n + 5 && to->last_failure == n + 6 && to->last_exception == n + 7);
         CHECK(to->turnaround_ns == n + 8 && to->deadline_ns == n + 9 && to->cycle_ns == n + 10);
         CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 && to->received_ns == n + 23);
@@ -73,7 +73,7 @@ static void a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused(void)
 int main(void)
 {
     a_line_tells_what_it_counts();
-    each_drive_is_told_by_itself();
+    each_drive_is_sent_by_itself();
     a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused();
     return checks_report("line report");
 }

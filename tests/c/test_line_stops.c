@@ -15,7 +15,7 @@ static int64_t shut_down(void)
     return last_ns - asked_ns;
 }
 
-static void drives_that_are_off_are_told_one_gap_apart(void)
+static void drives_that_are_off_are_sent_one_gap_apart(void)
 {
     begin_with(4, 0);
     CHECK(shut_down() < 100 * MS);
@@ -35,7 +35,7 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
 }
 
 /* Whatever is under way when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
-static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way(void)
+static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_under_way(void)
 {
     for (uint32_t steps = 0; steps < 60; steps++) {
         begin_with(1, 0);
@@ -44,14 +44,14 @@ static void a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_
         for (uint32_t i = 0; i < steps; i++) {
             go_on();
         }
-        w.told_off[0] = 0;
+        w.sent_off[0] = 0;
         CHECK(shut_down() <= 520 * MS);
-        CHECK(w.told_off[0] > 0);
+        CHECK(w.sent_off[0] > 0);
     }
 }
 
 /* The quick stop and the first power-off are lost, as with a cut of 150 ms. */
-static void one_that_is_missing_for_a_moment_is_told_until_it_has_received_it(void)
+static void one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it(void)
 {
     for (int64_t cut_ms = 0; cut_ms < 400; cut_ms += 10) {
         begin_with(1, 0);
@@ -79,10 +79,10 @@ static void one_that_is_missing_until_the_end_is_reported_to_wait(void)
     line_report report = {.shut_down = 0};
     line_machine_report(&w.machine, &report);
     CHECK(report.drive[0].stop_waits == 1);
-    CHECK(w.told_off[0] > 4);
+    CHECK(w.sent_off[0] > 4);
 }
 
-static void of_two_missing_drives_the_one_that_comes_back_is_told(void)
+static void of_two_missing_drives_the_one_that_comes_back_is_sent(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -117,7 +117,7 @@ static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(voi
     CHECK(w.power_off_ns[1] > asked_ns + 200 * MS && w.power_off_ns[1] < asked_ns + 300 * MS);
 }
 
-static void one_that_hears_but_is_not_received_is_told_every_frame_at_the_end(void)
+static void one_that_hears_but_is_not_received_is_sent_every_frame_at_the_end(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -149,10 +149,10 @@ static void open_again(uint32_t may_turn)
 {
     CHECK(line_machine_init(&w.machine, &w.table, may_turn, w.now_ns) == 0);
     memset(w.quick_stop_ns, 0, sizeof w.quick_stop_ns);
-    memset(w.told_off, 0, sizeof w.told_off);
+    memset(w.sent_off, 0, sizeof w.sent_off);
 }
 
-static void one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again(void)
+static void one_that_was_armed_is_sent_to_stop_when_the_port_is_opened_again(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -162,12 +162,12 @@ static void one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again(voi
         go_on();
     }
     CHECK(w.quick_stop_ns[0] > 0 && w.quick_stop_ns[0] < opened_ns + 50 * MS);
-    CHECK(w.told_off[0] > 0);
-    CHECK(w.quick_stop_ns[1] == 0 && w.told_off[1] == 0);
+    CHECK(w.sent_off[0] > 0);
+    CHECK(w.quick_stop_ns[1] == 0 && w.sent_off[1] == 0);
     CHECK(w.machine.drive[0].state.mode == DRIVE_OFF); /* its set-up is Python's */
 }
 
-static void one_that_does_not_answer_then_is_told_again_and_again(void)
+static void one_that_does_not_answer_then_is_sent_again_and_again(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -243,18 +243,18 @@ static void one_that_is_switched_off_before_it_has_received_its_zero_loses_its_p
 {
     begin_with(1, 0);
     arm(0);
-    while (!w.machine.drive[0].state.told_motion) {
+    while (!w.machine.drive[0].state.sent_motion) {
         go_on();
     }
     w.dead = 1;
     request(0, DRIVE_STAND_DOWN);
     go_on();
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.told_motion);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.sent_motion);
     request(0, DRIVE_OFF);
     for (uint32_t i = 0; i < 50; i++) {
         go_on();
     }
-    CHECK(w.told_off[0] > 0);
+    CHECK(w.sent_off[0] > 0);
 }
 
 /* The drive turns and has heard no stop yet; what is under way is of its cycle. */
@@ -262,7 +262,7 @@ static void begin_turning(void)
 {
     begin_with(1, 0);
     arm(0);
-    while (!w.machine.drive[0].state.told_motion || w.machine.work != WORK_CYCLE) {
+    while (!w.machine.drive[0].state.sent_motion || w.machine.work != WORK_CYCLE) {
         go_on();
     }
 }
@@ -360,17 +360,17 @@ int main(void)
     a_pending_power_off_is_not_forgotten_when_it_is_set_up_again();
     one_that_waits_for_its_power_off_is_not_armed();
     one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile();
-    one_that_was_armed_is_told_to_stop_when_the_port_is_opened_again();
-    one_that_does_not_answer_then_is_told_again_and_again();
+    one_that_was_armed_is_sent_to_stop_when_the_port_is_opened_again();
+    one_that_does_not_answer_then_is_sent_again_and_again();
     one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power();
-    drives_that_are_off_are_told_one_gap_apart();
+    drives_that_are_off_are_sent_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
-    a_missing_drive_is_told_to_switch_off_at_the_end_whatever_was_under_way();
-    one_that_is_missing_for_a_moment_is_told_until_it_has_received_it();
+    a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_under_way();
+    one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it();
     one_that_is_missing_until_the_end_is_reported_to_wait();
-    of_two_missing_drives_the_one_that_comes_back_is_told();
+    of_two_missing_drives_the_one_that_comes_back_is_sent();
     a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
-    one_that_hears_but_is_not_received_is_told_every_frame_at_the_end();
+    one_that_hears_but_is_not_received_is_sent_every_frame_at_the_end();
     the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
     a_wheel_that_turns_is_stopped_before_it_loses_its_power();
     a_wheel_that_does_not_stop_loses_its_power_in_time();

@@ -137,7 +137,7 @@ static void shut_down_until(uint32_t shut)
     }
 }
 
-static void a_frame_of_a_stop_that_is_refused_is_told_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
+static void a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
 {
     begin_with(1, 0);
     w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0); /* both to the register that it refuses */
@@ -173,7 +173,7 @@ int main(void)
     until_a_drive_has_said_whether_it_is_enabled_only_that_is_read();
     a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound();
     after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound();
-    a_frame_of_a_stop_that_is_refused_is_told_as_often_as_the_drive_s_tries_and_the_next_one_then();
+    a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then();
     a_new_stop_has_all_of_its_tries();
     return checks_report("line tries");
 }

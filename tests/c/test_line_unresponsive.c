@@ -62,7 +62,7 @@ static bool is_zero(const sent_frame *frame)
     return frame->function == WRITE && frame->address == SPEED && frame->high == 0 && frame->low == 0;
 }
 
-static void one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_questions(void)
+static void one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_questions(void)
 {
     begin_with(1, 0);
     become_unresponsive_while_it_may_turn();
@@ -104,7 +104,7 @@ static void one_that_does_not_turn_is_only_asked(void)
     }
 }
 
-static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_told_zero(void)
+static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_sent_zero(void)
 {
     for (uint32_t extras = 0; extras <= 1; extras++) {
         begin_with(1, 0);
@@ -140,7 +140,7 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
 }
 
 /* It answers again: power off first, and only then may it be set up; the next silence begins with a quick stop anew. */
-static void one_that_answers_is_told_off_and_is_back(void)
+static void one_that_answers_is_sent_off_and_is_back(void)
 {
     begin_with(1, 0);
     for (uint64_t times = 1; times <= 2; times++) {
@@ -184,14 +184,14 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else
         drive->stage = STAGE_EXTRA;
         drive->probe_place = 2;
         drive->state.back = true;
-        memset(drive->way_told, 1, sizeof drive->way_told);
+        memset(drive->way_sent, 1, sizeof drive->way_sent);
         w.machine.current = current;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
         CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
               !drive->state.back);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_told[way] == WAY_UNKNOWN);
+            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
         }
     }
 }
@@ -213,12 +213,12 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 
 int main(void)
 {
-    one_that_may_turn_is_told_a_quick_stop_and_zero_between_the_questions();
+    one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_questions();
     the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds();
     one_that_does_not_turn_is_only_asked();
-    without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_told_zero();
+    without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_sent_zero();
     the_probe_may_be_the_first_of_the_cycle();
-    one_that_answers_is_told_off_and_is_back();
+    one_that_answers_is_sent_off_and_is_back();
     a_stop_that_was_under_way_is_over_when_a_drive_falls_silent();
     one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up();
     the_first_round_is_as_long_as_what_stops_the_drive();

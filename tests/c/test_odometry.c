@@ -52,7 +52,7 @@ static bool near(double value, double expected)
     return fabs(value - expected) < 1e-9;
 }
 
-static void a_turn_that_was_not_seen_is_told_by_the_velocity_or_not_at_all(void)
+static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
 {
     for (int way = -1; way <= 1; way += 2) {
         base b = begun(15);
@@ -420,7 +420,7 @@ static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
 
 int main(void)
 {
-    a_turn_that_was_not_seen_is_told_by_the_velocity_or_not_at_all();
+    a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all();
     a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed();
     a_counter_that_comes_late_catches_up();
     a_velocity_that_no_wheel_has_is_no_travel();

@@ -113,7 +113,7 @@ static void a_reset_waits_for_both_sides_anew(void)
 }
 
 /* A counter of one turn, silent for so long that it may have turned once: the velocities say whether it has. */
-static void whole_turns_are_told_by_velocities_that_are_sure_enough(void)
+static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
 {
     static const struct {
         int64_t steps, counts;
@@ -263,7 +263,7 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
 }
 
 /* A wheel that begins anew beside it makes nothing good again. */
-static void a_wheel_that_is_not_received_is_told_of_whatever_the_others_bring(void)
+static void a_wheel_that_is_not_received_is_sent_of_whatever_the_others_bring(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
@@ -422,7 +422,7 @@ int main(void)
     no_variance_of_the_pose_is_below_its_floor();
     a_turn_by_the_gyro_has_the_gyro_s_variance();
     the_chord_of_an_arc_is_right_to_the_last_bits();
-    a_wheel_that_is_not_received_is_told_of_whatever_the_others_bring();
+    a_wheel_that_is_not_received_is_sent_of_whatever_the_others_bring();
     what_was_refused_is_no_reach_once_a_sample_was_believed();
     an_estimate_is_taken_back_by_the_counts_that_follow();
     a_new_origin_has_nothing_left_from_before_it();
@@ -435,6 +435,6 @@ int main(void)
     a_narrow_counter_goes_on_beyond_its_end();
     what_a_joint_can_reach_is_worked_out_at_the_beginning();
     a_reset_waits_for_both_sides_anew();
-    whole_turns_are_told_by_velocities_that_are_sure_enough();
+    whole_turns_are_sent_by_velocities_that_are_sure_enough();
     return checks_report("test_odometry_edges");
 }

@@ -148,7 +148,7 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
     CHECK(exchange_take_imu(&x, &sample) == 1 && sample.stamp_ns == 9);
 }
 
-static void a_line_is_told_how_often_its_set_points_became_enabled(void)
+static void a_line_is_sent_how_often_its_set_points_became_enabled(void)
 {
     static exchange x;
     exchange_init(&x);
@@ -347,7 +347,7 @@ static void buckets_are_narrow_and_in_order(void)
     }
 }
 
-static void percentiles_are_never_told_too_low(void)
+static void percentiles_are_never_sent_too_low(void)
 {
     static histogram h, copy;
     histogram_clear(&h);
@@ -419,7 +419,7 @@ int main(void)
     a_ring_gives_all_in_order_and_takes_no_more_than_it_holds();
     each_value_has_a_box_of_its_own();
     an_exchange_begins_empty_in_memory_that_was_used_before();
-    a_line_is_told_how_often_its_set_points_became_enabled();
+    a_line_is_sent_how_often_its_set_points_became_enabled();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
     a_page_begins_empty_in_memory_that_was_used_before(page);
@@ -427,7 +427,7 @@ int main(void)
     a_journal_begins_empty_and_says_how_it_is_laid_out();
     a_digest_is_the_same_for_whoever_computes_it();
     buckets_are_narrow_and_in_order();
-    percentiles_are_never_told_too_low();
+    percentiles_are_never_sent_too_low();
     a_histogram_that_is_cleared_holds_nothing();
     few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bucket();
     a_late_tick_skips_and_never_bursts();

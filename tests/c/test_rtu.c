@@ -197,7 +197,7 @@ static void a_write_is_answered_by_its_own_first_bytes(void)
     CHECK(!rtu_answer_is_request(&read, read.request));
 }
 
-static void a_refusal_is_told_with_its_code(void)
+static void a_refusal_is_sent_with_its_code(void)
 {
     line_frame frame = reading();
     uint8_t refusal[8] = {0x55, 1, 0x83, 2, 0, 0};
@@ -345,18 +345,18 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
     CHECK(find(&asked, 2, reply, 5).kind == RECEIVED_BAD);
     asked.request[0] = 0x81; /* another's */
     CHECK(find(&asked, 0, reply, 4).kind == RECEIVED_BAD);
-    line_frame told = {.request_bytes = 8,
-                       .reply_bytes = 1,
-                       .match_bytes = 1,
-                       .match = {0xFF},
-                       .request_seal = SEAL_XMODEM,
-                       .exact = 1,
-                       .request = {0x80, 34}};
-    rtu_seal(told.request, 8, SEAL_XMODEM);
-    CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(told.request + 6, FORM_U16) == rtu_xmodem(0, told.request, 6));
-    CHECK(is(find(&told, 0, reply + 4, 1), RECEIVED_ANSWER, 0, 0));
-    CHECK(find(&told, 0, reply + 3, 1).kind == RECEIVED_BAD && find(&told, 0, reply + 3, 2).kind == RECEIVED_BAD);
-    CHECK(is(find(&told, 0, reply, 0), RECEIVED_MORE, 0, 0));
+    line_frame last_sent = {.request_bytes = 8,
+                            .reply_bytes = 1,
+                            .match_bytes = 1,
+                            .match = {0xFF},
+                            .request_seal = SEAL_XMODEM,
+                            .exact = 1,
+                            .request = {0x80, 34}};
+    rtu_seal(last_sent.request, 8, SEAL_XMODEM);
+    CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(last_sent.request + 6, FORM_U16) == rtu_xmodem(0, last_sent.request, 6));
+    CHECK(is(find(&last_sent, 0, reply + 4, 1), RECEIVED_ANSWER, 0, 0));
+    CHECK(find(&last_sent, 0, reply + 3, 1).kind == RECEIVED_BAD && find(&last_sent, 0, reply + 3, 2).kind == RECEIVED_BAD);
+    CHECK(is(find(&last_sent, 0, reply, 0), RECEIVED_MORE, 0, 0));
 }
 
 int main(void)
@@ -369,7 +369,7 @@ int main(void)
     garbage_before_and_after_it_is_passed_over();
     what_is_not_the_answer_is_none();
     a_write_is_answered_by_its_own_first_bytes();
-    a_refusal_is_told_with_its_code();
+    a_refusal_is_sent_with_its_code();
     an_adapter_that_hears_itself_brings_the_request_first();
     an_echo_of_a_write_is_no_answer();
     one_byte_may_be_all_that_an_answer_repeats();

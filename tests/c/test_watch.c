@@ -138,7 +138,7 @@ static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
     }
 }
 
-static void suspension_and_a_bad_time_step_are_told_of_without_their_consequences(void)
+static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequences(void)
 {
     static const double BAD_S[] = {0.0, -1e-3, NAN, INFINITY, -INFINITY};
     core_config config = good_config();
@@ -322,7 +322,7 @@ int main(void)
     arming_needs_everything_in_the_tick_of_the_edge();
     a_stale_command_arms_and_moves_nothing();
     each_cause_has_its_fault_at_once_moving_or_held_by_a_stop();
-    suspension_and_a_bad_time_step_are_told_of_without_their_consequences();
+    suspension_and_a_bad_time_step_are_sent_of_without_their_consequences();
     a_drive_says_that_it_is_off_only_since_the_base_is_armed();
     who_is_received_and_since_when();
     a_reset_clears_faults_when_every_cause_is_gone_and_never_arms();

@@ -2,7 +2,7 @@
  * test_watch_rare: several causes in one tick, a second fault after a first, and requests in the middle of a move. */
 #include "core_rig.h"
 
-static void all_causes_of_one_tick_are_told(void)
+static void all_causes_of_one_tick_are_sent(void)
 {
     core_config config = good_config();
     rig r;
@@ -138,7 +138,7 @@ static void a_drive_that_is_none_of_the_base_says_nothing(void)
 
 int main(void)
 {
-    all_causes_of_one_tick_are_told();
+    all_causes_of_one_tick_are_sent();
     a_reset_during_an_emergency_stop_clears_nothing();
     each_brake_holds_its_power_for_two_seconds();
     feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is();

@@ -71,7 +71,7 @@ class Cia402Node:
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
         self.operational_at = []
         """Of each control word: whether it was operational when it came."""
-        self._told_s = 0.0
+        self._sent_s = 0.0
         self.error_code = 0
         self.position, self.velocity, self.torque = 0, 0, 0
         self.torques = []
@@ -130,7 +130,7 @@ class Cia402Node:
     @property
     def silent_s(self):
         """So long ago it was told its newest control word."""
-        return time.monotonic() - self._told_s
+        return time.monotonic() - self._sent_s
 
     @property
     def operational(self):
@@ -180,7 +180,7 @@ class Cia402Node:
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
         self.operational_at.append(self.operational)
-        self._told_s = time.monotonic()
+        self._sent_s = time.monotonic()
         if self.stuck:
             return
         rising = word & 0x80 and not before & 0x80

@@ -38,8 +38,8 @@ static void turn(motor *motors, const motord_board *board, double dt_s, int by_h
     for (int i = 0; i < MOTORS; i++) {
         const double duty_rad_s = board->setpoint[i].duty * 1e-4 * FULL_DUTY_RAD_S;
         const double hand_rad_s = by_hand && i == 0 ? BY_HAND_RAD_S : 0.0;
-        const double told_rad_s = board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s + hand_rad_s;
-        motors[i].velocity_rad_s = toward(motors[i].velocity_rad_s, told_rad_s, RAMP_RAD_S2 * dt_s);
+        const double sent_rad_s = board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s + hand_rad_s;
+        motors[i].velocity_rad_s = toward(motors[i].velocity_rad_s, sent_rad_s, RAMP_RAD_S2 * dt_s);
         motors[i].angle_rad += motors[i].velocity_rad_s * dt_s;
         measured[i].count = (int32_t)(motors[i].angle_rad * COUNTS_PER_TURN / TURN_RAD);
         measured[i].velocity_mrad_s = (int32_t)(motors[i].velocity_rad_s * 1000.0);

@@ -25,7 +25,7 @@ def compiled(folder: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Told:
+class Sent:
     """What the board tells its motors."""
 
     enabled: bool
@@ -35,7 +35,7 @@ class Told:
     duty: int
 
 
-WITHOUT_POWER = Told(enabled=False, braking=False, left_mrad_s=0, right_mrad_s=0, duty=0)
+WITHOUT_POWER = Sent(enabled=False, braking=False, left_mrad_s=0, right_mrad_s=0, duty=0)
 
 
 class McuPeer:
@@ -43,7 +43,7 @@ class McuPeer:
 
     def __init__(self, program: Path, link: Path) -> None:
         self.link = link
-        self.told: list[Told] = []
+        self.sent: list[Sent] = []
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         link.symlink_to(os.ttyname(self._slave))
@@ -62,7 +62,7 @@ class McuPeer:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             enabled, braking, left, right, duty = (int(word) for word in line.split())
-            self.told.append(Told(bool(enabled), bool(braking), left, right, duty))
+            self.sent.append(Sent(bool(enabled), bool(braking), left, right, duty))
 
     def do(self, letter: str) -> None:
         """f fault, g fault gone, r restart, m mute, d deaf, w well again, i a sensor, t turn the
@@ -72,9 +72,9 @@ class McuPeer:
         self.process.stdin.flush()
 
     @property
-    def now(self) -> Told:
+    def now(self) -> Sent:
         """The newest; before its first word it has told them nothing."""
-        return self.told[-1] if self.told else WITHOUT_POWER
+        return self.sent[-1] if self.sent else WITHOUT_POWER
 
     def pull(self) -> None:
         """The board is gone, and its port with it."""

@@ -111,7 +111,7 @@ class Moteus:
             if action == 0x10:
                 self._obey(wanted)
                 wanted = {}
-                reply += self._told(width, registers)
+                reply += self._sent(width, registers)
                 continue
             assert action == 0x00, hex(kind)
             for register in registers:
@@ -122,7 +122,7 @@ class Moteus:
         self._obey(wanted)
         return reply
 
-    def _told(self, width, registers):
+    def _sent(self, width, registers):
         reply = bytes([0x20 | width << 2 | (len(registers) if len(registers) < 4 else 0)])
         reply += bytes([len(registers)]) * (len(registers) >= 4) + bytes([registers[0]])
         for register in registers:

@@ -88,14 +88,14 @@ class Axis:
     """Command and data of each frame that is no question."""
     asked: list[int] = field(default_factory=list)
 
-    def told(self, command):
+    def sent(self, command):
         return [data for one, data in self.received if one == command]
 
     def velocities(self):
-        return [struct.unpack("<ff", data)[0] for data in self.told(INPUT_VELOCITY)]
+        return [struct.unpack("<ff", data)[0] for data in self.sent(INPUT_VELOCITY)]
 
     def states(self):
-        return [int.from_bytes(data, "little") for data in self.told(STATE)]
+        return [int.from_bytes(data, "little") for data in self.sent(STATE)]
 
 
 class Peer:

@@ -58,7 +58,7 @@ async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
         await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
-async def test_a_board_may_be_told_the_base_s_own_speeds(peer):
+async def test_a_board_may_be_sent_the_base_s_own_speeds(peer):
     spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
     async with running(spec) as rig:
         await rig.arm()
@@ -125,7 +125,7 @@ async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
         assert EventKind.LINE_LOST in rig.kinds()
 
 
-async def test_a_board_that_a_dead_program_left_is_told_zero_again_and_again(peer):
+async def test_a_board_that_a_dead_program_left_is_sent_zero_again_and_again(peer):
     assert await halt_line(spec_of(peer.link, "{left:d},{right:d}\n")) == []
     assert len(peer.lines) > 10
     assert set(peer.lines) == {b"0,0"}

@@ -89,7 +89,7 @@ async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, 
     await until(lambda: chip.duties()[0] == PERIOD_NS // 2)
     stamp_ns = said(rig).stamp_ns
     await until(lambda: said(rig).stamp_ns > stamp_ns + 50_000_000)
-    assert not any(told.enabled for told in peer.told)
+    assert not any(sent.enabled for sent in peer.sent)
 
 
 async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_said_once(rig, peer):

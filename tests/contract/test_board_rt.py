@@ -62,30 +62,30 @@ async def turning(rig, peer):
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(peer):
     async with running(frames_spec(peer, watchdog_s=NEVER_S)) as rig:
         await turning(rig, peer)
-        seen = len(peer.told)
+        seen = len(peer.sent)
         sleep_until(lambda: not peer.now.enabled and not peer.now.braking)
-        assert any(told.braking for told in peer.told[seen:])
+        assert any(sent.braking for sent in peer.sent[seen:])
         await until(lambda: rig.states() == {DriveState.READY})
 
 
 async def test_a_core_that_takes_enabled_back_takes_the_power_while_the_event_loop_hangs(peer):
     async with running(frames_spec(peer, watchdog_s=2.0)) as rig:
         await turning(rig, peer)
-        seen = len(peer.told)
+        seen = len(peer.sent)
         rig.loop.enabled = False
         rig.loop.put()
         sleep_until(lambda: not peer.now.enabled)
-        assert not any(told.braking for told in peer.told[seen:])
+        assert not any(sent.braking for sent in peer.sent[seen:])
 
 
 async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(peer):
     async with running(frames_spec(peer, watchdog_s=1.0)) as rig:
         await turning(rig, peer)
-        seen = len(peer.told)
+        seen = len(peer.sent)
         longest_ns = core_alone(rig.loop, 150)
-        told = peer.told[seen:]
-        assert len({one.left_mrad_s for one in told}) > 10
-        assert all(one.enabled for one in told) or longest_ns > 0.5e9 * PATIENT_S
+        sent = peer.sent[seen:]
+        assert len({one.left_mrad_s for one in sent}) > 10
+        assert all(one.enabled for one in sent) or longest_ns > 0.5e9 * PATIENT_S
 
 
 async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):

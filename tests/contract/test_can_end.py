@@ -57,7 +57,7 @@ async def test_a_drive_that_cannot_be_switched_off_is_said_by_name(bus, engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_told_again(bus, engine):
+async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(bus, engine):
     async def hear_late():
         await asyncio.sleep(0.1)
         while True:
@@ -91,5 +91,5 @@ async def test_a_wheel_that_is_being_stopped_goes_on_being_braked_before_it_lose
             mark = len(axis.received)
             assert axis.state != IDLE
         await until(lambda: axis.state == IDLE)
-        told = [command for command, _ in axis.received[mark:]]
-        assert told[: told.index(STATE)].count(INPUT_VELOCITY) > 5
+        sent = [command for command, _ in axis.received[mark:]]
+        assert sent[: sent.index(STATE)].count(INPUT_VELOCITY) > 5

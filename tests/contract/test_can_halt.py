@@ -17,13 +17,13 @@ async def peer(request):
         yield peer
 
 
-async def test_every_drive_is_told_zero_and_then_loses_its_power(peer):
+async def test_every_drive_is_sent_zero_and_then_loses_its_power(peer):
     assert await halt_line(spec_of(peer, 0, 3)) == []
     for axis in peer.axes.values():
         assert axis.state == IDLE
         assert set(axis.velocities()) == {0.0}
-        told = [command for command, _ in axis.received]
-        assert told.index(INPUT_VELOCITY) < told.index(STATE)
+        sent = [command for command, _ in axis.received]
+        assert sent.index(INPUT_VELOCITY) < sent.index(STATE)
         assert CLOSED_LOOP not in axis.states()
 
 
@@ -37,7 +37,7 @@ async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_one_that_i
     assert problems == ["wheel3: says that it is enabled still"]
 
 
-async def test_a_silent_drive_is_told_all_the_same_and_said(peer):
+async def test_a_silent_drive_is_sent_all_the_same_and_said(peer):
     peer.axes[0].silent = True
     (problem,) = await halt_line(spec_of(peer, 0, 3))
     assert "wheel0: no heartbeat frame" in problem

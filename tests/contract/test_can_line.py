@@ -55,8 +55,8 @@ async def test_a_drive_is_configured_and_not_armed(rig, peer):
 
 async def test_signals_of_one_frame_are_written_together(rig, peer):
     await rig.ready()
-    await until(lambda: peer.axes[0].told(MODE) != [])
-    assert peer.axes[0].told(MODE) == [struct.pack("<II", 2, 1)]
+    await until(lambda: peer.axes[0].sent(MODE) != [])
+    assert peer.axes[0].sent(MODE) == [struct.pack("<II", 2, 1)]
 
 
 async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
@@ -187,26 +187,26 @@ async def test_old_set_points_stop_the_drive_and_take_its_power_when_it_is_at_re
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     peer.axes[0].velocity_turns_s = 1.0
-    told = len(peer.axes[0].states())
+    sent = len(peer.axes[0].states())
     rig.loop.running = False
     await until(lambda: rig.states() == {DriveState.READY})
     await until(lambda: peer.axes[0].velocities()[-1] == 0.0)
     peer.axes[0].velocity_turns_s = 0.0
-    await until(lambda: peer.axes[0].states()[told:] == [IDLE])
+    await until(lambda: peer.axes[0].states()[sent:] == [IDLE])
     rig.loop.running = True  # the loop is back: nothing moves by itself
     count = len(peer.axes[0].velocities())
     await until(lambda: len(peer.axes[0].velocities()) > count + 5)
     assert set(peer.axes[0].velocities()[count:]) == {0.0}
 
 
-async def test_a_power_off_that_was_lost_is_told_again(rig, peer):
+async def test_a_power_off_that_was_lost_is_sent_again(rig, peer):
     await rig.arm()
     peer.axes[0].deaf_to.add(STATE)
     rig.loop.enabled = True
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
     await rig.line.disarm()
-    told = peer.axes[0].states().count(IDLE)
-    await until(lambda: peer.axes[0].states().count(IDLE) > told + 1)
+    sent = peer.axes[0].states().count(IDLE)
+    await until(lambda: peer.axes[0].states().count(IDLE) > sent + 1)
     await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
     assert "stays enabled" in rig.events[-1].text
     peer.axes[0].deaf_to.clear()
@@ -257,7 +257,7 @@ async def test_arming_without_fresh_set_points_is_refused(rig, peer):
     assert DriveState.ARMED not in rig.states()
 
 
-async def test_a_drive_is_told_zero_before_it_is_armed(rig, peer):
+async def test_a_drive_is_sent_zero_before_it_is_armed(rig, peer):
     await rig.arm()
     received = peer.axes[0].received
     armed = next(n for n, (c, d) in enumerate(received) if (c, d[:1]) == (STATE, b"\x08"))
@@ -348,8 +348,8 @@ async def test_faults_are_said_once_in_words_and_once_when_gone(rig, peer):
     with pytest.raises(DriveFault, match="motor failed"):
         await rig.line.arm()
     await rig.line.clear_faults()
-    assert peer.axes[0].told(CLEAR)
-    assert not peer.axes[3].told(CLEAR)
+    assert peer.axes[0].sent(CLEAR)
+    assert not peer.axes[3].sent(CLEAR)
     await until(lambda: EventKind.DRIVE_FAULT_GONE in rig.kinds())
 
 

@@ -77,7 +77,7 @@ async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_ne
     assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
 
 
-async def test_a_stop_that_the_bus_did_not_take_is_told_as_soon_as_it_does(rig, bus):
+async def test_a_stop_that_the_bus_did_not_take_is_sent_as_soon_as_it_does(rig, bus):
     await arm(rig, bus)
 
     def full():

@@ -160,7 +160,7 @@ async def left_turning(node):
     node.operational_at.clear()
 
 
-async def test_a_drive_that_turns_is_told_to_stop_before_it_leaves_operational(node):
+async def test_a_drive_that_turns_is_sent_to_stop_before_it_leaves_operational(node):
     await left_turning(node)
     async with running(spec_of(node)) as rig:
         await until(lambda: node.velocity == 0)

@@ -158,7 +158,7 @@ async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, sp
     assert [node.velocity for node in nodes] == [0, 0]
 
 
-def test_a_cycle_that_the_drive_cannot_be_told_is_refused(spec):
+def test_a_cycle_that_the_drive_cannot_be_sent_is_refused(spec):
     odd = dataclasses.replace(spec, cycle_hz=300.0)
     with pytest.raises(ProfileError, match=r"cannot say the line's cycle, 3\.333 ms"):
         open_line(odd, Exchange.private(), lambda event: None)

@@ -57,7 +57,7 @@ async def set_off(rig, peer):
     await until(lambda: 60 in peer.written(TARGET_1))
 
 
-async def test_a_drive_that_hears_but_is_not_received_is_told_to_stop(rig, peer):
+async def test_a_drive_that_hears_but_is_not_received_is_sent_to_stop(rig, peer):
     await set_off(rig, peer)
     mute(peer)
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
@@ -68,7 +68,7 @@ async def test_a_drive_that_hears_but_is_not_received_is_told_to_stop(rig, peer)
     assert ENABLE not in peer.written(CONTROL)[peer.written(CONTROL).index(QUICK_STOP) :]
 
 
-async def test_a_drive_that_refuses_its_set_points_is_told_to_stop(rig, peer):
+async def test_a_drive_that_refuses_its_set_points_is_sent_to_stop(rig, peer):
     await set_off(rig, peer)
     peer.units[1].refuses = {TARGET_1}
     await until(lambda: QUICK_STOP in peer.written(CONTROL))
@@ -151,13 +151,13 @@ async def test_a_new_speed_never_goes_the_old_way(peer):
         mark = len(peer.received)
         rig.loop.velocity_rad_s = {0: -90 * RPM}
         await until(lambda: REVERSE in peer.written(RUN))
-        told = [
+        sent = [
             (request.address, *request.values)
             for request in (received.request for received in peer.received[mark:])
             if request.values
         ]
-        told = told[: told.index((RUN, REVERSE)) + 1]
-        assert told[-3:] == [(RUN, REST), (SPEED, 90), (RUN, REVERSE)]
+        sent = sent[: sent.index((RUN, REVERSE)) + 1]
+        assert sent[-3:] == [(RUN, REST), (SPEED, 90), (RUN, REVERSE)]
 
 
 @pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # no pause of Python stops the other
@@ -206,7 +206,7 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
         assert zero[-1] - moving[-1] < 0.8
 
 
-async def test_a_stop_that_was_lost_on_a_slow_line_is_told_again_at_once(peer):
+async def test_a_stop_that_was_lost_on_a_slow_line_is_sent_again_at_once(peer):
     def lose_one_zero(request, honest):
         if (request.address, request.values) == (DUTY, (0,)):
             return []

@@ -91,8 +91,8 @@ async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 20.0, 1: 20.0}
         await until(lambda: all(peer.units[unit].registers[TARGET] > 0 for unit in (1, 2)))
         peer.units[1].silent = True
-        told = len(peer.requests(1))
-        await until(lambda: len(peer.requests(1)) > told)
+        sent = len(peer.requests(1))
+        await until(lambda: len(peer.requests(1)) > sent)
         await asyncio.sleep(later_s)  # into the exchange with the missing drive
         mark = len(peer.received)
     after = [received.request for received in peer.received[mark:]]
@@ -144,6 +144,6 @@ async def test_each_drive_is_sent_its_whole_power_off_though_none_is_received(
         slow(peer, lambda honest: honest[:-1], torn_after_s)
         mark = len(peer.received)
     peer.pull()
-    told = {(h.request.unit, h.request.address, *h.request.values) for h in peer.received[mark:]}
-    assert {(unit, register, 0) for unit in units for register in (speed, run)} <= told
+    sent = {(h.request.unit, h.request.address, *h.request.values) for h in peer.received[mark:]}
+    assert {(unit, register, 0) for unit in units for register in (speed, run)} <= sent
     assert "not switched off at the end" in rig.events[-1].text

@@ -110,7 +110,7 @@ async def test_what_the_set_up_writes_is_read_back(peer):
 
 
 # ------------------------------------------------------------------------- one exchange for both
-async def test_a_drive_that_can_is_told_and_asked_in_one_exchange(peer):
+async def test_a_drive_that_can_is_sent_and_asked_in_one_exchange(peer):
     profile = replace(hub_servo()[0].profile, read_write_function=23)
     joints = tuple(replace(joint, profile=profile) for joint in hub_servo())
     async with running(spec_of(peer, joints)) as rig:

@@ -55,13 +55,13 @@ async def test_a_disarming_that_nobody_waits_for_any_more_takes_the_power_all_th
     ]  # a drive that says that it is enabled would be told again
     async with running(spec_of(peer, mute)) as rig:
         await rig.arm()
-        told = len(peer.written(CONTROL))
+        sent = len(peer.written(CONTROL))
         disarming = asyncio.create_task(rig.line.disarm())
         await until(lambda: rig.states() == {DriveState.READY})
         disarming.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await disarming
-        await until(lambda: OFF in peer.written(CONTROL)[told:])
+        await until(lambda: OFF in peer.written(CONTROL)[sent:])
 
 
 async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to_rest(peer):
@@ -177,12 +177,12 @@ async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file
         rig.loop.running = False
         await until(lambda: rig.states() == {DriveState.READY})
         stopping = len(axis.received)
-        await until(lambda: told_velocities(axis, stopping) >= CYCLES_SEEN)
+        await until(lambda: sent_velocities(axis, stopping) >= CYCLES_SEEN)
         assert axis.state == CLOSED_LOOP
         axis.velocity_turns_s = 0.01 / TURN
         await until(lambda: axis.state == IDLE)
 
 
-def told_velocities(axis, since):
+def sent_velocities(axis, since):
     """How often it was told a velocity since then."""
     return [command for command, _ in axis.received[since:]].count(INPUT_VELOCITY)

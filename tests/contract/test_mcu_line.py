@@ -66,7 +66,7 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     assert rig.line.state is LineState.READY
     assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_READY]
     assert await rig.line.read_register("left", "watchdog") == pytest.approx(0.2)
-    assert not any(told.enabled for told in peer.told)
+    assert not any(sent.enabled for sent in peer.sent)
 
 
 async def test_a_board_that_never_speaks_is_said_to_be_unresponsive_once(board_of, monkeypatch):
@@ -78,7 +78,7 @@ async def test_a_board_that_never_speaks_is_said_to_be_unresponsive_once(board_o
         cycles = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles > cycles + 20)
         assert rig.kinds() == [EventKind.LINE_OPEN, EventKind.DRIVE_UNRESPONSIVE]
-        assert not any(told.enabled for told in peer.told)
+        assert not any(sent.enabled for sent in peer.sent)
     peer.pull()
 
 
@@ -87,7 +87,7 @@ async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
     await rig.ready()
     received = rig.line.stats().exchanges
     await until(lambda: rig.line.stats().exchanges > received + 10)
-    assert all(told.left_mrad_s == told.right_mrad_s == 0 for told in peer.told)
+    assert all(sent.left_mrad_s == sent.right_mrad_s == 0 for sent in peer.sent)
 
 
 async def test_arming_enables_at_zero_and_feedback_says_so(rig, peer):
@@ -140,16 +140,16 @@ async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: 1.0}
     await until(lambda: peer.now.right_mrad_s == -2000)
-    assert {told.left_mrad_s for told in peer.told} == {0}
+    assert {sent.left_mrad_s for sent in peer.sent} == {0}
 
 
-async def test_a_duty_board_is_told_duties(peer):
+async def test_a_duty_board_is_sent_duties(peer):
     spec = spec_of(peer, joints_of("mcu-duty"))
     async with running(spec) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.duty, rig.loop.velocity_rad_s = True, {0: 0.5}, {0: 7.0}
         await until(lambda: peer.now.duty == 5000)
-        assert {told.left_mrad_s for told in peer.told} == {0}
+        assert {sent.left_mrad_s for sent in peer.sent} == {0}
 
 
 # -------------------------------------------------------------------------------------- stopping
@@ -190,9 +190,9 @@ async def test_cancelling_the_line_brakes_and_takes_the_power(board_of):
     peer = board_of()
     async with running(spec_of(peer, watchdog_s=2.0)) as rig:
         await armed_and_turning(rig, peer)
-        seen = len(peer.told)
+        seen = len(peer.sent)
     await until(lambda: not peer.now.enabled)
-    assert any(told.braking for told in peer.told[seen:])
+    assert any(sent.braking for sent in peer.sent[seen:])
     peer.pull()
 
 
@@ -207,7 +207,7 @@ async def test_a_board_that_hears_nothing_any_more_stops_by_itself_and_stays_off
 
 
 # -------------------------------------------------------------------------------- not being there
-async def test_a_mute_board_is_unresponsive_told_to_stop_and_comes_back_disarmed(rig, peer):
+async def test_a_mute_board_is_unresponsive_sent_to_stop_and_comes_back_disarmed(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("m")
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
@@ -242,7 +242,7 @@ async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(board_
         await until(lambda: rig.states() == {DriveState.READY})
         assert rig.kinds().count(EventKind.LINE_LOST) == 1
         assert rig.line.stats().reopened == 1
-        assert not any(told.enabled for told in peer.told)
+        assert not any(sent.enabled for sent in peer.sent)
         peer.pull()
 
 
@@ -274,7 +274,7 @@ async def left_turning(peer, spec, spoke=0):
     stream.open()
     for raw in ({"control": 8}, {"control": 1}, {"control": 1, "target_velocity_1": 5000}):
         assert stream.send(dialect.setpoints({"watchdog": 2000, **raw}, now_ns()))
-    await until(lambda: peer.told and peer.now.left_mrad_s == 5000, "it turns")
+    await until(lambda: peer.sent and peer.now.left_mrad_s == 5000, "it turns")
     stream.close()
 
 
@@ -282,21 +282,21 @@ async def left_turning(peer, spec, spoke=0):
 async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_off(peer, spoke):
     spec = spec_of(peer)
     await left_turning(peer, spec, spoke)
-    seen = len(peer.told)
+    seen = len(peer.sent)
     assert await halt_line(spec) == []
-    assert peer.told[seen].braking
-    assert not peer.told[-1].enabled
-    assert not peer.told[-1].braking
+    assert peer.sent[seen].braking
+    assert not peer.sent[-1].enabled
+    assert not peer.sent[-1].braking
 
 
 async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turning(peer):
     spec = spec_of(peer)
     await left_turning(peer, spec, spoke=20_000)
-    seen = len(peer.told)
+    seen = len(peer.sent)
     async with running(spec) as rig:
         await rig.ready()
-        assert not peer.told[seen].enabled
-        assert not peer.told[seen].braking  # told so, not by its own watchdog
+        assert not peer.sent[seen].enabled
+        assert not peer.sent[seen].braking  # told so, not by its own watchdog
         await rig.arm()
 
 

@@ -123,7 +123,7 @@ def test_silence_brakes_until_it_is_enabled_anew(sketch, pins):
     assert resting(sketch, pins)
 
 
-def test_edges_are_counted_both_ways_and_told(sketch, pins):
+def test_edges_are_counted_both_ways_and_sent(sketch, pins):
     sketch.turn(pins.a[0], pins.b[0], 9)
     sketch.turn(pins.a[1], pins.b[1], -5)
     sketch.run(0.02, 0, 0, control=8)

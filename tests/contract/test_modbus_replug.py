@@ -54,7 +54,7 @@ async def test_a_pulled_port_is_said_once_and_comes_back_disarmed(rig, peer):
     assert rig.line.stats().reopened == 1
 
 
-async def test_an_armed_drive_is_told_to_stop_after_a_replug_though_it_does_not_answer(rig, peer):
+async def test_an_armed_drive_is_sent_to_stop_after_a_replug_though_it_does_not_answer(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -64,13 +64,13 @@ async def test_an_armed_drive_is_told_to_stop_after_a_replug_though_it_does_not_
     mark = len(peer.received)
     peer.plug()
 
-    def told(address):
+    def sent(address):
         since = [received.request for received in peer.received[mark:]]
         return [one.values[0] for one in since if one.address == address and one.values]
 
-    await until(lambda: QUICK_STOP in told(CONTROL))
-    await until(lambda: told(TARGET_1) != [])
-    assert set(told(TARGET_1)) == {0}
+    await until(lambda: QUICK_STOP in sent(CONTROL))
+    await until(lambda: sent(TARGET_1) != [])
+    assert set(sent(TARGET_1)) == {0}
     assert rig.line.drive_states["left1"] is not DriveState.READY
 
 

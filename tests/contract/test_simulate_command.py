@@ -255,7 +255,7 @@ def test_its_page_and_its_help_name_every_fault():
         ((DEMO, "--units", "248"), "--units"),
     ],
 )
-def test_wrong_usage_is_told_and_has_its_status(arguments, says):
+def test_wrong_usage_is_sent_and_has_its_status(arguments, says):
     done = said(*map(str, arguments))
     assert done.returncode == 2
     assert says in done.stderr
@@ -319,7 +319,7 @@ def may_be_fifo():
     return done.returncode == 0
 
 
-def test_a_priority_is_taken_or_its_refusal_told():
+def test_a_priority_is_taken_or_its_refusal_sent():
     if not may_be_fifo():
         done = said(str(DEMO), "--priority", "1")
         assert (done.returncode, done.stdout) == (2, "")

@@ -27,8 +27,8 @@ def test_after_a_standstill_a_board_says_of_what_time_it_speaks(tmp_path):
         dialect = FrameDialect(line_of(bench.profile))
         steps = [{"control": 8}, {"control": 0}, {"control": 1}]
         turning = {"control": 1, "target_velocity_1": round(TURN_RAD_S * 1000)}
-        for told in (*steps, *[turning] * 50):
-            bench.send(dialect.setpoints({"watchdog": 2000, **told}, 0))
+        for sent in (*steps, *[turning] * 50):
+            bench.send(dialect.setpoints({"watchdog": 2000, **sent}, 0))
             bench.go_on(TICK_S)
         assert bench.wheel().velocity_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
         before = list(frames_in(os.read(bench.fd, 65536)))[-1]

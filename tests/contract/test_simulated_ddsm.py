@@ -42,7 +42,7 @@ def test_a_mode_is_taken_and_not_answered(bench):
     assert bench.line.counters.bad_crc == 0
 
 
-def test_an_armed_motor_turns_as_told_and_tells_how(bench):
+def test_an_armed_motor_turns_as_sent_and_tells_how(bench):
     arm(bench)
     bench.exchange(request(bench, SET, speed_wanted=60))
     bench.go_on(0.6)
@@ -57,8 +57,8 @@ def test_an_armed_motor_turns_as_told_and_tells_how(bench):
 def test_a_query_commands_nothing(bench):
     arm(bench)
     bench.exchange(request(bench, SET, speed_wanted=60))
-    told = bench.exchange(request(bench, QUERY))
-    assert pick(told, bench.profile.registers["supply"]) == pytest.approx(24, abs=1)
+    sent = bench.exchange(request(bench, QUERY))
+    assert pick(sent, bench.profile.registers["supply"]) == pytest.approx(24, abs=1)
     assert bench.drive.registers.stored("speed_wanted") == 60
 
 

@@ -120,7 +120,7 @@ async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
     assert sim.truth().moved_max_m_s == 0.0
 
 
-async def test_armed_wheels_turn_as_told_and_feedback_agrees_with_the_plant(rig, sim, profile):
+async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig, sim, profile):
     await set_off(rig, sim)
     for joint in rig.line.spec.joints:
         values = feedback(rig, joint)
@@ -264,10 +264,10 @@ async def test_every_silent_interval_is_kept(rig, sim):
     await set_off(rig, sim)
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 10, "ten cycles have passed")
-    told = sim.stats()["lines"]["bus"]
-    assert told["gap_violations"] == 0
+    sent = sim.stats()["lines"]["bus"]
+    assert sent["gap_violations"] == 0
     # a simulator that a busy machine holds up until its answer is given up finds two requests
-    assert told["bad_crc"] <= rig.line.stats().errors.get("no_reply", 0)
+    assert sent["bad_crc"] <= rig.line.stats().errors.get("no_reply", 0)
 
 
 def has_check_sums(profile):

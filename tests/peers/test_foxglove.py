@@ -98,7 +98,7 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
     assert stage.robot.status()["loop"]["ticks"] > ticks
 
 
-async def test_whoever_begins_to_read_is_told_what_the_robot_looks_like(stage, port):
+async def test_whoever_begins_to_read_is_sent_what_the_robot_looks_like(stage, port):
     for _ in range(2):  # the second who comes, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)

@@ -192,7 +192,7 @@ def of(value):
     return lambda said: [one["value"] for one in said["parameters"]] == [value]
 
 
-async def test_limits_are_read_changed_and_told_to_who_subscribed(stage, port):
+async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client, wired(port) as watcher:
         await let_in(client)
         while LIMIT not in (all_ := await client.parameters("getParameters", parameterNames=[])):

@@ -255,7 +255,7 @@ def test_a_retained_command_is_not_obeyed(stage, peer):
 
 
 @pytest.mark.parametrize("token", ["wrong", None, 7])
-def test_a_call_without_the_token_does_nothing_and_is_told_so(stage, peer, token):
+def test_a_call_without_the_token_does_nothing_and_is_sent_so(stage, peer, token):
     armed(stage, peer)
     before = inputs(stage)["fleet"]["refused"]
     answer = called(stage, peer, "disarm", token=token)

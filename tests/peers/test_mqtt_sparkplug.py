@@ -50,7 +50,7 @@ def retained(peer, topic):
     return json.loads(peer.get(topic, "--retained-only"))
 
 
-def test_who_comes_late_is_told_of_the_birth_and_of_each_topic(stage, peer):
+def test_who_comes_late_is_sent_of_the_birth_and_of_each_topic(stage, peer):
     birth = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")
     assert birth["joints"] == ["left", "right"]
     assert birth["bdSeq"] <= birth["timestamp"]

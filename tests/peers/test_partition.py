@@ -248,9 +248,9 @@ def at_rest(stage):
 
 def calm_per_s(stage, network, odometry):
     """The pace while all is well: both of the other side hear of the robot."""
-    pace, received, told = Pace(stage), len(odometry.received), len(network.router.received)
+    pace, received, sent = Pace(stage), len(odometry.received), len(network.router.received)
     wait_until(lambda: len(odometry.received) > received + CALM_SAMPLES, "odometry by MQTT")
-    wait_until(lambda: len(network.router.received) > told + CALM_SAMPLES, "odometry by Zenoh")
+    wait_until(lambda: len(network.router.received) > sent + CALM_SAMPLES, "odometry by Zenoh")
     return pace.per_s()
 
 
@@ -288,14 +288,14 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
                 wait_until(lambda: time.time() - cut_s > CUT_S, "half a minute", 2 * CUT_S)
             assert cut.kept(calm)
             accepted = stage.robot.status()["commands"]["accepted"]
-            received, told = len(odometry.received), len(router.received)
+            received, sent = len(odometry.received), len(router.received)
         finally:
             network.wire.plug()
         wait_until(lambda: status.last() == "online", "the robot at the broker again")
         wait_until(lambda: len(odometry.received) > received + RATE_HZ, "odometry again")
-        wait_until(lambda: len(router.received) > told + RATE_HZ, "odometry by Zenoh again")
+        wait_until(lambda: len(router.received) > sent + RATE_HZ, "odometry by Zenoh again")
         assert late_s(odometry.received[received]) < QUEUED_S, "the newest wins"
-        assert all(float(stamp) > cut_s + QUEUED_S for _, stamp in router.received[told + 1 :])
+        assert all(float(stamp) > cut_s + QUEUED_S for _, stamp in router.received[sent + 1 :])
         assert stage.robot.status()["commands"]["accepted"] == accepted
         assert at_rest(stage)
         with Driving(network) as driving:

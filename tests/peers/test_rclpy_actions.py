@@ -86,16 +86,16 @@ def at_rest(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_a_distance_is_driven_and_told_on_the_way(armed):
+def test_a_distance_is_driven_and_sent_on_the_way(armed):
     kind = actions.DriveDistance.Impl.FeedbackMessage
     received = armed.operator.hear("drive_distance/_action/feedback", kind)
     states = armed.operator.hear("drive_distance/_action/status", GoalStatusArray, LATCHED)
     before = armed.sim.truth()
     goal = Goal(armed, "drive_distance", distance_m=0.4)
     assert goal.accepted
-    status, told = goal.result()
-    assert (status, told.message) == (SUCCEEDED, "")
-    assert told.distance_m == pytest.approx(0.4, abs=0.011)
+    status, sent = goal.result()
+    assert (status, sent.message) == (SUCCEEDED, "")
+    assert sent.distance_m == pytest.approx(0.4, abs=0.011)
     after = armed.sim.truth()
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(0.4, abs=0.1)
     assert received
@@ -106,9 +106,9 @@ def test_a_distance_is_driven_and_told_on_the_way(armed):
 
 def test_an_angle_is_turned(armed):
     goal = Goal(armed, "rotate", angle_rad=-0.5)
-    status, told = goal.result()
-    assert (status, told.message) == (SUCCEEDED, "")
-    assert told.angle_rad == pytest.approx(-0.5, abs=0.021)
+    status, sent = goal.result()
+    assert (status, sent.message) == (SUCCEEDED, "")
+    assert sent.angle_rad == pytest.approx(-0.5, abs=0.021)
 
 
 def test_cancelled_the_robot_comes_to_rest(armed):
@@ -116,8 +116,8 @@ def test_cancelled_the_robot_comes_to_rest(armed):
     under_way(armed)
     assert not Goal(armed, "rotate", angle_rad=1.0).accepted
     assert goal.cancel() == 1
-    status, told = goal.result()
-    assert (status, told.message) == (CANCELED, "canceled")
+    status, sent = goal.result()
+    assert (status, sent.message) == (CANCELED, "canceled")
     at_rest(armed)
 
 
@@ -126,9 +126,9 @@ def test_a_stop_gets_through_while_many_wait_for_results(armed):
     under_way(armed)
     waiting = [goal.asked() for _ in range(12)]
     assert armed.operator.call("motord/stop", Trigger).success
-    status, told = goal.result()
+    status, sent = goal.result()
     assert status == ABORTED
-    assert told.message
+    assert sent.message
     for future in waiting:
         assert answered(future, "a result").status == ABORTED
     at_rest(armed)

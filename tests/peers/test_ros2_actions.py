@@ -63,14 +63,14 @@ def at_rest(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_a_distance_is_driven_and_told_on_the_way(armed):
+def test_a_distance_is_driven_and_sent_on_the_way(armed):
     before = armed.sim.truth()
     with goal("drive_distance", distance_m=0.5) as client:
         assert client.accepted
-        status, told = result(client)
+        status, sent = result(client)
     after = armed.sim.truth()
-    assert (status, told["message"]) == (SUCCEEDED, "")
-    assert told["distance_m"] == pytest.approx(0.5, abs=0.011)
+    assert (status, sent["message"]) == (SUCCEEDED, "")
+    assert sent["distance_m"] == pytest.approx(0.5, abs=0.011)
     way_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     assert way_m == pytest.approx(0.5, abs=0.05)
     assert after.at_rest
@@ -86,14 +86,14 @@ def test_a_distance_is_driven_and_told_on_the_way(armed):
 
 def test_backwards_and_round_it_goes_too(armed):
     with goal("drive_distance", distance_m=-0.2) as client:
-        status, told = result(client)
-    assert (status, told["message"]) == (SUCCEEDED, "")
-    assert told["distance_m"] == pytest.approx(-0.2, abs=0.011)
+        status, sent = result(client)
+    assert (status, sent["message"]) == (SUCCEEDED, "")
+    assert sent["distance_m"] == pytest.approx(-0.2, abs=0.011)
     before_rad = armed.sim.truth().heading_rad
     with goal("rotate", angle_rad=-1.0) as client:
-        status, told = result(client)
-    assert (status, told["message"]) == (SUCCEEDED, "")
-    assert told["angle_rad"] == pytest.approx(-1.0, abs=0.021)
+        status, sent = result(client)
+    assert (status, sent["message"]) == (SUCCEEDED, "")
+    assert sent["angle_rad"] == pytest.approx(-1.0, abs=0.021)
     turned_rad = math.remainder(armed.sim.truth().heading_rad - before_rad, math.tau)
     assert turned_rad == pytest.approx(-1.0, abs=0.1)
 
@@ -119,9 +119,9 @@ def test_cancelled_the_robot_comes_to_rest(armed):
         under_way(armed)
         client.say("cancel")
         assert client.find(lambda said: "canceling" in said, "an answer")["canceling"] == 1
-        status, told = result(client)
-        assert (status, told["message"]) == (CANCELED, "canceled")
-        assert 0.0 < told["distance_m"] < 20.0
+        status, sent = result(client)
+        assert (status, sent["message"]) == (CANCELED, "canceled")
+        assert 0.0 < sent["distance_m"] < 20.0
     at_rest(armed)
     armed.wait_for("armed")
 
@@ -140,9 +140,9 @@ def test_a_stop_ends_the_goal_at_rest(armed, method):
     with goal("drive_distance", distance_m=20.0) as client:
         under_way(armed)
         assert called(method)["success"]
-        status, told = result(client)
+        status, sent = result(client)
         assert status == ABORTED
-        assert told["message"]
+        assert sent["message"]
     at_rest(armed)
 
 
@@ -151,9 +151,9 @@ def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
         under_way(armed)
         armed.sim.inject("silence:unit=1,for_s=1000")
         try:
-            status, told = result(client)
+            status, sent = result(client)
             assert status == ABORTED
-            assert "stale" in told["message"] or "fault" in told["message"]
+            assert "stale" in sent["message"] or "fault" in sent["message"]
             at_rest(armed)
         finally:
             armed.sim.clear_faults_script()
@@ -163,8 +163,8 @@ def test_a_command_by_hand_ends_the_goal_and_counts(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         under_way(armed)
         with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.0, 0.5):
-            status, told = result(client)
-            assert (status, told["message"]) == (ABORTED, "cmd_vel commands")
+            status, sent = result(client)
+            assert (status, sent["message"]) == (ABORTED, "cmd_vel commands")
             wait_until(
                 lambda: armed.robot.status()["odometry"]["angular_rad_s"] > 0.2, "the command"
             )
@@ -184,8 +184,8 @@ def test_a_source_of_higher_priority_ends_the_goal(armed):
             return any("status" in said for said in client.received)
 
         wait_until(taken_over, "a result")
-        status, told = result(client)
-        assert (status, told["message"]) == (ABORTED, "another source commands")
+        status, sent = result(client)
+        assert (status, sent["message"]) == (ABORTED, "another source commands")
     at_rest(armed)
 
 
@@ -221,10 +221,10 @@ def test_a_measured_way_gives_the_wheels_radius_and_moves_nothing_by_itself(arme
         assert armed.sim.truth().at_rest
         with goal("drive_distance", distance_m=0.5) as client:
             assert result(client)[0] == SUCCEEDED
-        status, told = result(watching)
-    assert (status, told["message"]) == (SUCCEEDED, "")
-    assert told["factor"] == pytest.approx(0.55 / told["distance_m"])
-    assert told["factor"] == pytest.approx(1.1, rel=0.05)
+        status, sent = result(watching)
+    assert (status, sent["message"]) == (SUCCEEDED, "")
+    assert sent["factor"] == pytest.approx(0.55 / sent["distance_m"])
+    assert sent["factor"] == pytest.approx(1.1, rel=0.05)
 
 
 def test_what_cannot_be_measured_is_refused(stage):
@@ -232,10 +232,10 @@ def test_what_cannot_be_measured_is_refused(stage):
         assert not client.accepted
 
 
-def test_who_comes_late_is_told_how_the_goals_ended(armed):
+def test_who_comes_late_is_sent_how_the_goals_ended(armed):
     with goal("rotate", angle_rad=0.2) as client:
         assert result(client)[0] == SUCCEEDED
     topic = ("topic", f"rt{NAMESPACE}/rotate/_action/status", "GoalStatusArray", "late")
     with peer(*topic) as ear:
-        told = ear.find(lambda said: said["status_list"], "the states")
-    assert told["status_list"][-1]["status"] == SUCCEEDED
+        sent = ear.find(lambda said: said["status_list"], "the states")
+    assert sent["status_list"][-1]["status"] == SUCCEEDED

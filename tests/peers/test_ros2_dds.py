@@ -128,7 +128,7 @@ def test_a_topic_stops_as_the_service_does(stage, how):
     stage.wait_for("idle")
 
 
-def test_who_stopped_the_robot_and_why_is_told_by_name(stage):
+def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
 
     def found():
@@ -137,7 +137,7 @@ def test_who_stopped_the_robot_and_why_is_told_by_name(stage):
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "best", "watcher"):
         wait_until(found, "the reason")
         with peer("topic", f"rt{NAMESPACE}/motor_status", "MotorStatus") as ear:
-            ear.find(lambda told: any(why.startswith(reason) for why in told["why"]), "the reason")
+            ear.find(lambda sent: any(why.startswith(reason) for why in sent["why"]), "the reason")
     assert f"emergency stop: {reason}" in stage.said()
     assert called("reset")["success"]
     stage.wait_for("idle")
@@ -179,20 +179,20 @@ def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
     wait_until(lambda: not inputs(armed)["ros2"]["rivals"], "the end of the contest")
 
 
-def test_who_comes_late_is_told_what_the_robot_looks_like(stage):
+def test_who_comes_late_is_sent_what_the_robot_looks_like(stage):
     with peer("topic", f"rt{NAMESPACE}/robot_description", "String", "late") as ear:
-        told = ear.find(lambda _: True, "the description")
-    assert told["data"].startswith("<robot name=")
+        sent = ear.find(lambda _: True, "the description")
+    assert sent["data"].startswith("<robot name=")
     with peer("topic", f"rt{NAMESPACE}/joint_states", "JointState") as ear:
         names = ear.find(lambda _: True, "joints")["name"]
     assert names
-    assert all(f'<joint name="{name}" type="continuous"' in told["data"] for name in names)
+    assert all(f'<joint name="{name}" type="continuous"' in sent["data"] for name in names)
 
 
-def test_who_comes_late_is_told_the_frames_that_never_move(stage):
+def test_who_comes_late_is_sent_the_frames_that_never_move(stage):
     with peer("topic", "rt/tf_static", "TFMessage", "late") as ear:
-        told = ear.find(lambda _: True, "the frames")
-    (frame,) = told["transforms"]
+        sent = ear.find(lambda _: True, "the frames")
+    (frame,) = sent["transforms"]
     assert frame["header"]["frame_id"] == "r2/base_link"
     assert frame["child_frame_id"] == "r2/base_footprint"
 
@@ -245,12 +245,12 @@ def test_each_type_of_the_node_is_described_by_its_hash(stage):
                 lambda found, name=f"rt{NAMESPACE}/{topic}": found["topic"] == name, topic
             )
         shown = found["user_data"].removeprefix("typehash=").rstrip(";")
-        told = describe(shown)
-        assert (told["successful"], told["failure_reason"]) == (True, "")
-        described = told["type_description"]
+        sent = describe(shown)
+        assert (sent["successful"], sent["failure_reason"]) == (True, "")
+        described = sent["type_description"]
         assert described["type_description"]["type_name"].split("/")[-1] in found["type"]
         assert hash_of(described) == shown
-        texts = {one["type_name"]: one["raw_file_contents"] for one in told["type_sources"]}
+        texts = {one["type_name"]: one["raw_file_contents"] for one in sent["type_sources"]}
         assert "builtin_interfaces/Time stamp" in texts["std_msgs/msg/Header"]
 
 
@@ -279,10 +279,10 @@ def test_a_limit_is_a_parameter_and_is_changed(stage):
     called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
 
 
-def test_who_listens_is_told_what_was_changed_and_nothing_of_what_was_refused(stage):
+def test_who_listens_is_sent_what_was_changed_and_nothing_of_what_was_refused(stage):
     with peer("topic", "rt/parameter_events", "ParameterEvent") as ear:
 
-        def told():
+        def sent():
             called(
                 "set_parameters",
                 "SetParameters",
@@ -290,16 +290,16 @@ def test_who_listens_is_told_what_was_changed_and_nothing_of_what_was_refused(st
             )
             return ear.received
 
-        wait_until(told, "an event")
+        wait_until(sent, "an event")
         assert ear.received[0]["node"] == f"{NAMESPACE}/motord"
         (changed,) = ear.received[0]["changed_parameters"]
         assert (changed["name"], changed["value"]["double_value"]) == ("limits.linear_m_s", 1.0)
 
 
-def test_who_listens_is_told_of_transitions(stage):
+def test_who_listens_is_sent_of_transitions(stage):
     with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
 
-        def told(label):
+        def sent(label):
             return next(
                 (said for said in ear.received if said["transition"]["label"] == label), None
             )
@@ -307,13 +307,13 @@ def test_who_listens_is_told_of_transitions(stage):
         def armed_again():
             called("disarm")
             called("arm")
-            return told("activate")
+            return sent("activate")
 
         activated = wait_until(armed_again, "an event")
         assert activated["start_state"] == {"id": 2, "label": "inactive"}
         assert activated["goal_state"] == {"id": 3, "label": "active"}
         assert called("estop")["success"]
-        wait_until(lambda: told("transition_error"), "the error")
+        wait_until(lambda: sent("transition_error"), "the error")
 
 
 def test_a_parameter_is_refused_with_the_reason(stage):

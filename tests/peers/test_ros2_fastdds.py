@@ -67,7 +67,7 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
         fast("odom", f"rt{NAMESPACE}/odom") as ear,
         fast("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0),
     ):
-        moved = ear.find(lambda told: told["x_m"] > 0.1 and told["linear_m_s"] > 0.0, "a way")
+        moved = ear.find(lambda sent: sent["x_m"] > 0.1 and sent["linear_m_s"] > 0.0, "a way")
     assert moved["frames"] == ("r2/odom", "r2/base_link")
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
     settle(stage)
@@ -90,7 +90,7 @@ def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
     settle(stage)
 
 
-def test_who_comes_late_is_told_what_the_robot_looks_like(program, stage):
+def test_who_comes_late_is_sent_what_the_robot_looks_like(program, stage):
     topic = f"rt{NAMESPACE}/robot_description"
     with peer("text", topic, program=(str(program),), decode=str.rstrip) as ear:
         assert ear.find(lambda _: True, "the description") == "<robot name="

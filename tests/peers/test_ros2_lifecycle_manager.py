@@ -21,18 +21,18 @@ def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
     events = ("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent")
     with ros2_stage(tmp_path) as stage, peer(*events) as ear:
 
-        def told(label, goal):
+        def sent(label, goal):
             return any(
                 (event["transition"]["label"], event["goal_state"]["label"]) == (label, goal)
                 for event in ear.received
             )
 
-        def configured_and_told():
+        def configured_and_sent():
             assert changed(1)
-            return told("configure", "configuring")
+            return sent("configure", "configuring")
 
-        wait_until(configured_and_told, "a word on the configuration")
-        wait_until(lambda: told("transition_success", "inactive"), "a word on its success")
+        wait_until(configured_and_sent, "a word on the configuration")
+        wait_until(lambda: sent("transition_success", "inactive"), "a word on its success")
         assert state() == {"id": 2, "label": "inactive"}
         wait_until(lambda: changed(3), "armed")
         assert state() == {"id": 3, "label": "active"}
@@ -49,4 +49,4 @@ def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
         assert stage.state() == "idle"
         assert not changed(1)
         assert not changed(3)
-        wait_until(lambda: told("shutdown", "finalized"), "a word on the end")
+        wait_until(lambda: sent("shutdown", "finalized"), "a word on the end")

@@ -120,11 +120,11 @@ async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers
             async with running(robot.node):
                 await until(lambda: tokens.of("MP"))
 
-                def told():
+                def sent():
                     robot.said.publish(SimpleNamespace(data="Grüße"))
                     return samples
 
-                await until(told)
+                await until(sent)
                 sample, (token,) = samples[0], tokens.of("MP")
                 message = STORE.deserialize_cdr(sample.payload.to_bytes(), STRING)
                 assert message.data == "Grüße"
@@ -132,7 +132,7 @@ async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers
             kept.undeclare()
 
 
-async def test_how_long_a_message_waited_is_told_by_its_senders_clock():
+async def test_how_long_a_message_waited_is_sent_by_its_senders_clock():
     port, waited_s = free_port(), []
     async with router(port):
         node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
@@ -152,7 +152,7 @@ async def test_how_long_a_message_waited_is_told_by_its_senders_clock():
     assert waited_s[2] > 20.0
 
 
-async def test_a_message_is_told_with_the_name_of_its_node():
+async def test_a_message_is_sent_with_the_name_of_its_node():
     port, senders = free_port(), []
     async with router(port):
         ear = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
@@ -227,7 +227,7 @@ async def test_what_is_no_request_calls_nothing_and_is_refused(key, said):
                 assert robot.stops == 0
 
 
-async def test_who_comes_late_is_told_what_is_latched():
+async def test_who_comes_late_is_sent_what_is_latched():
     port = free_port()
     async with router(port):
         robot = Robot(port, Quality(depth=1, latched=True))
@@ -278,11 +278,11 @@ async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
             async with running(robot.node):
                 await until(lambda: tokens.of("MP"))
 
-                def told():
+                def sent():
                     robot.said.publish(SimpleNamespace(data="x"))
                     return received
 
-                await until(told)
+                await until(sent)
                 process.send_signal(signal.SIGSTOP)
                 for _ in range(SENT_IN_VAIN):  # more than the sockets hold
                     robot.said.publish(SimpleNamespace(data="x" * LONG_BYTES))

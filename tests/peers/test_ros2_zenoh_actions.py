@@ -104,9 +104,9 @@ def test_a_distance_is_driven_with_feedback_and_a_result(robot):
     with armed(stage, driver):
         client = Client(driver.session, 1)
         assert client.send(0.3)
-        told = client.result()
-    assert (told.status, told.result.message) == (SUCCEEDED, "")
-    assert told.result.distance_m == pytest.approx(0.3, abs=0.011)
+        sent = client.result()
+    assert (sent.status, sent.result.message) == (SUCCEEDED, "")
+    assert sent.result.distance_m == pytest.approx(0.3, abs=0.011)
     assert client.feedback[-1].distance_m > client.feedback[0].distance_m
 
 

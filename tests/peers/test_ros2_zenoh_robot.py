@@ -102,7 +102,7 @@ def test_a_type_of_the_node_is_described_by_its_hash(robot):
     _, driver = robot
     name = "nav_msgs/msg/Odometry"
     asking = {"type_name": name, "type_hash": STORE.hash_rihs01(name), "include_sources": False}
-    told = asked(
+    sent = asked(
         driver, "get_type_description", "type_description_interfaces/GetTypeDescription",
         ("string type_name\nstring type_hash\nbool include_sources\n", asking),
         "bool successful\nstring failure_reason\n"
@@ -110,8 +110,8 @@ def test_a_type_of_the_node_is_described_by_its_hash(robot):
         "type_description_interfaces/TypeSource[] sources\n"
         "type_description_interfaces/KeyValue[] extra\n",
     )  # fmt: skip
-    assert told.successful
-    described = told.type_description.type_description
+    assert sent.successful
+    described = sent.type_description.type_description
     assert described.type_name == name
     assert [field.name for field in described.fields] == [
         field for field, _ in STORE.fielddefs[name][1]

@@ -231,7 +231,7 @@ async def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_an
     stage.wait_for("idle")
 
 
-async def test_a_client_is_told_no_faster_than_it_asked_for(stage, ports):
+async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
     request = {"op": "subscribe", "topic": "/odom", "throttle_rate": 200}
     stamps = []
     async with asyncio.timeout(DEADLINE_S):

@@ -16,7 +16,7 @@ from tests.peers.zenoh_robot_rig import COMMAND_KEY, command
 _, _, KIND = COMMAND_KEY.partition("/cmd_vel/")
 
 
-def told(sample):
+def sent(sample):
     sec, nanosec = struct.unpack_from("<iI", sample.payload.to_bytes(), 4)
     print(f"{sec}.{nanosec:09d}", flush=True)
 
@@ -34,7 +34,7 @@ def main():
         "scouting": {"multicast": {"enabled": False}},
     }
     with zenoh.open(zenoh.Config.from_json5(json.dumps(said))) as session:
-        kept = session.declare_subscriber("0/zenoh/odom/**", told)
+        kept = session.declare_subscriber("0/zenoh/odom/**", sent)
         for number, line in enumerate(sys.stdin, 1):
             key = f"0/zenoh/cmd_vel/{KIND}"
             session.put(key, command(float(line)), attachment=attached(number))

@@ -332,7 +332,7 @@ class Sources(RuleBasedStateMachine):
         """Sources that have asked for motion without a break since the last stop."""
         self.left = {}
         """Owners of those whose connection ended, and when their lease would have."""
-        self.told = {}
+        self.sent = {}
         """The same for each lease that there is: the last that it was told."""
         self.barred = set()
         """Those that have sent nothing since they were told."""
@@ -343,10 +343,10 @@ class Sources(RuleBasedStateMachine):
         key = connection, owner
         fresh = key in self.fresh()
         left_ns = self.left.pop(owner, 0)
-        if key not in self.told:
-            self.told[key] = left_ns
+        if key not in self.sent:
+            self.sent[key] = left_ns
             self.barred.add(key)
-        left = key in self.barred and self.now_ns < self.told[key]
+        left = key in self.barred and self.now_ns < self.sent[key]
         self.barred.discard(key)
         lease = self.arbiter.submit(
             self.now_ns, owner=owner, connection=connection, priority=priority,
@@ -369,13 +369,13 @@ class Sources(RuleBasedStateMachine):
     @rule(connection=st.integers(1, 3))
     def disconnect(self, connection):
         ended = {key: lease for key, lease in self.fresh().items() if key[0] == connection}
-        self.told = {key: told for key, told in self.told.items() if key[0] != connection}
-        self.barred &= set(self.told)
+        self.sent = {key: sent for key, sent in self.sent.items() if key[0] != connection}
+        self.barred &= set(self.sent)
         for lease in (lease for key, lease in ended.items() if key in self.stopped):
             self.left[lease.owner] = max(lease.expires_ns, self.left.get(lease.owner, 0))
-            for key in self.told:
+            for key in self.sent:
                 if key[1] == lease.owner:
-                    self.told[key] = max(lease.expires_ns, self.told[key] + 1)
+                    self.sent[key] = max(lease.expires_ns, self.sent[key] + 1)
                     self.barred.add(key)
         self.arbiter.disconnect(connection)
         assert not any(key[0] == connection for key in self.fresh())

@@ -90,7 +90,7 @@ def c_write(spec, raw):
     layout, table = table_of(spec)
     payload = bytearray(lib.BOARD_PAYLOAD_MAX)
     for name, value in raw.items():
-        place = layout.told[name]
+        place = layout.sent[name]
         word = value.to_bytes(place["bytes"], "little", signed=True)
         payload[place["byte"] : place["byte"] + place["bytes"]] = word
     out = ffi.new("uint8_t[]", lib.BOARD_TEXT_MAX)

@@ -49,7 +49,7 @@ def test_nothing_moves_before_arming():
     assert rig.shown.reasons & lib.REASON_NOT_ARMED
 
 
-def test_an_armed_base_goes_as_fast_as_it_is_told():
+def test_an_armed_base_goes_as_fast_as_it_is_sent():
     rig = Rig()
     rig.moving(0.5)
     assert rig.speeds == [5.0, 5.0]

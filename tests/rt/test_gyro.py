@@ -76,7 +76,7 @@ def test_without_a_gyro_nothing_is_shown_of_one():
     assert bytes(ffi.buffer(ffi.addressof(rig.shown, "imu"))) == bytes(ffi.sizeof("imu_state"))
 
 
-def test_the_zero_is_found_while_the_base_stands_and_is_told_with_its_uncertainty():
+def test_the_zero_is_found_while_the_base_stands_and_is_sent_with_its_uncertainty():
     rig = GyroRig(bias_rad_s=-0.11)
     rig.ticks(1.0)
     assert rig.imu.state == lib.GYRO_UNBIASED

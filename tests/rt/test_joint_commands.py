@@ -136,7 +136,7 @@ def test_what_is_not_finite_commands_zero(bad):
 
 
 @given(st.lists(ANY, min_size=8, max_size=8), st.sampled_from([2, 4, 8]))
-def test_whatever_comes_the_core_is_told_numbers(speeds, joints):
+def test_whatever_comes_the_core_is_sent_numbers(speeds, joints):
     made = Wheels(base(joints))
     made.say(*speeds[:joints])
     assert all(map(math.isfinite, made.twist()))

@@ -57,7 +57,7 @@ def test_python_that_starts_processes_costs_the_thread_no_page_fault():
     assert loop.status().page_faults == 0
 
 
-def test_after_a_stop_in_motion_every_line_is_told_zero_and_off(loop):
+def test_after_a_stop_in_motion_every_line_is_sent_zero_and_off(loop):
     lease = arm(loop)
     lease.send(0.5, 0.0)
     line = Exchange.of_loop()
@@ -75,7 +75,7 @@ def test_after_a_stop_in_motion_every_line_is_told_zero_and_off(loop):
     assert not loop.status().running
 
 
-def test_it_starts_again_disarmed_and_forgets_what_it_was_told():
+def test_it_starts_again_disarmed_and_forgets_what_it_was_sent():
     loop = rt.Loop(core_config(), settings())
     before = fds()
     for _ in range(3):

@@ -36,7 +36,7 @@ def turn_for(base: Base, seconds: float, speed_rad_s: float, velocity_rad_s: flo
     ("wheel", "speed_rad_s", "silence_s"),
     [(DDSM115, 34.5, 0.110), (GEAR_30, 18.0, 0.200), (DDSM115, 34.5, 0.240)],
 )
-def test_a_narrow_counter_that_went_round_unseen_is_told_by_the_measured_velocity(
+def test_a_narrow_counter_that_went_round_unseen_is_sent_by_the_measured_velocity(
     wheel, speed_rad_s, silence_s, direction
 ):
     """As rough as a drive's register of revolutions a minute."""

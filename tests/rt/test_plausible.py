@@ -43,7 +43,7 @@ class Wheels(Rig):
         self.slope_rad_s2 = slope_rad_s2
         self.reports = reports
         self.truth: Callable[[int, float], float] = lambda joint, wanted_rad_s: wanted_rad_s
-        self.told: Callable[[int, float, float], tuple[float, float]] = (
+        self.sent: Callable[[int, float, float], tuple[float, float]] = (
             lambda joint, angle_rad, speed_rad_s: (angle_rad, speed_rad_s)
         )
 
@@ -56,7 +56,7 @@ class Wheels(Rig):
             self.wheel_rad_s[j] += max(-most, min(most, step))
             self.position_rad[j] += self.wheel_rad_s[j] * dt_s
             if received:
-                angle_rad, speed_rad_s = self.told(j, self.position_rad[j], self.wheel_rad_s[j])
+                angle_rad, speed_rad_s = self.sent(j, self.position_rad[j], self.wheel_rad_s[j])
                 bits = self.config.joint[j].counter_bits or 64
                 feedback.count = math.floor(angle_rad / RAD_PER_COUNT) % (1 << bits)
                 feedback.velocity_rad_s = speed_rad_s if self.reports else math.nan
@@ -76,17 +76,17 @@ class Wheels(Rig):
 
 def frozen_counter(rig):
     at_rad = rig.position_rad[LEFT]
-    rig.told = lambda j, angle, speed: (at_rad if j == LEFT else angle, speed)
+    rig.sent = lambda j, angle, speed: (at_rad if j == LEFT else angle, speed)
 
 
 def frozen_feedback(rig):
     at_rad = rig.position_rad[LEFT]
-    rig.told = lambda j, angle, speed: (at_rad, 0.0) if j == LEFT else (angle, speed)
+    rig.sent = lambda j, angle, speed: (at_rad, 0.0) if j == LEFT else (angle, speed)
 
 
 def wild_velocity(rig):
     signs = random.Random(20)
-    rig.told = lambda j, angle, speed: (
+    rig.sent = lambda j, angle, speed: (
         (angle, signs.choice((-343.0, 343.0))) if j == LEFT else (angle, speed)
     )
 
@@ -97,7 +97,7 @@ def blocked(rig):
 
 def reversed_feedback(rig):
     turn_rad = 2.0 * rig.position_rad[LEFT]
-    rig.told = lambda j, angle, speed: (turn_rad - angle, -speed) if j == LEFT else (angle, speed)
+    rig.sent = lambda j, angle, speed: (turn_rad - angle, -speed) if j == LEFT else (angle, speed)
 
 
 def weak(rig):
@@ -110,7 +110,7 @@ def running_away(rig):
 
 def jumping(rig):
     steps = random.Random(8)
-    rig.told = lambda j, angle, speed: (
+    rig.sent = lambda j, angle, speed: (
         (angle + steps.choice((0.0, 50.0, 100.0, 200.0)), speed) if j == LEFT else (angle, speed)
     )
 
@@ -177,7 +177,7 @@ def test_a_drive_that_does_not_obey_has_no_power_at_once_whatever_the_stop_actio
     assert_rest(rig, enabled=0)
 
 
-def test_a_wheel_that_turns_the_wrong_way_is_told_zero_at_once_and_has_no_power_after_two_seconds():
+def test_a_wheel_that_turns_the_wrong_way_is_sent_zero_at_once_and_has_no_power_after_two_seconds():
     rig = Wheels()
     rig.moving()
     reversed_feedback(rig)
@@ -312,7 +312,7 @@ def test_a_counter_that_is_renewed_slowly_is_no_fault(renewed_every_s):
             seen[j] = (number, angle_rad)
         return seen[j][1], speed_rad_s
 
-    rig.told = late
+    rig.sent = late
     rig.arm()
     for speed_m_s in (0.3, 1.0, -1.0, 0.1):
         rig.drive(speed_m_s)
@@ -329,7 +329,7 @@ def test_a_reported_velocity_that_is_filtered_is_no_fault(lag_s):
         shown[j] += (speed_rad_s - shown[j]) * 0.01 / (lag_s + 0.01)
         return angle_rad, round(shown[j] * 9.55) / 9.55
 
-    rig.told = filtered
+    rig.sent = filtered
     rig.arm()
     for speed_m_s in (1.0, -1.0, 0.05, 0.0):
         rig.drive(speed_m_s)
@@ -348,9 +348,9 @@ def test_a_single_wrong_counter_is_no_fault():
     rig = Wheels()
     rig.moving()
     for _ in range(5):
-        rig.told = lambda j, angle, speed: (angle + 100.0, speed)
+        rig.sent = lambda j, angle, speed: (angle + 100.0, speed)
         rig.ticks(0.01)
-        rig.told = lambda j, angle, speed: (angle, speed)
+        rig.sent = lambda j, angle, speed: (angle, speed)
         rig.ticks(1.5)
     assert rig.shown.faults == 0
     assert rig.shown.joint[LEFT].jumps == 5

@@ -86,7 +86,7 @@ def test_a_saturated_base_settles_on_the_curvature_of_its_command(linear, angula
 @settings(max_examples=20)
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=2, max_size=4))
 @example([(0.88, 0.0), (0.3, 2.0)])
-def test_on_the_way_too_the_twist_that_is_told_is_the_one_that_the_wheels_do(wishes):
+def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(wishes):
     joints = [
         joint_config(side, velocity_max_rad_s=9.0, velocity_min_rad_s=-9.0) for side in (-1.0, 1.0)
     ]
@@ -100,6 +100,6 @@ def test_on_the_way_too_the_twist_that_is_told_is_the_one_that_the_wheels_do(wis
         for _ in range(1000):
             shown = rig.tick()
             turn_m_s = shown.setpoint_angular_rad_s * 0.25
-            told = [shown.setpoint_linear_m_s - turn_m_s, shown.setpoint_linear_m_s + turn_m_s]
-            assert [speed * 0.1 for speed in rig.speeds] == pytest.approx(told, abs=1e-12)
+            sent = [shown.setpoint_linear_m_s - turn_m_s, shown.setpoint_linear_m_s + turn_m_s]
+            assert [speed * 0.1 for speed in rig.speeds] == pytest.approx(sent, abs=1e-12)
             assert max(abs(speed) for speed in rig.speeds) <= 9.0

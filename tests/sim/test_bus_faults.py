@@ -66,8 +66,8 @@ def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, f
         planted.tell(fault)
     wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
-    told = exchanges(stage)
-    wait_until(lambda: exchanges(stage) > told + CYCLES, "lines that go on")
+    sent = exchanges(stage)
+    wait_until(lambda: exchanges(stage) > sent + CYCLES, "lines that go on")
     accepted = stage.robot.status()["commands"]["accepted"]
     assert leasing(stage, but=pid) != pid
     after = stage.robot.status()
@@ -77,5 +77,5 @@ def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, f
     assert after["bus"]["restarts"] == 1
     assert after["loop"]["ticks"] > loop["ticks"]
     assert after["loop"]["page_faults"] - loop["page_faults"] < FORK_FAULTS / 2
-    told = exchanges(stage)
-    wait_until(lambda: exchanges(stage) > told + CYCLES, "lines that go on")
+    sent = exchanges(stage)
+    wait_until(lambda: exchanges(stage) > sent + CYCLES, "lines that go on")

@@ -250,7 +250,7 @@ def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
     assert stage.robot.arm() == "armed"
 
 
-def test_what_cannot_be_disarmed_is_told_and_its_watchdog_named(stage):
+def test_what_cannot_be_disarmed_is_sent_and_its_watchdog_named(stage):
     stage.robot.arm()
     stage.sim.pull("rs485")
     with pytest.raises(Refused, match="watchdog"):
@@ -283,7 +283,7 @@ def test_a_drive_that_reboots_under_power_is_a_fault_and_comes_back_disarmed(sta
     assert not any(power(stage))
 
 
-def test_a_pulled_cable_is_told_and_its_return_too(stage):
+def test_a_pulled_cable_is_sent_and_its_return_too(stage):
     stage.sim.pull("rs485")
     stage.wait_for("configuring")
     with pytest.raises(Refused, match="not ready"):

@@ -98,7 +98,7 @@ def test_a_drive_that_never_was_in_command_has_failed(idle):
     assert (status, found["error"]) == (1, "me is in command")
 
 
-def test_a_fault_that_ends_a_drive_is_told_by_its_status(idle):
+def test_a_fault_that_ends_a_drive_is_sent_by_its_status(idle):
     def armed():
         with contextlib.suppress(ClientError):
             return idle.robot.arm() == "armed"

@@ -71,18 +71,18 @@ def under_way(stage):
 def test_a_distance_and_a_turn_are_driven(armed):
     before = armed.sim.truth()
     with command(armed, "move", "0.3") as process:
-        code, told, err = ended(process)
+        code, sent, err = ended(process)
     assert (code, err) == (0, "")
-    assert told["end"] == "succeeded"
-    assert told["distance_m"] == pytest.approx(0.3, abs=0.011)
+    assert sent["end"] == "succeeded"
+    assert sent["distance_m"] == pytest.approx(0.3, abs=0.011)
     after = armed.sim.truth()
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(
         0.3, abs=0.03
     )
     with command(armed, "turn", "-0.5", "--speed-rad-s", "0.4") as process:
-        code, told, err = ended(process)
+        code, sent, err = ended(process)
     assert (code, err) == (0, "")
-    assert told["angle_rad"] == pytest.approx(-0.5, abs=0.021)
+    assert sent["angle_rad"] == pytest.approx(-0.5, abs=0.021)
     assert armed.robot.status()["leases"] == []
 
 
@@ -90,9 +90,9 @@ def test_interrupted_it_comes_to_rest_and_says_so(armed):
     with command(armed, "move", "20") as process:
         under_way(armed)
         process.send_signal(signal.SIGINT)
-        code, told, err = ended(process)
+        code, sent, err = ended(process)
     assert "canceled" in err
-    assert (code, told["end"]) == (1, "canceled")
+    assert (code, sent["end"]) == (1, "canceled")
     assert armed.sim.truth().at_rest
 
 
@@ -107,9 +107,9 @@ def test_an_emergency_stop_ends_it_with_the_exit_status_of_a_fault(armed):
     with command(armed, "move", "20") as process:
         under_way(armed)
         armed.robot.estop()
-        code, told, err = ended(process)
+        code, sent, err = ended(process)
     assert "estop" in err or "emergency stop" in err
-    assert (code, told["end"]) == (3, "aborted")
+    assert (code, sent["end"]) == (3, "aborted")
 
 
 def test_who_commands_already_keeps_the_command(armed):
@@ -118,9 +118,9 @@ def test_who_commands_already_keeps_the_command(armed):
 
     wait_until(holding, "the command")
     with command(armed, "move", "0.3") as process:
-        code, told, err = ended(process)
+        code, sent, err = ended(process)
     armed.robot.release()
-    assert (code, told) == (1, {"error": err, "exit_status": 1})
+    assert (code, sent) == (1, {"error": err, "exit_status": 1})
     assert "is in command" in err
 
 
@@ -140,8 +140,8 @@ def test_what_cannot_be_moves_nothing(stage, words, code, why):
 
     wait_until(idle, "idle")
     with command(stage, *words) as process:
-        returned, told, err = ended(process)
-    assert (returned, told) == (code, {"error": err, "exit_status": code})
+        returned, sent, err = ended(process)
+    assert (returned, sent) == (code, {"error": err, "exit_status": code})
     assert why in err
     assert stage.sim.truth().at_rest
 
@@ -160,7 +160,7 @@ def test_a_program_drives_a_distance_and_turns_right_after_its_own_commands(arme
     assert armed.robot.status()["leases"] == []
 
 
-def test_a_program_is_told_why_its_move_did_not_arrive(armed):
+def test_a_program_is_sent_why_its_move_did_not_arrive(armed):
     with pytest.raises(MoveFailed, match="fault is latched: estop") as failed:
         armed.robot.carry_out(
             Goal(axis="linear", way_u=20.0),

@@ -124,7 +124,7 @@ def own_file(tmp_path):
 
 
 @pytest.mark.parametrize("edited", ["[robot", "", None], ids=["half saved", "empty", "removed"])
-def test_the_drives_that_ran_are_told_whatever_has_become_of_the_robot_file(
+def test_the_drives_that_ran_are_sent_whatever_has_become_of_the_robot_file(
     where_it_looks, own_file, edited
 ):
     with running(where_it_looks, LONG, robot=own_file) as stage:
@@ -237,7 +237,7 @@ def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     assert f"unix:{path}" in lines[0]["problems"][0]
 
 
-def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_told(tmp_path):
+def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_sent(tmp_path):
     """A chip whose files no kernel would write, before one whose bridge is left running."""
     for name, period in (("broken", "no number"), ("left_running", "50000")):
         for number in range(2):
@@ -258,7 +258,7 @@ def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_told(tmp_pat
     assert [int((running / f"pwm{n}/enable").read_text()) for n in range(2)] == [0, 0]
 
 
-def test_a_board_that_streams_is_told_zero_and_stop_by_its_own_line(tmp_path):
+def test_a_board_that_streams_is_sent_zero_and_stop_by_its_own_line(tmp_path):
     robot = ROOT / "config/robots/esp32.toml"
     with start_simulator(robot, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
         port = json.dumps(simulator.ports["board"])

@@ -118,7 +118,7 @@ def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, me
             stage.daemon.kill()
 
 
-def test_who_cannot_reach_it_is_told_what_to_do_instead(tmp_path):
+def test_who_cannot_reach_it_is_sent_what_to_do_instead(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         pass
     said = motord(stage, "estop")

@@ -297,7 +297,7 @@ def live(
     faults: int,
     batch: int,
     kinds: Sequence[str] = SERIAL_KINDS,
-    told: Callable[[str], None] = print,
+    sent: Callable[[str], None] = print,
 ) -> Outcome:
     """One robot from its start to the last fault; what became of it."""
     outcome = Outcome(seed, engine)
@@ -318,7 +318,7 @@ def live(
                 outcome.slowest_recovery_s = max(outcome.slowest_recovery_s, took_s)
         except (Violation, ClientError, ControlError) as violation:
             outcome.violations.append(f"seed {seed}, {engine}: {violation}; batch: {script}")
-            told(hurt.log.read_text(encoding="utf-8")[-3000:])
+            sent(hurt.log.read_text(encoding="utf-8")[-3000:])
         with contextlib.suppress(ControlError):  # a simulator that is gone is a violation above
             _note(outcome, hurt)
     outcome.duration_s = time.monotonic() - began_s

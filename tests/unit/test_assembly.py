@@ -63,8 +63,8 @@ def test_a_wheel_that_cannot_reverse_never_gets_a_negative_wish():
         assert joint["velocity_min_rad_s"] == 0.0
         assert joint["pwm"]["duty_min"] == 0.0
         assert joint["pwm"]["full_duty_rad_s"] == 18.0
-    _, _, told = assembled("demo", "joint.left.reversible=false")
-    assert [joint["velocity_min_rad_s"] for joint in told["joint"]] == [0.0, -15.0]
+    _, _, sent = assembled("demo", "joint.left.reversible=false")
+    assert [joint["velocity_min_rad_s"] for joint in sent["joint"]] == [0.0, -15.0]
 
 
 def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():

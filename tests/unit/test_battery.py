@@ -112,9 +112,9 @@ def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
     for at_s, voltage_v in enumerate(values):
         watch.take(None, at_s * S) if voltage_v is None else measured(watch, voltage_v, at_s)
         report = watch.report(at_s * S)
-        told = report["voltage_v"]
-        assert told is None or (math.isfinite(told) and told > 0)
-        assert report["state"] == "unknown" or told is not None
+        sent = report["voltage_v"]
+        assert sent is None or (math.isfinite(sent) and sent > 0)
+        assert report["state"] == "unknown" or sent is not None
 
 
 def test_drives_tell_the_lowest_voltage_of_those_that_are_received_and_nothing_else():

@@ -56,7 +56,7 @@ async def test_of_each_topic_the_newest_wins_and_the_lost_are_counted():
     assert (feed.dropped, feed.taken) == (4, 2)
 
 
-async def test_what_does_not_fit_the_form_of_a_bus_is_lost_and_the_next_is_told():
+async def test_what_does_not_fit_the_form_of_a_bus_is_lost_and_the_next_is_sent():
     def form(topic, body):
         def made(view, offset_ns):
             if view.snapshot.x_m < 0:
@@ -108,7 +108,7 @@ def test_the_commander_is_who_holds_the_lease_of_the_snapshot():
     assert view(1, owner=4).commander() is None
 
 
-def test_why_a_fault_is_latched_is_told_as_long_as_it_is():
+def test_why_a_fault_is_latched_is_sent_as_long_as_it_is():
     said = {"why": ["input.ros2: by /teleop"]}
     faulty = view(1, said, faults=("estop",))
     assert message("motor_status", faulty, BODY, 0).why == ("input.ros2: by /teleop",)

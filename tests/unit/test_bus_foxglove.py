@@ -30,10 +30,10 @@ async def test_a_message_that_waited_for_the_event_loop_is_as_old_as_that(tmp_pa
     client = SimpleNamespace(id=1)
     channel = SimpleNamespace(id=2, topic="/cmd_vel", encoding="json")
     twist = f'{{"token": "{TOKEN}", "linear": {{"x": 0.2}}, "angular": {{"z": 0}}}}'
-    received, told = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with received, told:
+    received, sent = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with received, sent:
         source = runtime.sources["fox"]
-        source._token, source._sender = bytes(16), told
+        source._token, source._sender = bytes(16), sent
         received.setblocking(False)  # noqa: FBT003  # socket's
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(commands.run())

@@ -44,7 +44,7 @@ async def over(gap):
             await asyncio.sleep(0.01)
 
 
-async def test_whoever_asks_first_after_it_is_told():
+async def test_whoever_asks_first_after_it_is_sent():
     gap = Gap(LONGEST_S)
     async with watched(gap):
         assert not gap.just_over()
@@ -105,10 +105,10 @@ async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, m
     obeyed = method in ("stop", "estop", "disarm", "status", "params.list")
     async with watched(gate.gap):
         stand_still()
-        with pytest.raises((NotTaken, ClientError)) as told:
+        with pytest.raises((NotTaken, ClientError)) as sent:
             await gate.ask(method)
-    assert ("No such file" in str(told.value)) == obeyed
-    assert ("stood still" in str(told.value)) != obeyed
+    assert ("No such file" in str(sent.value)) == obeyed
+    assert ("stood still" in str(sent.value)) != obeyed
     assert gate.source.refused == (not obeyed)
 
 

@@ -51,7 +51,7 @@ async def test_who_waits_too_long_goes_on_without_an_answer():
             await asyncio.to_thread(made.ask, asyncio.Event().wait, 0.05)
 
 
-async def test_who_waits_when_it_ends_and_who_comes_later_are_told():
+async def test_who_waits_when_it_ends_and_who_comes_later_are_sent():
     begun = asyncio.Event()
 
     async def endless():

@@ -47,7 +47,7 @@ def test_it_says_what_the_message_says(name):
 
 @pytest.mark.usefixtures("_with_and_without_msgspec")
 @pytest.mark.parametrize("form", [as_json, as_cdr])
-def test_joints_that_the_robot_file_does_not_have_are_not_told_under_the_names_of_others(form):
+def test_joints_that_the_robot_file_does_not_have_are_not_sent_under_the_names_of_others(form):
     """A daemon may have been started with another robot file of the same name."""
     assert len(BODY.joints) == 2
     encode = form(TOPICS["joint_states"], BODY)

@@ -60,10 +60,10 @@ def test_a_twist_is_read_as_python_reads_it_in_either_byte_order(fields):
     sec, nanosec, frame, linear, angular = fields
     assume("\0" not in frame)
     raw = bytes(encode(TYPE, message(*fields)))
-    told = decode(TYPE, raw)
+    sent = decode(TYPE, raw)
     for one in (parsed(raw), parsed(big_endian(*fields))):
-        assert repr(one.linear_m_s) == repr(told.twist.linear.x) == repr(linear)
-        assert repr(one.angular_rad_s) == repr(told.twist.angular.z) == repr(angular)
+        assert repr(one.linear_m_s) == repr(sent.twist.linear.x) == repr(linear)
+        assert repr(one.angular_rad_s) == repr(sent.twist.angular.z) == repr(angular)
         assert one.stamp_s == sec + nanosec * 1e-9
 
 
@@ -80,10 +80,10 @@ def test_bytes_are_a_twist_to_both_or_to_none(tail, frame_bytes):
     one = parsed(raw)
     text = raw[16 : 16 + frame_bytes].removesuffix(b"\0")
     assume(text.decode(errors="replace").encode() == text)  # C does not look at the frame
-    told = understood(raw)
-    assert (one is None) == (told is None)
-    if told is not None:
-        assert repr(one.linear_m_s) == repr(told.twist.linear.x)
+    sent = understood(raw)
+    assert (one is None) == (sent is None)
+    if sent is not None:
+        assert repr(one.linear_m_s) == repr(sent.twist.linear.x)
 
 
 @given(st.binary(max_size=80))
@@ -112,7 +112,7 @@ def test_the_age_of_a_stamp_is_the_desks(stamped, said_s):
     assert code != 0 or out[0] == gates_s
 
 
-def test_a_message_of_python_is_what_the_desk_is_told(stamped):
+def test_a_message_of_python_is_what_the_desk_is_sent(stamped):
     now = time.time_ns() - 200_000_000
     raw = bytes(encode(TYPE, message(now // 10**9, now % 10**9, "base_link", 0.5, math.nan)))
     linear_m_s, angular_rad_s, age_s = stamped._twist(_as_mapping(decode(TYPE, raw)))

@@ -109,12 +109,12 @@ def test_a_value_that_does_not_fit_is_refused():
 
 
 def test_what_a_frame_begins_with_tells_it_from_others():
-    told = Frame(**{**{f: getattr(FRAME, f) for f in FRAME.__slots__}, "begins": b"\x9c"})
+    sent = Frame(**{**{f: getattr(FRAME, f) for f in FRAME.__slots__}, "begins": b"\x9c"})
     place = signal(start_bit=8, length=8, kind="u8")
-    assert build(told, (place,), {"s": 7}) == bytes((0x9C, 7, 0, 0, 0, 0, 0, 0))
-    assert parse(told, (place,), bytes((0x9A, 7, 0, 0, 0, 0, 0, 0))) is None
-    assert parse(told, (place,), bytes((0x9C, 7))) is None
-    assert told.identifier(3) == 0x160
+    assert build(sent, (place,), {"s": 7}) == bytes((0x9C, 7, 0, 0, 0, 0, 0, 0))
+    assert parse(sent, (place,), bytes((0x9A, 7, 0, 0, 0, 0, 0, 0))) is None
+    assert parse(sent, (place,), bytes((0x9C, 7))) is None
+    assert sent.identifier(3) == 0x160
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def wrong(*overrides):
     return "\n".join(map(str, error.value.problems))
 
 
-def test_a_can_line_is_told_to_the_hardware_layer():
+def test_a_can_line_is_sent_to_the_hardware_layer():
     _, spec = loaded("line.can0.data_bitrate=2000000")
     assert (spec.kind, spec.port, spec.baudrate) == ("can", "socketcan:can0", 500_000)
     assert spec.data_baudrate == 2_000_000
@@ -142,7 +142,7 @@ def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
         open_line(replace(spec, data_baudrate=2_000_000), Exchange.private(), print)
 
 
-def test_an_adapter_of_python_can_s_own_is_told_of_can_fd():
+def test_an_adapter_of_python_can_s_own_is_sent_of_can_fd():
     assert "fd" not in bus_arguments("kvaser:0", 500_000, None)
     fd = bus_arguments("kvaser:0", 500_000, 2_000_000)
     assert (fd["fd"], fd["data_bitrate"], fd["bitrate"]) == (True, 2_000_000, 500_000)
@@ -212,7 +212,7 @@ def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
         open_line(changed, Exchange.private(), lambda event: None)
 
 
-def test_a_cycle_that_a_synchronous_drive_cannot_be_told_is_said_with_its_line():
+def test_a_cycle_that_a_synchronous_drive_cannot_be_sent_is_said_with_its_line():
     csv = ("joint.left.drive=cia402-csv", "joint.right.drive=cia402-csv")
     load_robot(CIA402, csv)
     with pytest.raises(ConfigError) as error:

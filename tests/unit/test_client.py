@@ -132,7 +132,7 @@ def test_an_answer_may_come_in_pieces_and_after_other_peoples(tmp_path):
         assert robot.call("x") == {"a": [1]}
 
 
-def test_a_daemon_that_goes_away_is_told(tmp_path):
+def test_a_daemon_that_goes_away_is_sent(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
@@ -142,7 +142,7 @@ def test_a_daemon_that_goes_away_is_told(tmp_path):
                 robot.status()
 
 
-def test_garbage_is_told(tmp_path):
+def test_garbage_is_sent(tmp_path):
     with (
         answering(tmp_path / "s", b"hello\n") as robot,
         pytest.raises(ClientError, match="does not speak JSON"),
@@ -159,7 +159,7 @@ def test_an_answer_without_end_is_cut_off(tmp_path, monkeypatch):
         robot.status()
 
 
-def test_a_missing_daemon_is_told_with_its_path(tmp_path):
+def test_a_missing_daemon_is_sent_with_its_path(tmp_path):
     with pytest.raises(ClientError, match="nobody"):
         Client(tmp_path / "nobody.sock")
 
@@ -170,7 +170,7 @@ def test_the_only_robot_is_found(path):
     assert find_socket("r2", folders) == path
 
 
-def test_no_robot_and_several_robots_are_told(path):
+def test_no_robot_and_several_robots_are_sent(path):
     with pytest.raises(ClientError, match="no robot x runs here: motord run"):
         find_socket("x", [path.parent])
     with listening(path.with_name("r3.sock")), pytest.raises(ClientError, match=r"r2.*r3"):

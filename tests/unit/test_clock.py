@@ -26,7 +26,7 @@ async def cancelled(cleaning_up):
         await task
 
 
-async def test_a_limit_is_told_as_one_while_a_cancelled_task_cleans_up():
+async def test_a_limit_is_sent_as_one_while_a_cancelled_task_cleans_up():
     """Python 3.11.2 of Debian 12 has CancelledError there."""
     done = []
 

@@ -155,7 +155,7 @@ def test_datagrams_are_an_input(load):
     assert row == "input.fast.udp_port: 80 is out of range (1024 to 65535)"
 
 
-def test_a_line_is_told_below_which_speed_a_wheel_rests(tmp_path):
+def test_a_line_is_sent_below_which_speed_a_wheel_rests(tmp_path):
     path = tmp_path / "robot.toml"
     text = DEMO.replace("[safety]", "[safety]\nrest_velocity_rad_s = 0.125", 1)
     path.write_text(text, encoding="utf-8")

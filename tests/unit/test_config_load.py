@@ -120,7 +120,7 @@ def test_a_wrong_value_is_said_with_its_line_and_what_is_right(problems_of, wron
         ('"stdout"', '"stdio"', "publish.console.kind: {} is unknown"),
     ],
 )
-def test_a_kind_that_is_planned_is_told_from_one_that_is_unknown(problems_of, right, wrong, row):
+def test_a_kind_that_is_planned_is_sent_from_one_that_is_unknown(problems_of, right, wrong, row):
     (found,) = problems_of(DEMO.replace(right, wrong, 1))
     assert found.partition(": ")[2].startswith(row.format(wrong))
 
@@ -198,7 +198,7 @@ def test_a_syntax_error_has_its_line(problems_of):
     assert re.fullmatch(r"2: syntax: \S.*", row)
 
 
-def test_a_file_that_ends_too_early_is_told_its_last_line(problems_of):
+def test_a_file_that_ends_too_early_is_sent_its_last_line(problems_of):
     (row,) = problems_of('[robot]\nname = """x\n')
     assert re.fullmatch(r"\d: syntax: \S.*", row)
 

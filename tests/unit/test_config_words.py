@@ -83,7 +83,7 @@ def test_a_value_that_is_wrong_or_unlikely_is_asked_about(
     assert any(cure in row for row in rows_of(tmp_path, right, wrong))
 
 
-def test_a_key_with_a_line_break_in_it_is_told_in_one_line(tmp_path):
+def test_a_key_with_a_line_break_in_it_is_sent_in_one_line(tmp_path):
     (row,) = rows_of(tmp_path, "track_m = 0.45", 'track_m = 0.45\n"a\\nb" = 1')
     assert "\n" not in row
     assert "unknown key" in row

@@ -44,7 +44,7 @@ def test_a_speed_is_the_frame_of_the_maker_s_table(rpm, frame):
     assert build_request(1, Command.SET, {SPEED: rpm}).hex(" ") == frame
 
 
-def test_a_mode_is_told_without_a_check_sum_and_not_answered():
+def test_a_mode_is_sent_without_a_check_sum_and_not_answered():
     mode = register(0xA008, RegisterType.U16)  # the last two bytes
     assert build_request(1, Command.MODE, {mode: 2}) == bytes((1, 0xA0, 0, 0, 0, 0, 0, 0, 0, 2))
     assert not is_answered(Command.MODE)

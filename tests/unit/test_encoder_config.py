@@ -36,14 +36,14 @@ def rows(load, *edits):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def told(robot):
+def sent(robot):
     profiles = assembly.profiles_of(robot)
     (spec,) = line_specs(robot, profiles)
     return assembly.core_config(robot, profiles)["joint"], [j.encoder for j in spec.joints]
 
 
 def test_core_and_line_get_the_same_angle_of_a_count_with_its_sign(load):
-    (left, right), (a, b) = told(load())
+    (left, right), (a, b) = sent(load())
     turn = 2.0 * math.pi / (1320 * 1.0)
     assert (left["counter_bits"], right["counter_bits"]) == (64, 64)
     assert (left["rad_per_count"], a.rad_per_count) == (pytest.approx(turn),) * 2
@@ -53,14 +53,14 @@ def test_core_and_line_get_the_same_angle_of_a_count_with_its_sign(load):
 
 
 def test_an_encoder_with_swapped_channels_counts_the_other_way(load):
-    (left, _), (a, _) = told(load((GPIO, GPIO + "\nreversed = true")))
+    (left, _), (a, _) = sent(load((GPIO, GPIO + "\nreversed = true")))
     assert left["rad_per_count"] == a.rad_per_count < 0.0
 
 
 def test_a_counter_of_the_kernel_is_handed_on(load):
     edges = GPIO + '\na = "GPIO17"\nb = "GPIO27"\npull = "up"'
     counter = 'kind = "counter"\ncounter = "44000000.timer"\ncount = 1'
-    _, (a, _) = told(load((edges, counter)))
+    _, (a, _) = sent(load((edges, counter)))
     assert isinstance(a, CounterEncoder)
     assert (a.counter, a.count) == ("44000000.timer", 1)
 
@@ -73,7 +73,7 @@ OTHER_MOTOR = BOARD.replace("motor = 1", "motor = 2")
 
 def test_a_board_that_counts_is_handed_on_and_may_count_for_both(load):
     robot = load((EDGES, BOARD), (RIGHT_EDGES, OTHER_MOTOR))
-    core, (a, b) = told(robot)
+    core, (a, b) = sent(robot)
     assert a == BoardEncoder(
         port="/dev/ttyACM0", baudrate=115200, motor=1, rad_per_count=core[0]["rad_per_count"]
     )

@@ -43,7 +43,7 @@ def rows(load, *edits):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def test_the_core_and_the_line_are_told_of_a_boards_sensor(load):
+def test_the_core_and_the_line_are_sent_of_a_boards_sensor(load):
     robot = load(('up = "z"', 'up = "-y"'))
     profiles = assembly.profiles_of(robot)
     (spec,) = line_specs(robot, profiles)
@@ -128,8 +128,8 @@ def test_the_rate_in_a_line_of_text_is_received_and_said(load):
         0.2,
     )
     gyro = SimulatedGyro(plant, spec.imu, seed=3)
-    told = TextTalk(spec, gyro).feedback(NamedContent(spec.joints[0].profile), 0.0)
-    assert float(told.split()[2]) == pytest.approx(gyro.bias_rad_s[2], abs=0.02)
+    sent = TextTalk(spec, gyro).feedback(NamedContent(spec.joints[0].profile), 0.0)
+    assert float(sent.split()[2]) == pytest.approx(gyro.bias_rad_s[2], abs=0.02)
 
 
 def test_a_simulated_gyro_says_the_plants_turn_with_its_offset_in_the_sensors_axes():

@@ -64,7 +64,7 @@ def test_a_recorded_run_gives_its_percentiles():
     assert sum(bar.count for bar in histogram) == 1973
 
 
-def test_a_percentile_among_the_overflows_is_told_as_the_maximum():
+def test_a_percentile_among_the_overflows_is_sent_as_the_maximum():
     spread_us, _ = parse(RECORDED)
     assert spread_us.p99 == spread_us.p99_9 == 90.0
     none_over = RECORDED.replace("Overflows: 00027", "Overflows: 00000")

@@ -31,12 +31,12 @@ def counted(values):
 def test_percentiles_are_those_of_the_nearest_rank(values):
     ordered = sorted(values)
     spread = Spread.of_counts(counted(values), len(values), max(values))
-    for fraction, told in ((0.5, spread.p50), (0.99, spread.p99), (0.999, spread.p99_9)):
-        assert told == ordered[math.ceil(fraction * len(values)) - 1]
+    for fraction, sent in ((0.5, spread.p50), (0.99, spread.p99), (0.999, spread.p99_9)):
+        assert sent == ordered[math.ceil(fraction * len(values)) - 1]
     assert spread.p50 <= spread.p99 <= spread.p99_9 <= spread.max == ordered[-1]
 
 
-def test_what_was_not_counted_is_told_as_the_maximum():
+def test_what_was_not_counted_is_sent_as_the_maximum():
     spread = Spread.of_counts({10: 50}, samples=100, maximum=700.0)
     assert (spread.p50, spread.p99, spread.max) == (10.0, 700.0, 700.0)
 
@@ -56,9 +56,9 @@ def test_a_tally_tells_no_value_too_low_and_none_much_too_high(values):
     assert tally.samples == sum(tally.counts.values()) == len(values)
     assert tally.max_ns == max(values)
     ordered = sorted(values)
-    told = sorted(step for step, count in tally.counts.items() for _ in range(count))
+    sent = sorted(step for step, count in tally.counts.items() for _ in range(count))
     assert all(
-        value <= step < value * (1 + 1 / 64) + 1 for value, step in zip(ordered, told, strict=True)
+        value <= step < value * (1 + 1 / 64) + 1 for value, step in zip(ordered, sent, strict=True)
     )
 
 
@@ -152,7 +152,7 @@ def test_no_notified_tick_is_lost_or_counted_twice_and_no_age_is_negative(every,
         ("#1 SMP PREEMPT Sat Mar 1", "0\n", False),
     ],
 )
-def test_a_real_time_kernel_is_told_by_its_version_or_by_sysfs(version, sys_realtime, expected):
+def test_a_real_time_kernel_is_sent_by_its_version_or_by_sysfs(version, sys_realtime, expected):
     assert is_preempt_rt(version, sys_realtime) is expected
 
 

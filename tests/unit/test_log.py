@@ -37,7 +37,7 @@ def said(journal, text, stream="same"):
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
 
-def test_the_journal_is_told_what_a_warning_is_about(journal):
+def test_the_journal_is_sent_what_a_warning_is_about(journal):
     assert said(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
         "MESSAGE=the drive is unresponsive",

@@ -55,7 +55,7 @@ def test_the_step_is_that_of_the_board_for_the_channels_asked_for(
     assert words in pwm_step(chip, channels, (), tree(tmp_path, compatible))
 
 
-def test_a_machine_without_a_device_tree_is_told_what_must_be(tmp_path):
+def test_a_machine_without_a_device_tree_is_sent_what_must_be(tmp_path):
     assert "device tree must give" in pwm_step("pwmchip0", [0], (), tmp_path / "none")
 
 

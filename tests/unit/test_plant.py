@@ -72,7 +72,7 @@ def test_no_wish_gets_more_torque_than_the_motor_has(speeds_rad_s):
 
 @settings(deadline=None)
 @given(SPEEDS)
-def test_the_speed_loop_gets_where_it_is_told(speed_rad_s):
+def test_the_speed_loop_gets_where_it_is_sent(speed_rad_s):
     wheel = Wheel(MODEL)
     wheel.turn(speed_rad_s)
     go_on(wheel, 2.0)

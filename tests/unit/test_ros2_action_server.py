@@ -19,7 +19,7 @@ class Node:
     """What was served and published, each message as it would travel."""
 
     def __init__(self):
-        self.answers, self.told = {}, []
+        self.answers, self.sent = {}, []
 
     def serve(self, name, kind, answer, depth=10, together=1):
         async def checked(request):
@@ -32,12 +32,12 @@ class Node:
     def publisher(self, name, kind, quality=None):
         def publish(message):
             encode(kind, message)
-            self.told.append((name.rpartition("/")[2], message))
+            self.sent.append((name.rpartition("/")[2], message))
 
         return SimpleNamespace(publish=publish)
 
     def states(self):
-        last = [message for name, message in self.told if name == "status"][-1]
+        last = [message for name, message in self.sent if name == "status"][-1]
         return [state.status for state in last.status_list]
 
 
@@ -104,10 +104,10 @@ async def test_a_goal_is_accepted_executed_and_has_a_result():
         bench.go.set()
         assert await bench.result(number(1)) == Status.SUCCEEDED
     seen = [
-        m.status_list[0].status for name, m in bench.node.told if name == "status" and m.status_list
+        m.status_list[0].status for name, m in bench.node.sent if name == "status" and m.status_list
     ]
     assert list(dict.fromkeys(seen)) == [Status.ACCEPTED, Status.EXECUTING, Status.SUCCEEDED]
-    (feedback,) = [message for name, message in bench.node.told if name == "feedback"]
+    (feedback,) = [message for name, message in bench.node.sent if name == "feedback"]
     assert bytes(feedback.goal_id.uuid) == number(1)
 
 

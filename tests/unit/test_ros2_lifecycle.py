@@ -68,7 +68,7 @@ class Managed:
             for found in answer.available_transitions
         ]
 
-    def told(self):
+    def sent(self):
         return [
             (event.transition.label, event.start_state.label, event.goal_state.label)
             for event in self.events
@@ -200,11 +200,11 @@ async def test_the_state_is_the_new_one_when_the_answer_comes():
     assert await node.label() == "active"
 
 
-async def test_who_waits_for_events_is_told_of_each_step():
+async def test_who_waits_for_events_is_sent_of_each_step():
     node = Managed()
     for number in (CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, CONFIGURE, 6):
         assert await node.change(number)
-    assert node.told() == [
+    assert node.sent() == [
         ("configure", "inactive", "configuring"),
         ("transition_success", "configuring", "inactive"),
         ("activate", "inactive", "active"),

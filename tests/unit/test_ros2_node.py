@@ -64,7 +64,7 @@ def test_a_node_has_one_name_for_a_topic():
         (("namespace=/r2", "namespaced_tf=true", "frame_prefix=r2/"), "r2/", "tf"),
     ],
 )
-def test_frames_of_a_robot_in_a_namespace_are_told_apart_by_prefix_or_by_topic(
+def test_frames_of_a_robot_in_a_namespace_are_sent_apart_by_prefix_or_by_topic(
     settings, prefix, topic
 ):
     from motord.bus.ros2.publisher import robot_topic

@@ -14,35 +14,35 @@ class Topic:
     """What was published, by way of its bytes."""
 
     def __init__(self):
-        self.told = []
+        self.sent = []
 
     def publish(self, message):
-        self.told.append(decode(LOG, bytes(encode(LOG, message))))
+        self.sent.append(decode(LOG, bytes(encode(LOG, message))))
 
 
-async def test_warnings_and_errors_of_any_thread_are_told_and_the_rest_is_not():
+async def test_warnings_and_errors_of_any_thread_are_sent_and_the_rest_is_not():
     topic = Topic()
     with Rosout("/r2/motord", topic).listening():
         log.info("all is well")
         log.warning("two %s", "rivals")
         await asyncio.to_thread(log.error, "no route")
         async with asyncio.timeout(10.0):
-            while len(topic.told) < 2:
+            while len(topic.sent) < 2:
                 await asyncio.sleep(0)
     log.warning("afterwards")
     await asyncio.sleep(0)
-    assert [(one.level, one.msg, one.name) for one in topic.told] == [
+    assert [(one.level, one.msg, one.name) for one in topic.sent] == [
         (30, "two rivals", "r2.motord"), (40, "no route", "r2.motord")
     ]  # fmt: skip
-    assert topic.told[0].file == "test_ros2_rosout.py"
+    assert topic.sent[0].file == "test_ros2_rosout.py"
 
 
-async def test_what_led_to_a_fault_is_told_once():
+async def test_what_led_to_a_fault_is_sent_once():
     topic = Topic()
     rosout = Rosout("/motord", topic)
     for why in ((), ("estop: by /panel",), ("estop: by /panel",), ("estop: by /panel", "a wheel")):
         rosout.look(why)
-    assert [one.msg for one in topic.told] == ["estop: by /panel", "a wheel"]
+    assert [one.msg for one in topic.sent] == ["estop: by /panel", "a wheel"]
     rosout.look(())
     rosout.look(("a wheel",))
-    assert len(topic.told) == 3
+    assert len(topic.sent) == 3

@@ -40,9 +40,9 @@ def plain(value):
 
 @pytest.mark.parametrize("kind", TYPES)
 async def test_an_answer_hashes_to_what_was_asked_for(kind):
-    told = await Served(kind).ask(kind)
-    assert (told.successful, told.failure_reason) == (True, "")
-    described = plain(told.type_description)
+    sent = await Served(kind).ask(kind)
+    assert (sent.successful, sent.failure_reason) == (True, "")
+    described = plain(sent.type_description)
     for one in (described["type_description"], *described["referenced_type_descriptions"]):
         for field in one["fields"]:
             assert field.pop("default_value") == ""
@@ -52,8 +52,8 @@ async def test_an_answer_hashes_to_what_was_asked_for(kind):
 
 async def test_sources_are_the_texts_of_the_type_and_of_all_that_it_is_made_of():
     kind = "std_srvs/srv/Trigger"
-    told = await Served(kind).ask(kind)
-    texts = {one.type_name: (one.encoding, one.raw_file_contents) for one in told.type_sources}
+    sent = await Served(kind).ask(kind)
+    texts = {one.type_name: (one.encoding, one.raw_file_contents) for one in sent.type_sources}
     assert texts[kind] == ("srv", "---\nbool success\nstring message\n")
     assert texts["builtin_interfaces/msg/Time"] == ("msg", "int32 sec\nuint32 nanosec\n")
     assert texts[f"{kind}_Event"] == ("implicit", "")
@@ -61,6 +61,6 @@ async def test_sources_are_the_texts_of_the_type_and_of_all_that_it_is_made_of()
 
 
 async def test_a_type_that_the_node_does_not_have_is_not_described():
-    told = await Served("std_msgs/msg/String").ask("std_msgs/msg/Header")
-    assert not told.successful
-    assert type_hash("std_msgs/msg/Header") in told.failure_reason
+    sent = await Served("std_msgs/msg/String").ask("std_msgs/msg/Header")
+    assert not sent.successful
+    assert type_hash("std_msgs/msg/Header") in sent.failure_reason

@@ -224,7 +224,7 @@ async def test_calls_under_way_are_bounded(path):
         peer.close()
 
 
-async def test_a_connection_that_ends_is_told_at_once_while_a_call_of_it_goes_on(path):
+async def test_a_connection_that_ends_is_sent_at_once_while_a_call_of_it_goes_on(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         number = (await peer.call("who"))["result"]["connection"]

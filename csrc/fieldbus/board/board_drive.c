@@ -42,10 +42,10 @@ static void becomes_unresponsive(board_machine *m, int64_t now_ns)
     m->said_bytes = 0;
 }
 
-void board_told(board_machine *m, int64_t now_ns)
+void board_sent(board_machine *m, int64_t now_ns)
 {
     bool stopped = m->state.stop != STOP_NOTHING;
-    m->told_ns = now_ns;
+    m->last_sent_ns = now_ns;
     if (m->order_written) {
         m->order_written = m->has_order = false;
         m->orders_sent++;
@@ -94,7 +94,7 @@ static drive_view view_of(const board_machine *m, int64_t now_ns)
     return (drive_view){.now_ns = now_ns,
                         .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
                         .enabled = m->newest.enabled == 1,
-                        .left_alone = m->table.watchdog_ns > 0 && now_ns - m->told_ns > m->table.watchdog_ns,
+                        .left_alone = m->table.watchdog_ns > 0 && now_ns - m->last_sent_ns > m->table.watchdog_ns,
                         .shut_down = m->control.shut_down != 0,
                         .enabled_count = m->enabled_count};
 }
@@ -127,6 +127,6 @@ void board_obey_request(board_machine *m, int64_t now_ns)
         m->received_ns = now_ns; /* who was set up has just spoken, or cannot */
         board_forget(m);
     } else if (answer.request == REQUEST_ARM) {
-        m->told_ns = now_ns;
+        m->last_sent_ns = now_ns;
     }
 }

@@ -167,10 +167,10 @@ static void tell(board_machine *m, int64_t now_ns)
     m->sequence = sequence;
     m->next = (uint16_t)(sequence + 1);
     m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] = now_ns;
-    m->state.told_motion = motion;
-    memcpy(m->told, payload, m->table.payload_bytes);
+    m->state.sent_motion = motion;
+    memcpy(m->last_sent, payload, m->table.payload_bytes);
     m->sent++;
-    board_told(m, now_ns);
+    board_sent(m, now_ns);
 }
 
 static void cycle(board_machine *m, int64_t now_ns)
@@ -191,7 +191,7 @@ static void shut_down(board_machine *m, int64_t now_ns)
     if (end_takes_power(&m->end, stopping, now_ns)) {
         board_power_off(m, now_ns);
     } else {
-        m->notify |= end_is_over(&m->end, stopping || now_ns < m->told_ns + m->table.period_ns, 0, now_ns);
+        m->notify |= end_is_over(&m->end, stopping || now_ns < m->last_sent_ns + m->table.period_ns, 0, now_ns);
     }
 }
 
@@ -199,12 +199,12 @@ static void shut_down(board_machine *m, int64_t now_ns)
 static bool has_to_stop(const board_machine *m)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
-    return m->state.stop != STOP_NOTHING || (m->state.told_motion && !board_payload(m, payload));
+    return m->state.stop != STOP_NOTHING || (m->state.sent_motion && !board_payload(m, payload));
 }
 
 static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 {
-    bool moving = m->state.told_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->end.stage != END_NOT;
+    bool moving = m->state.sent_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->end.stage != END_NOT;
     int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     return m->end.stage < END_SILENT ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
@@ -212,8 +212,8 @@ static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 void board_machine_kick(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
-    bool stops = !board_payload(m, payload) && m->state.told_motion;
-    if (m->state.mode == DRIVE_ARMED && memcmp(payload, m->told, m->table.payload_bytes) != 0) {
+    bool stops = !board_payload(m, payload) && m->state.sent_motion;
+    if (m->state.mode == DRIVE_ARMED && memcmp(payload, m->last_sent, m->table.payload_bytes) != 0) {
         cycle_clock_bring_forward(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
     }
 }
@@ -239,7 +239,7 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->request_seen = m->state.request_seen;
     report->enabled = m->state.enabled;
     report->stopping = m->state.stopping;
-    report->told_motion = m->state.told_motion;
+    report->sent_motion = m->state.sent_motion;
     report->stop_waits = m->state.stop != STOP_NOTHING;
     report->stops = m->stops;
     report->epoch = m->state.epoch;

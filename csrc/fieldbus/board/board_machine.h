@@ -56,11 +56,11 @@ typedef struct {
     uint32_t orders_sent;
     uint32_t orders_dropped;
     line_ending end;
-    uint32_t feedback_mask;          /* joints whose feedback is new since it was taken */
-    imu_sample imu;                  /* the newest */
-    bool imu_is_new;                 /* since it was taken */
-    uint8_t told[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
-    bool notify;                     /* something that Python wants to hear */
+    uint32_t feedback_mask;               /* joints whose feedback is new since it was taken */
+    imu_sample imu;                       /* the newest */
+    bool imu_is_new;                      /* since it was taken */
+    uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
+    bool notify;                          /* something that Python wants to hear */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t said[BOARD_PAYLOAD_MAX];
     uint32_t said_bytes;
@@ -68,8 +68,8 @@ typedef struct {
     uint16_t next; /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
-    int64_t told_ns;     /* a frame went out last */
-    int64_t received_ns; /* 0: never */
+    int64_t last_sent_ns; /* a frame went out last */
+    int64_t received_ns;  /* 0: never */
     int64_t knows_ns;
     int64_t stamp_ns; /* of the newest word */
     cycle_clock cycle;
@@ -128,6 +128,6 @@ void board_guard(board_machine *m, int64_t now_ns);
 /* A good word has come. */
 void board_received(board_machine *m, int64_t now_ns);
 /* What it was told last has gone out. */
-void board_told(board_machine *m, int64_t now_ns);
+void board_sent(board_machine *m, int64_t now_ns);
 
 #endif

@@ -62,19 +62,19 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         can_packet packet;
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
-        drive->state.told_motion |= moves;
+        drive->state.sent_motion |= moves;
         bool went = can_send(m, &packet);
         all &= went;
         if (went) {
-            memcpy(drive->told[o], packet.data, packet.bytes);
+            memcpy(drive->last_sent[o], packet.data, packet.bytes);
         }
         if (moves && went && m->motion_since_ns == 0) {
             m->motion_since_ns = now_ns;
         }
     }
     if (all) {
-        drive->state.told_motion = motion;
-        drive->told_ns = now_ns;
+        drive->state.sent_motion = motion;
+        drive->last_sent_ns = now_ns;
     }
 }
 
@@ -83,7 +83,7 @@ bool can_differs(const can_machine *m, uint32_t number)
     for (uint32_t o = 0; o < m->table.drive[number].output_count; o++) {
         can_packet packet;
         (void)can_build(m, number, o, &packet);
-        if (memcmp(m->drive[number].told[o], packet.data, packet.bytes) != 0) {
+        if (memcmp(m->drive[number].last_sent[o], packet.data, packet.bytes) != 0) {
             return true;
         }
     }
@@ -93,7 +93,7 @@ bool can_differs(const can_machine *m, uint32_t number)
 void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool moves = drive->state.told_motion && drive->state.stop == STOP_NOTHING; /* it has power: zero does not switch it on */
+    bool moves = drive->state.sent_motion && drive->state.stop == STOP_NOTHING; /* it has power: zero does not switch it on */
     if (drive->state.mode == DRIVE_ARMED || drive->state.stopping || moves || m->table.drive[number].idle_setpoints != 0) {
         send_setpoints(m, number, now_ns);
     }
@@ -130,7 +130,7 @@ void can_send_stop(can_machine *m, uint32_t number)
         }
     }
     if (!quick && m->table.drive[number].idle_setpoints == 0) {
-        drive->state.told_motion = false; /* set-points would switch it on again */
+        drive->state.sent_motion = false; /* set-points would switch it on again */
     }
     m->notify |= drive_stop_done(&drive->state);
 }
@@ -195,16 +195,16 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
     if (now_ns < drive->probe_at_ns || drive->state.back) {
         return;
     }
-    bool told = true;
+    bool all_sent = true;
     if (drive->may_turn && now_ns > drive->unresponsive_since_ns + DRIVE_STOPPING_NS) {
-        told = write_all(m, number, table->disarm, table->disarm_count);
+        all_sent = write_all(m, number, table->disarm, table->disarm_count);
     } else if (drive->may_turn) {
-        told = write_all(m, number, table->quick_stop, table->quick_stop_count);
+        all_sent = write_all(m, number, table->quick_stop, table->quick_stop_count);
         send_setpoints(m, number, now_ns);
-        told = told && !drive->state.told_motion;
+        all_sent = all_sent && !drive->state.sent_motion;
     }
     ask_all(m, table->probe, table->probe_count);
-    if (told) { /* else again in the next cycle */
+    if (all_sent) { /* else again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
         drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
     }
@@ -217,7 +217,7 @@ static drive_view view_of(const can_machine *m, uint32_t number, int64_t now_ns)
     return (drive_view){.now_ns = now_ns,
                         .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
                         .enabled = m->newest.enabled == 1,
-                        .left_alone = watchdog_ns > 0 && now_ns - m->drive[number].told_ns > watchdog_ns,
+                        .left_alone = watchdog_ns > 0 && now_ns - m->drive[number].last_sent_ns > watchdog_ns,
                         .shut_down = m->control.shut_down != 0,
                         .enabled_count = m->enabled_count};
 }
@@ -244,9 +244,9 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    drive->may_turn = drive->state.told_motion || drive->state.stopping;
+    drive->may_turn = drive->state.sent_motion || drive->state.stopping;
     drive->slow_cycles = 0;
-    drive->told_ns = now_ns;
+    drive->last_sent_ns = now_ns;
     can_forget(m, number);
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
         drive->received_ns[i] = now_ns; /* what comes only from now on has its time, too */
@@ -268,7 +268,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
-        drive->told_ns = now_ns;
+        drive->last_sent_ns = now_ns;
     }
 }
 

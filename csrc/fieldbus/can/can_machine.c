@@ -224,7 +224,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
             can_send_stop(m, i);
         }
         bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
-        if (cyclic && drive->state.told_motion && !can_wants_motion(m, i)) {
+        if (cyclic && drive->state.sent_motion && !can_wants_motion(m, i)) {
             can_tell(m, i, now_ns); /* a stop does not wait for its cycle */
         }
     }
@@ -263,7 +263,7 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     int64_t wake_ns = now_ns + (m->end.stage == END_NOT ? LOOK_RESTING_NS : LOOK_MOVING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const can_drive_state *drive = &m->drive[i];
-        if (drive->state.told_motion || drive->state.stopping || drive->state.mode == DRIVE_ARMED) {
+        if (drive->state.sent_motion || drive->state.stopping || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
         if (drive->state.stop != STOP_NOTHING) {
@@ -340,7 +340,7 @@ void can_machine_report(const can_machine *m, can_report *report)
             .request_seen = drive->state.request_seen,
             .enabled = drive->state.enabled,
             .stopping = drive->state.stopping,
-            .told_motion = drive->state.told_motion,
+            .sent_motion = drive->state.sent_motion,
             .missing = drive->missing,
             .stops = drive->stops,
             .cycles = drive->cycles,

@@ -35,8 +35,8 @@ typedef struct {
     uint32_t last_fault_joint;
     uint32_t missing;
     uint32_t stop_place;
-    bool may_turn;   /* armed since it was last set up, before the bus was opened or after */
-    int64_t told_ns; /* set-points went out last */
+    bool may_turn;        /* armed since it was last set up, before the bus was opened or after */
+    int64_t last_sent_ns; /* set-points went out last */
     int64_t unresponsive_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
@@ -47,7 +47,7 @@ typedef struct {
     int64_t received_ns[CAN_INPUTS_MAX]; /* 0: never */
     int64_t sample_ns[CAN_INPUTS_MAX];   /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
-    uint8_t told[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* what each set-point frame said last */
+    uint8_t last_sent[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* what each set-point frame said last */
     uint64_t cycles;
     uint64_t slow_cycles; /* since it was set up */
     uint64_t received;

@@ -20,11 +20,11 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 {
     line_drive_state *drive = &m->drive[number];
     drive->state.stop = kind;
-    drive->stop_place = drive->stop_done = drive->stop_told = 0;
+    drive->stop_place = drive->stop_done = drive->stop_sent = 0;
     drive->stop_failures = 0;
     drive->stop_refused = false;
     drive->stage = STAGE_IDLE;
-    memset(drive->way_told, 0, sizeof drive->way_told);
+    memset(drive->way_sent, 0, sizeof drive->way_sent);
     if (m->current == number) {
         m->current = LINE_DRIVES_MAX;
     }
@@ -69,7 +69,7 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     drive_view view = view_of(m, number, now_ns);
     line_begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
-    if (drive->state.told_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
+    if (drive->state.sent_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
         drive->due_ns = now_ns; /* a stop does not wait for its turn */
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
@@ -82,13 +82,13 @@ static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
     bool stops = drive->state.stop != STOP_NOTHING || drive->state.stopping;
     drive->failures = 0;
     drive->may_turn &= stops;
-    drive->state.told_motion &= stops;
+    drive->state.sent_motion &= stops;
     drive->cycle_count = 0;
     drive->extra_next = 0;
     drive->due_ns = now_ns;
     drive->answered_ns = now_ns;
     drive->cycle_start_ns = 0;
-    memset(drive->way_told, 0, sizeof drive->way_told);
+    memset(drive->way_sent, 0, sizeof drive->way_sent);
     line_forget(m, number);
 }
 
@@ -108,7 +108,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
-        memset(drive->told, 0, sizeof drive->told);
+        memset(drive->last_sent, 0, sizeof drive->last_sent);
     } else if (answer.request == REQUEST_STAND_DOWN) {
         drive->due_ns = now_ns;
     }
@@ -140,10 +140,10 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
     return false;
 }
 
-static const line_frame *way_frame(const line_machine *m, uint32_t number, uint32_t way, uint32_t told)
+static const line_frame *way_frame(const line_machine *m, uint32_t number, uint32_t way, uint32_t last_sent)
 {
     const line_way *from = &m->table.drive[number].way[way];
-    return told == WAY_REST ? &from->rest : told == WAY_FORWARD ? &from->forward : &from->reverse;
+    return last_sent == WAY_REST ? &from->rest : last_sent == WAY_FORWARD ? &from->forward : &from->reverse;
 }
 
 /* In REST: rest where another way than the told one comes. In WAYS: the way itself. */
@@ -156,13 +156,13 @@ static bool next_way(line_machine *m, uint32_t number, line_frame *out)
     }
     for (; drive->place < table->way_count; drive->place++) {
         uint32_t wanted = line_way_wanted(m, number, drive->place);
-        uint32_t told = drive->way_told[drive->place];
+        uint32_t last_sent = drive->way_sent[drive->place];
         bool resting = drive->stage == STAGE_REST;
-        if (wanted == told || (resting && (wanted == WAY_REST || told == WAY_REST))) {
+        if (wanted == last_sent || (resting && (wanted == WAY_REST || last_sent == WAY_REST))) {
             continue;
         }
         wanted = resting ? WAY_REST : wanted;
-        drive->way_told[drive->place] = WAY_UNKNOWN; /* until it is acknowledged */
+        drive->way_sent[drive->place] = WAY_UNKNOWN; /* until it is acknowledged */
         *out = *way_frame(m, number, drive->place, wanted);
         return true;
     }
@@ -178,12 +178,12 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
         if ((table->cyclic[drive->place].setpoint_count > 0) == writing) {
             bool motion = line_build(m, number, drive->place, out);
             drive->cycle_motion |= motion;
-            drive->state.told_motion |= motion;
+            drive->state.sent_motion |= motion;
             return true;
         }
     }
     if (writing) {
-        drive->state.told_motion = drive->cycle_motion; /* all acknowledged */
+        drive->state.sent_motion = drive->cycle_motion; /* all acknowledged */
     }
     return false;
 }
@@ -270,7 +270,7 @@ static void way_acknowledged(line_drive_state *drive, const line_machine *m, uin
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
         wanted = WAY_UNKNOWN; /* the set-point has changed while it was sent */
     }
-    drive->way_told[drive->place] = wanted;
+    drive->way_sent[drive->place] = wanted;
     if (wanted == WAY_FORWARD || wanted == WAY_REVERSE) {
         drive->way_last[drive->place] = wanted;
     }
@@ -346,7 +346,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
         drive->stop_refused |= is_of_newest_stop(m, number);
         stop_frame_done(m, number); /* it is there and will not: the next frame may do */
     } else if (m->end.stage != END_NOT && is_of_newest_stop(m, number)) {
-        drive->stop_told |= 1U << drive->stop_place++;
+        drive->stop_sent |= 1U << drive->stop_place++;
     }
 }
 

@@ -10,7 +10,7 @@ static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
     const line_drive_state *drive = &m->drive[number];
     uint32_t all = (1U << m->table.drive[number].disarm_count) - 1;
     return drive->state.stop == STOP_NOTHING ||
-           (drive->state.stop == STOP_POWER_OFF && (drive->stop_told | drive->stop_done) == all);
+           (drive->state.stop == STOP_POWER_OFF && (drive->stop_sent | drive->stop_done) == all);
 }
 
 void line_shut_down(line_machine *m, int64_t now_ns)

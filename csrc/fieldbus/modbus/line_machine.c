@@ -418,7 +418,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     int64_t wake_ns = now_ns + (m->end.stage != END_NOT ? LOOK_MOVING_NS : LOOK_RESTING_NS);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        if (drive->state.told_motion || drive->state.mode == DRIVE_ARMED) {
+        if (drive->state.sent_motion || drive->state.mode == DRIVE_ARMED) {
             wake_ns = earlier(wake_ns, now_ns + LOOK_MOVING_NS);
         }
         if (drive->state.mode == DRIVE_UNRESPONSIVE && m->end.stage < END_POWER_OFF) {

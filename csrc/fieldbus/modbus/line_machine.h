@@ -56,7 +56,7 @@ typedef struct {
 /* What the exchange under way is for. */
 typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_WAY, WORK_STOP, WORK_BROADCAST, WORK_ASK, WORK_PROBE } line_work;
 
-typedef enum { WAY_UNKNOWN = 0, WAY_REST = 1, WAY_FORWARD = 2, WAY_REVERSE = 3 } line_way_told;
+typedef enum { WAY_UNKNOWN = 0, WAY_REST = 1, WAY_FORWARD = 2, WAY_REVERSE = 3 } line_way_sent;
 
 /* Where in its cycle a drive is. */
 typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_WAYS, STAGE_READ, STAGE_EXTRA } line_stage;
@@ -72,12 +72,12 @@ typedef struct {
     uint32_t extra_next;
     uint32_t stop_place; /* the frame that is told next, or has been told */
     uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
-    uint32_t stop_told;  /* bit n: frame n was sent at the end, and not answered */
+    uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
     bool stop_refused; /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
     uint32_t probes_at_once;
-    uint32_t way_told[DRIVE_WAYS_MAX];
+    uint32_t way_sent[DRIVE_WAYS_MAX];
     uint32_t way_last[DRIVE_WAYS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool may_turn; /* armed since it was last set up, before the port was opened or after */
@@ -102,7 +102,7 @@ typedef struct {
     int64_t cycle_ns;
     uint64_t cycle_count; /* since it was set up */
     setpoints frozen;     /* of this cycle, where ways are told one by one */
-    int64_t told[DRIVE_CYCLIC_MAX][EXCHANGE_SETPOINTS_MAX];
+    int64_t last_sent[DRIVE_CYCLIC_MAX][EXCHANGE_SETPOINTS_MAX];
     drive_report count; /* the counters of it */
 } line_drive_state;
 

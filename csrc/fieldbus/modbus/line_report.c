@@ -22,7 +22,7 @@ void line_machine_report(const line_machine *m, line_report *report)
         to->request_seen = drive->state.request_seen;
         to->enabled = drive->state.enabled;
         to->stopping = drive->state.stopping;
-        to->told_motion = drive->state.told_motion;
+        to->sent_motion = drive->state.sent_motion;
         to->may_turn = drive->may_turn;
         to->stop_waits = drive->state.stop != STOP_NOTHING || drive->stop_refused;
         to->failures = drive->failures;

@@ -45,7 +45,7 @@ bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
     bool motion = false;
     if (turn == 0 && m->table.drive[drive].idle_count > 0 && is_idle(m, drive)) {
-        memset(m->drive[drive].told[0], 0, sizeof m->drive[drive].told[0]);
+        memset(m->drive[drive].last_sent[0], 0, sizeof m->drive[drive].last_sent[0]);
         *out = m->table.drive[drive].idle[0];
         return false;
     }
@@ -54,7 +54,7 @@ bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
         const line_setpoint *setpoint = &from->setpoint[i];
         int64_t raw = raw_of(m, drive, setpoint);
         rtu_write(out->request + setpoint->byte, setpoint->form, raw);
-        m->drive[drive].told[turn][i] = raw;
+        m->drive[drive].last_sent[turn][i] = raw;
         motion |= raw != 0;
     }
     rtu_seal(out->request, out->request_bytes, out->request_seal);
@@ -66,7 +66,7 @@ bool line_differs(line_machine *m, uint32_t drive)
     const line_drive *table = &m->table.drive[drive];
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
         for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
-            if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) != m->drive[drive].told[e][i]) {
+            if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) != m->drive[drive].last_sent[e][i]) {
                 return true;
             }
         }

@@ -85,9 +85,9 @@ def limit_names(axis: Axis) -> tuple[str, ...]:
     return tuple(f"limits.{axis}_{key}" for key in _KEYS[axis])
 
 
-def bounds_of(axis: Axis, told: Mapping[str, float | None]) -> Bounds:
+def bounds_of(axis: Axis, sent: Mapping[str, float | None]) -> Bounds:
     """From `params.get`, where null is no limit."""
-    values = (told[name] for name in limit_names(axis))
+    values = (sent[name] for name in limit_names(axis))
     velocity, acceleration, deceleration, jerk = (
         math.inf if value is None else value for value in values
     )

@@ -180,8 +180,8 @@ class Leases:
         for other in self._granted.values():
             if other.owner == owner:
                 # Later than any that he was told: the loop must see that it is another one.
-                told_ns = max(other.grant.barred_until_ns + 1, until_ns)
-                other.grant = replace(other.grant, barred_until_ns=told_ns)
+                sent_ns = max(other.grant.barred_until_ns + 1, until_ns)
+                other.grant = replace(other.grant, barred_until_ns=sent_ns)
 
     def holds(self, connection: int) -> bool:
         """It has a lease that was given out, or a living command. At most LEASES_MAX do."""

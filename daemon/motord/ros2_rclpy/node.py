@@ -159,8 +159,8 @@ class RclpyNode:
         """In a thread of rclpy."""
         try:
             request = decode(f"{kind}_Request", serialize_message(asked))
-            told = self._thread_bridge.ask(lambda: answer(request), within_s)
-            return deserialize_message(bytes(encode(f"{kind}_Response", told)), type(response))
+            sent = self._thread_bridge.ask(lambda: answer(request), within_s)
+            return deserialize_message(bytes(encode(f"{kind}_Response", sent)), type(response))
         except (NotTaken, RuntimeError, ValueError) as error:
             _log.warning("%s: not answered: %s", name, error)
             if hasattr(response, "message"):

@@ -54,7 +54,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.enabled_count = 0
         """How often set-points had become enabled when it was armed: those of a short while no look
         may see."""
-        self.told_motion = False
+        self.sent_motion = False
         """It was sent set-points that are not zero, and has not been sent zero since, as far as
         its wire can tell."""
         self._exchange = exchange

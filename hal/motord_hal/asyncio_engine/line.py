@@ -110,7 +110,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
         wanted = self._wanted(drive).values()
-        return drive.is_cycled and drive.told_motion and all(one == REST for one in wanted)
+        return drive.is_cycled and drive.sent_motion and all(one == REST for one in wanted)
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:

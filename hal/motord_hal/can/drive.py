@@ -71,7 +71,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._received_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
         """Frame that was asked for since it came last → since when, and how often."""
-        self._told_s = -math.inf
+        self._sent_s = -math.inf
         """When set-points went out last."""
         self._waits_since_s = 0.0
         """Nothing is known of it since then: the line was opened."""
@@ -243,11 +243,11 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _send_setpoints(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
         motion = any(raw.values())
-        self.told_motion |= motion
+        self.sent_motion |= motion
         sent = [self._write(frame, raw) for frame in self.plan.setpoint_frames]
         if all(sent):
-            self.told_motion = motion
-            self._told_s = now_s()
+            self.sent_motion = motion
+            self._sent_s = now_s()
 
     def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
         """Send a frame with these signals, and what is held. False: the bus takes nothing now."""
@@ -309,14 +309,14 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _armed(self) -> None:
         super()._armed()
         self._may_turn = True
-        self._told_s = now_s()
+        self._sent_s = now_s()
 
     def _configured(self) -> None:
         self._cycles = 0
         self._unanswered.clear()
         self._set_up_backoff.reset()
         self._set_up_at_s = 0.0
-        self._may_turn = self.told_motion = False
+        self._may_turn = self.sent_motion = False
         if self.plan.hello is not None:  # its frames begin now
             self._received_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
         super()._configured()
@@ -325,12 +325,12 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _powerless(self) -> None:
         """As AsyncioDrive._powerless. What has no power is told no zero either."""
         super()._powerless()
-        self.told_motion = False
+        self.sent_motion = False
 
     @property
     def has_stopped_itself(self) -> bool:
         """As AsyncioDrive.has_stopped_itself."""
-        return now_s() - self._told_s > self._watchdog_s
+        return now_s() - self._sent_s > self._watchdog_s
 
     def _is_at_rest(self) -> bool:
         readings = [self.plan.reading(joint, self._values) for joint in self.plan.joints]

@@ -119,7 +119,7 @@ class CanLine(AsyncioLine[CanDrive]):
         for drive in self._drives:
             drive.cycle(self._wanted(drive))
         self._synchronise()
-        self._gate.cycle_ended(now_s(), moving=any(drive.told_motion for drive in self._drives))
+        self._gate.cycle_ended(now_s(), moving=any(drive.sent_motion for drive in self._drives))
         if now_s() > self._opened_s + STEADY_S:
             self._backoff.reset()
 

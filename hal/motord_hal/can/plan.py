@@ -121,13 +121,13 @@ class CanPlan(Plan):
         """What odometry is made of."""
         self.probed = tuple(frame for frame in self.fast if not frame.period_s)
         """Asked for when the drive is not heard."""
-        told = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
-        self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in told)
+        sent = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
+        self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in sent)
         """Asked for in every cycle: what does not answer the set-points."""
         self.asked_slow = tuple(
             frame
             for frame in self.slow
-            if frame.ask and not frame.period_s and frame.answers not in told
+            if frame.ask and not frame.period_s and frame.answers not in sent
         )
         self._by_identifier: dict[tuple[int, bool], list[Frame]] = {}
         for frame in self.table.frames_from(Sender.DRIVE):

@@ -77,8 +77,8 @@ class Frame:
     def matches(self, data: bytes) -> bool:
         """Whether data that came may be this frame's."""
         if len(data) < self.size_bytes or not self.open_at:
-            told = data.startswith(self.or_begins) if self.or_begins else False
-            return len(data) >= self.size_bytes and (told or data.startswith(self.begins))
+            sent = data.startswith(self.or_begins) if self.or_begins else False
+            return len(data) >= self.size_bytes and (sent or data.startswith(self.begins))
         return all(
             data[at] == byte for at, byte in enumerate(self.begins) if at not in self.open_at
         )

@@ -47,10 +47,10 @@ Tell = Callable[[int, int, int, int], None]
 Say = Callable[[EventKind, str], None]
 
 
-def told_encoder(encoder: BoardEncoder) -> EncoderConfig:
+def board_encoder(encoder: BoardEncoder) -> EncoderConfig:
     """What the thread of the pins is to know of it."""
     return EncoderConfig(
-        kind=EncoderKind.TOLD, fd=-1, ceiling=WIDEST, rad_per_count=encoder.rad_per_count
+        kind=EncoderKind.REPORTED, fd=-1, ceiling=WIDEST, rad_per_count=encoder.rad_per_count
     )
 
 

@@ -125,7 +125,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     async def _exchange_cyclic(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
         motion = any(raw.values())
-        self.told_motion |= motion
+        self.sent_motion |= motion
         # made before a pause of the process, motion is not told after it
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
@@ -140,7 +140,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         for number, one in enumerate(exchanges):
             await self._ask_cyclic(one, send_by_s if one.request.values else math.inf)
             if number == last_write:
-                self.told_motion = motion
+                self.sent_motion = motion
                 if self.state is DriveState.ARMED:  # and not disarmed meanwhile
                     await self._turn(ways)
 
@@ -263,7 +263,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._cycles = 0
         self._failures = 0
         self._backoff.reset()
-        self._may_turn = self.told_motion = False
+        self._may_turn = self.sent_motion = False
         super()._configured()
 
     # -------------------------------------------------------------------------------- not answering

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.drives.profile import BRIDGE_MODES, Bridge
-from motord_hal.encoder.board import told_encoder
+from motord_hal.encoder.board import board_encoder
 from motord_hal.encoder.counter import open_counter
 from motord_hal.encoder.edges import open_edges
 from motord_hal.fieldbus.ports import BoardEncoder, CounterEncoder, JointSpec, LineSpec
@@ -209,7 +209,7 @@ def _open_encoder(spec: LineSpec, joint: JointSpec) -> EncoderConfig | None:
     if joint.encoder is None:
         return None
     if isinstance(joint.encoder, BoardEncoder):
-        return told_encoder(joint.encoder)
+        return board_encoder(joint.encoder)
     if isinstance(joint.encoder, CounterEncoder):
         return open_counter(joint.encoder, joint.name)
     return open_edges(joint.encoder, joint.name, f"motord {spec.name}")

@@ -107,7 +107,7 @@ class DriveReport:
     enabled: bool | None
     """None: it cannot say, or has not said since the last request."""
     stopping: bool
-    told_motion: bool
+    sent_motion: bool
     may_turn: bool
     """Armed since it was last set up, also before this start."""
     stop_waits: bool
@@ -224,7 +224,7 @@ def _drive_report(raw: Any) -> DriveReport:
         request_seen=raw.request_seen,
         enabled=None if raw.enabled > 1 else raw.enabled == 1,
         stopping=raw.stopping != 0,
-        told_motion=raw.told_motion != 0,
+        sent_motion=raw.sent_motion != 0,
         may_turn=raw.may_turn != 0,
         stop_waits=raw.stop_waits != 0,
         failures=raw.failures,

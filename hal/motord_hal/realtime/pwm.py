@@ -52,7 +52,7 @@ class EncoderKind(enum.IntEnum):
     NONE = lib.ENCODER_NONE
     EDGES = lib.ENCODER_EDGES
     COUNTER = lib.ENCODER_COUNTER
-    TOLD = lib.ENCODER_TOLD
+    REPORTED = lib.ENCODER_REPORTED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +146,7 @@ class BridgeThread:
         return self._number
 
     def tell(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
-        """What a board has counted of the joint at that place (EncoderKind.TOLD), and when.
+        """What a board has counted of the joint at that place (EncoderKind.REPORTED), and when.
         `origin`: another number each time the board has begun anew."""
         sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}
         lib.pwm_line_put_sample(self._line, joint, ffi.new("encoder_sample *", sample))

@@ -50,7 +50,7 @@ class Motor:
     faults: list[FaultBit] = field(default_factory=list)
     switched_on: bool = False
     braking: bool = False
-    told_raw: int = 0
+    sent_raw: int = 0
     """The set-point that it obeys, where one counts only with what is written beside it."""
     defects: Mapping[str, float] = field(default_factory=dict)
     """What is wrong with it now: `FaultScript.defects`."""

@@ -76,7 +76,7 @@ class Graph:
             self.here[key] = endpoint
             endpoint.key, endpoint.about = key, about
             self._send(("endpoint", key, about))
-            others = [told for told in self.here.values() if told is not endpoint]
+            others = [sent for sent in self.here.values() if sent is not endpoint]
         for other in others:
             other.met(about)
         return key

@@ -73,7 +73,7 @@ def test_the_kernel_counts_what_a_uart_received():
         os.close(fd)
 
 
-def test_an_ftdi_adapter_that_keeps_bytes_back_is_told_not_to():
+def test_an_ftdi_adapter_that_keeps_bytes_back_is_sent_not_to():
     timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
     timer.write_text("16")
     open_port(spec_of(adapter(), 115200, "none", DirectionSpec())).close()

@@ -96,8 +96,8 @@ class Mover:
 
     async def _bounds(self, axis: Axis) -> Bounds:
         """Those in force now. Raises ClientError."""
-        told = await self._runtime.call("params.get", names=limit_names(axis))
-        return bounds_of(axis, told)
+        sent = await self._runtime.call("params.get", names=limit_names(axis))
+        return bounds_of(axis, sent)
 
     async def move(
         self, plan: Plan, tell: Callable[[Motion, Snapshot], None], cancel: asyncio.Event

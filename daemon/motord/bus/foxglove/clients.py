@@ -98,7 +98,7 @@ class Commands(Looks):
         self._gate = CommandGate(name, section, runtime)
         self._tunable = Tunable(runtime.robot, self._gate.ask)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
-        self._told = dict(self._parameters)
+        self._sent = dict(self._parameters)
         """To those who have subscribed."""
         self._thread_bridge = ThreadBridge()
         self._admitted: tuple[int, ...] = ()
@@ -246,7 +246,7 @@ class Commands(Looks):
         wanted = {one.name: _wanted(one) for one in parameters}
         await self._tunable.change(wanted)
         await self._look()
-        self._told |= {name: self._parameters[name] for name in wanted if name in self._parameters}
+        self._sent |= {name: self._parameters[name] for name in wanted if name in self._parameters}
 
     def _listed(self, names: list[str]) -> list[Parameter]:
         known = self._parameters
@@ -257,10 +257,10 @@ class Commands(Looks):
         while True:
             if self._runtime.view is not None:
                 await self._look()
-            now, before = self._parameters, self._told
+            now, before = self._parameters, self._sent
             changed = [name for name in now if before.get(name) != now[name]]
             if changed and self.server is not None:
-                self._told = dict(now)
+                self._sent = dict(now)
                 self.server.publish_parameter_values(self._listed(changed))
             await asyncio.sleep(LOOK_EVERY_S)
 

@@ -25,7 +25,7 @@ GROUP = "motord"
 CALL = "call"
 """What is heard beside commands."""
 Encode = Callable[[Any], bytes]
-Told = tuple[str, bytes]
+Sent = tuple[str, bytes]
 """A topic, and what is retained there."""
 
 
@@ -41,11 +41,11 @@ class Names(Protocol):
         """Where commands of that topic, or calls, are heard."""
         ...
 
-    def births(self, description: Mapping[str, Any]) -> Iterator[Told]:
+    def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
         """What says that we are there, and what there is."""
         ...
 
-    def death(self) -> Told:
+    def death(self) -> Sent:
         """What says that we are gone. Asked for at the beginning of each connection: the broker
         says it in our place."""
         ...
@@ -63,12 +63,12 @@ class Plain:
 
     received = data
 
-    def births(self, description: Mapping[str, Any]) -> Iterator[Told]:
+    def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
         """As Names."""
         yield self.data("description"), self._encode(description)
         yield self.data("status"), ONLINE
 
-    def death(self) -> Told:
+    def death(self) -> Sent:
         """As Names."""
         return self.data("status"), OFFLINE
 
@@ -90,7 +90,7 @@ class Sparkplug:
         kind, device = ("NCMD", "") if what == CALL else ("DCMD", f"/{what}")
         return f"{self._head}/{kind}/{self._robot}{device}"
 
-    def births(self, description: Mapping[str, Any]) -> Iterator[Told]:
+    def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
         """As Names; `bdSeq` tells which death belongs to them."""
         said = {"timestamp": _now_ms(), "bdSeq": self._session_ms}
         yield f"{self._head}/NBIRTH/{self._robot}", self._encode({**said, **description})
@@ -98,7 +98,7 @@ class Sparkplug:
             birth = {"timestamp": _now_ms(), **about}
             yield f"{self._head}/DBIRTH/{self._robot}/{topic}", self._encode(birth)
 
-    def death(self) -> Told:
+    def death(self) -> Sent:
         """As Names. Retained as the birth is: of the two that have one `bdSeq`, it is the later."""
         self._session_ms = max(_now_ms(), self._session_ms + 1)
         return f"{self._head}/NDEATH/{self._robot}", self._encode({"bdSeq": self._session_ms})

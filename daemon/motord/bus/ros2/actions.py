@@ -141,11 +141,11 @@ class ActionServer:
         self._say_status()
 
     def _say_status(self) -> None:
-        told = [
+        sent = [
             SimpleNamespace(goal_info=_info(goal), status=int(goal.status))
             for goal in self._goals.values()
         ]
-        self._status.publish(SimpleNamespace(status_list=told))
+        self._status.publish(SimpleNamespace(status_list=sent))
 
     # ----------------------------------------------------------------------------------- services
     async def _send(self, request: SimpleNamespace) -> SimpleNamespace:

@@ -75,7 +75,7 @@ class Lifecycle:
         self._voice = RateLimitedLog(_log)
         self._held: tuple[int, str] | None = None
         """UNCONFIGURED or FINALIZED, as the node was asked to be; None: as the machine is."""
-        self._told = UNKNOWN
+        self._sent = UNKNOWN
 
     def serve(self, node: Node) -> None:
         """What `ros2 lifecycle` asks for. Raises DdsError."""
@@ -96,10 +96,10 @@ class Lifecycle:
 
     def _look(self) -> tuple[int, str]:
         """The state now; who listens is told of a new one."""
-        before, self._told = self._told, self._now()
-        if self._told != before and UNKNOWN not in (self._told, before):
-            self._events.publish(_event(before, self._told, _between(before, self._told)))
-        return self._told
+        before, self._sent = self._sent, self._now()
+        if self._sent != before and UNKNOWN not in (self._sent, before):
+            self._events.publish(_event(before, self._sent, _between(before, self._sent)))
+        return self._sent
 
     def _now(self) -> tuple[int, str]:
         if self._held == FINALIZED:
@@ -164,8 +164,8 @@ class Lifecycle:
         else:
             self._held = None
             if self._now() == goal:
-                self._events.publish(_event(self._told, CONFIGURING, _CONFIGURE))
-                self._told = CONFIGURING
+                self._events.publish(_event(self._sent, CONFIGURING, _CONFIGURE))
+                self._sent = CONFIGURING
         return self._now() == goal
 
 

@@ -36,7 +36,7 @@ class RosbridgeClient:
         self._rates_hz = rates_hz
         self._every_s: dict[str, float] = {}
         """By topic that is subscribed to: the shortest time between two messages."""
-        self._told_s: dict[str, float] = {}
+        self._sent_s: dict[str, float] = {}
         self._newest: dict[str, str] = {}
         self._news = asyncio.Event()
         self._calls = 0
@@ -47,12 +47,12 @@ class RosbridgeClient:
         every_s = self._every_s.get(topic)
         if every_s is None:
             return False
-        return time.monotonic() - self._told_s.get(topic, -math.inf) >= every_s
+        return time.monotonic() - self._sent_s.get(topic, -math.inf) >= every_s
 
     def offer(self, topic: str, text: str) -> bool:
         """Returns whether an older one was lost for it."""
         lost = topic in self._newest
-        self._told_s[topic] = time.monotonic()
+        self._sent_s[topic] = time.monotonic()
         self._newest[topic] = text
         self._news.set()
         return lost

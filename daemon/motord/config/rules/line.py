@@ -137,10 +137,10 @@ def _counts(robot: Robot, joints: tuple[str, ...], received: tuple[str, ...]) ->
             ("joint", joint, "line"),
             ("line", line, "kind"),
         )
-        told, given = joint + COUNT in received, robot.joint[joint].counts_per_turn
-        if told and not given:
+        sent, given = joint + COUNT in received, robot.joint[joint].counts_per_turn
+        if sent and not given:
             yield Finding(at, "is missing: the board tells a count")
-        elif not told and given:
+        elif not sent and given:
             text = f"is not used: the line's feedback has no {{{joint}{COUNT}}}"
             yield Finding(at, f"{text}; add it there, or leave this key out")
 

@@ -351,7 +351,7 @@ AnyPublish = (
 )
 
 
-_TOLD_OF_COMMANDERS = ("kind", "priority", "lease_s")
+_SENT_OF_COMMANDERS = ("kind", "priority", "lease_s")
 
 
 class Robot(Section):
@@ -413,7 +413,7 @@ class Robot(Section):
         found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
         return [
             {"name": name}
-            | {key: getattr(section, key) for key in _TOLD_OF_COMMANDERS if hasattr(section, key)}
+            | {key: getattr(section, key) for key in _SENT_OF_COMMANDERS if hasattr(section, key)}
             for name, section in found.items()
             if not isinstance(section, SocketInput) or section.enabled
         ]

@@ -36,7 +36,7 @@ _U32 = 0xFFFF_FFFF
 class Layout:
     """Where registers stand in what the board is told, and in what it says."""
 
-    told: Mapping[str, Plain]
+    sent: Mapping[str, Plain]
     said: Mapping[str, Plain]
     dialect: Plain
     """What the table needs of the protocol itself."""
@@ -63,7 +63,7 @@ def layout_of(spec: LineSpec, plan: DrivePlan, period_s: float) -> Layout:
 def _frames(plan: DrivePlan, period_s: float) -> Layout:
     registers = plan.profile.registers.values()
     payload = setpoints_payload(registers, {}, max(plan.profile.channels), period_s)
-    told = {one.name: _place(one, one.address) for one in registers if "w" in one.access}
+    sent = {one.name: _place(one, one.address) for one in registers if "w" in one.access}
     said = {one.name: _place(one, one.address) for one in registers if "r" in one.access}
     ends = [place["byte"] + place["bytes"] for place in said.values()]
     dialect = {
@@ -73,15 +73,15 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
         "said_bytes": max(FEEDBACK_HEAD_BYTES, *ends),
         "payload": list(payload),
     }
-    return Layout(told, said, dialect)
+    return Layout(sent, said, dialect)
 
 
 def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
     """Numbers stand in no order of the board's: one after the other."""
-    told, end = {}, 0
+    sent, end = {}, 0
     for register in plan.profile.registers.values():
         if "w" in register.access:
-            told[register.name] = _place(register, end)
+            sent[register.name] = _place(register, end)
             end += size_bytes(register)
     dialect: Plain = {
         "dialect": _TEXT,
@@ -90,7 +90,7 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
     }
     _, _, received = texts_of(spec)
     if received is None:
-        return Layout(told, {}, dialect)
+        return Layout(sent, {}, dialect)
     registers = _fields_of(plan)
     said = {
         registers[field].name: board_text.place_of(number)
@@ -103,7 +103,7 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
         "read": board_text.read(received, registers),
     }
     gyro = received.fields.index(GYRO_Z) if GYRO_Z in received.fields else None
-    return Layout(told, said, dialect, None if gyro is None else board_text.place_of(gyro))
+    return Layout(sent, said, dialect, None if gyro is None else board_text.place_of(gyro))
 
 
 def _fields_of(plan: DrivePlan) -> dict[str, Register]:
@@ -165,7 +165,7 @@ def _imu(spec: LineSpec, layout: Layout) -> Plain:
 
 
 def write(layout: Layout, register: str, raw: int) -> Plain:
-    return {"place": layout.told[register], "raw": raw}
+    return {"place": layout.sent[register], "raw": raw}
 
 
 def writes(layout: Layout, steps: Iterable[Step]) -> list[Plain]:
@@ -181,7 +181,7 @@ def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
     channel = plan.channel(joint)
     _, register = _setpoint_of(plan, joint)
     return {
-        "place": layout.told[register.name],
+        "place": layout.sent[register.name],
         "scale": setpoint_scale(joint, channel, si_per_raw(register), raw_limits(register)),
     }
 

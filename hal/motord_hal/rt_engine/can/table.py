@@ -176,12 +176,12 @@ def _match(plan: CanPlan, frame: Frame, inputs: Sequence[Frame]) -> Plain:
         "bytes": frame.size_bytes,
         "begins_bytes": len(frame.begins),
         "begins": list(frame.begins),
-        "begins_mask": list(_told_by(frame)),
+        "begins_mask": list(_sent_by(frame)),
         "input": 1 + inputs.index(frame) if frame in inputs else 0,
     }
 
 
-def _told_by(frame: Frame) -> Iterator[int]:
+def _sent_by(frame: Frame) -> Iterator[int]:
     """Bits of each of its first bytes that tell it: those in which all its beginnings agree."""
     for at, (one, other) in enumerate(
         zip(frame.begins, frame.or_begins or frame.begins, strict=True)

@@ -32,10 +32,10 @@ class DdsmFrames:
     def cyclic(self) -> tuple[PlannedFrame, ...]:
         """As DriveFrames.cyclic."""
         fast, slow = wanted_registers(self.profile, self.joints)
-        told = {command_of(register) for register in self._setpoints()}
+        sent = {command_of(register) for register in self._setpoints()}
         asked = {command_of(register) for register in fast}
         return tuple(
-            self._planned(command, [*fast, *slow]) for command in (*told, *sorted(asked - told))
+            self._planned(command, [*fast, *slow]) for command in (*sent, *sorted(asked - sent))
         )
 
     def extra(self) -> tuple[PlannedFrame, ...]:

@@ -35,7 +35,7 @@ class CanContent(NamedContent):
         low, high = signal.si_limits
         return low <= signal.to_si(raw) <= high  # false for NaN
 
-    def told(self, frame: Frame) -> bytes:
+    def sent(self, frame: Frame) -> bytes:
         """The frame as the drive says it now."""
         now = {
             signal.name: self._live[signal.name]()

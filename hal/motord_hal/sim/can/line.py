@@ -199,7 +199,7 @@ class SimulatedCanLine:
             is_extended_id=frame.is_extended(node),
             is_fd=frame.fd,
             bitrate_switch=frame.fd,
-            data=_content(self.drives[unit]).told(frame),
+            data=_content(self.drives[unit]).sent(frame),
         )
         heapq.heappush(self._out, (at_s, next(self._order), message))
 

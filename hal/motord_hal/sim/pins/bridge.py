@@ -36,8 +36,8 @@ def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | 
 
 def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) -> float:
     """What the first pin says that tells it."""
-    told = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
-    return max(0.0, min(1.0, next(told, 0.0)))
+    sent = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
+    return max(0.0, min(1.0, next(sent, 0.0)))
 
 
 class SimulatedBridge(SimulatedDrive):

@@ -50,7 +50,7 @@ class PinFolder:
         self.folder = folder
         self._numbers: dict[int, tuple[_Number, _Number, _Number]] = {}
         self._counts: list[int] = []
-        self._told = [-1] * counters
+        self._sent = [-1] * counters
         self._plugged = False
         self._channels = tuple(channels)
 
@@ -73,7 +73,7 @@ class PinFolder:
                     for name in ("period", "duty_cycle", "enable")
                 )
                 self._numbers[channel] = period, duty, enable
-            for number in range(len(self._told)):
+            for number in range(len(self._sent)):
                 folder = _made(self.folder / f"count{number}", _COUNT)
                 self._counts.append(os.open(folder / "count", os.O_WRONLY | os.O_CLOEXEC))
         self._plugged = True
@@ -99,8 +99,8 @@ class PinFolder:
         return min(duty / period, 1.0) if enable and period else None
 
     def put_count(self, number: int, count: int) -> None:
-        if count != self._told[number]:
-            self._told[number] = count
+        if count != self._sent[number]:
+            self._sent[number] = count
             os.pwrite(self._counts[number], b"%0*d\n" % (COUNT_DIGITS, count), 0)
 
     def filenos(self, now_s: float) -> list[int]:

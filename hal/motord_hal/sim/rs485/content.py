@@ -57,15 +57,15 @@ class FrameContent(NamedContent):
 
     def reply(self, unit: int, command: int) -> bytes | None:
         """What the drive answers to a command; None: it does not know it."""
-        told = [
+        sent = [
             register
             for register in self._registers.values()
             if command_of(register) == command and "r" in register.access
         ]
-        if not told:
+        if not sent:
             return None
         frame = bytearray((unit, command, *bytes(FRAME_CONTENT_BYTES)))
-        for register in told:
+        for register in sent:
             _tell(frame, register, self.value(register.name))
         return seal(bytes(frame))
 

@@ -214,7 +214,7 @@ class SimulatedDrive:
         channel = motor.channel
         whole = all(written.get(name) == raw for name, raw in channel.setpoint_with)
         if channel.setpoint_with and channel.setpoint in written and whole:
-            motor.told_raw = written[channel.setpoint]
+            motor.sent_raw = written[channel.setpoint]
 
     def _follow_sequences(self, name: str, raw: int) -> None:
         done = {key for key, sequence in self._sequences.items() if sequence.feed(name, raw)}
@@ -236,7 +236,7 @@ class SimulatedDrive:
         for motor in self._motors.values():
             motor.switched_on = on
             motor.braking = False
-            motor.told_raw = 0
+            motor.sent_raw = 0
 
     # ---------------------------------------------------------------------------------- motors
     def _brake(self) -> None:
@@ -249,7 +249,7 @@ class SimulatedDrive:
 
     def _zero_setpoints(self) -> None:
         for motor in self._motors.values():
-            motor.told_raw = 0
+            motor.sent_raw = 0
             self.registers.put(motor.channel.setpoint, 0)
             if motor.channel.direction is not None:
                 self.registers.put(motor.channel.direction.register, motor.channel.direction.rest)
@@ -272,7 +272,7 @@ class SimulatedDrive:
             axis.wheel.turn(motor.defects["runaway"])
             return
         name = channel.setpoint
-        raw = motor.told_raw if channel.setpoint_with else self.registers.stored(name)
+        raw = motor.sent_raw if channel.setpoint_with else self.registers.stored(name)
         value = self.profile.registers[name].to_si(raw) * self._way(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)

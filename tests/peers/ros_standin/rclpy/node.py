@@ -186,8 +186,8 @@ class _Subscription(_Endpoint):
             return
         message = raw if self._raw else deserialize_message(raw, self._kind)
         info = {"source_timestamp": sent_ns, "received_timestamp": time.time_ns()}
-        told = (message, info) if self._informed else (message,)
-        self.node.queue(self, lambda: self._callback(*told))
+        sent = (message, info) if self._informed else (message,)
+        self.node.queue(self, lambda: self._callback(*sent))
 
 
 class _Service(_Endpoint):
