@@ -54,7 +54,7 @@ typedef struct {
     double bias_variance_rad2_s2;
     double rate_variance_rad2_s2; /* of single samples while the base stood */
     int64_t bias_stamp_ns;        /* of the newest estimate; 0: none */
-    uint32_t epoch;               /* of the integral: another number, and a part of the way is not in it */
+    uint32_t epoch;               /* of the integral: another number, and a part of the turn is not in it */
     uint32_t sensor_epoch;
     uint32_t refused;        /* samples that were no numbers, off the scale or out of order */
     uint32_t still;          /* 1: the base stands, by wheels and gyro */

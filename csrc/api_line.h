@@ -14,7 +14,7 @@ enum {
     DRIVE_CYCLIC_MAX = 8,
     DRIVE_EXTRA_MAX = 8,
     DRIVE_STOP_MAX = 6,
-    DRIVE_WAYS_MAX = 4,
+    DRIVE_DIRECTIONS_MAX = 4,
     EXCHANGE_SETPOINTS_MAX = 8,
     EXCHANGE_FIELDS_MAX = 24,
     FIELD_HARMLESS_MAX = 8,
@@ -64,7 +64,7 @@ typedef struct {
     uint32_t kind;      /* setpoint_kind */
     uint32_t byte;      /* in the request */
     uint32_t form;      /* wire_form */
-    uint32_t magnitude; /* 1: without its sign; which way is a line_way */
+    uint32_t magnitude; /* 1: without its sign; the direction is a line_direction */
     uint32_t reserved;
     double raw_per_si; /* sign, gear, scale: not 0 */
     double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0 */
@@ -115,7 +115,7 @@ typedef struct {
     uint32_t mask;  /* adjacent bits that hold the value; 0: all of them */
     uint32_t equals_mask;
     uint32_t equals;
-    uint32_t way;            /* VELOCITY without sign: 1 + number of the way whose last reverse turns it; 0: none */
+    uint32_t direction;      /* VELOCITY without sign: 1 + number of the direction whose last reverse negates it; 0: none */
     double si_per_raw;       /* sign, gear, scale */
     uint32_t harmless_bits;  /* FAULT: bits that are only warnings */
     uint32_t harmless_codes; /* FAULT: > 0: the word is a number, and so many of harmless[] are only warnings */
@@ -132,8 +132,8 @@ typedef struct {
     line_field field[EXCHANGE_FIELDS_MAX];
 } line_exchange;
 
-/* For set-points without sign: the frame that says which way. Rest is told before a new way's first magnitude, and the
- * way after it, so that no magnitude is ever obeyed the wrong way, also when a frame is lost. */
+/* For set-points without sign: the frames that set the direction. Rest is sent before the first magnitude of a new
+ * direction, and the direction after it: no magnitude is ever obeyed in the wrong direction, also when a frame is lost. */
 typedef struct {
     uint32_t joint;
     uint32_t kind; /* setpoint_kind whose sign it is */
@@ -142,7 +142,7 @@ typedef struct {
     line_frame rest;
     line_frame forward;
     line_frame reverse;
-} line_way;
+} line_direction;
 
 typedef struct {
     uint32_t tries;           /* failures in a row until it counts as unresponsive: 1.. */
@@ -153,7 +153,7 @@ typedef struct {
     int64_t watchdog_ns;      /* the drive stops by itself after such a silence; 0: never */
     uint32_t cyclic_count;
     uint32_t extra_count; /* exchanges of which one is made every extra_every cycles; ENABLED's first */
-    uint32_t way_count;
+    uint32_t direction_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
@@ -162,7 +162,7 @@ typedef struct {
                                    or the first cyclic one, with zeros, where there is no other */
     line_exchange cyclic[DRIVE_CYCLIC_MAX]; /* in their order: set-points first */
     line_exchange extra[DRIVE_EXTRA_MAX];
-    line_way way[DRIVE_WAYS_MAX];
+    line_direction direction[DRIVE_DIRECTIONS_MAX];
     line_frame quick_stop[DRIVE_STOP_MAX];
     line_frame disarm[DRIVE_STOP_MAX];
     line_frame idle[1];

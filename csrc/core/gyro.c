@@ -2,7 +2,7 @@
  *
  * gyro.c: from the yaw rate of a sensor to the turn of the base between two moments. Time is an argument.
  *
- * Heading from the gyro, way from the wheels: Borenstein & Feng, Gyrodometry: a new method for combining data from gyros
+ * Heading from the gyro, distance from the wheels: Borenstein & Feng, Gyrodometry: a new method for combining data from gyros
  * and odometry in mobile robots, ICRA 1996. The zero-rate offset is estimated while the base stands still, as in the
  * zero-velocity updates of inertial navigation (Groves, Principles of GNSS, Inertial, and Multisensor Integrated
  * Navigation Systems, 2nd ed., 15.3), by a Kalman filter of one state whose truth wanders.
@@ -42,7 +42,7 @@ static void begin_window(gyro_state *state, int64_t now_ns)
     state->window_samples = 0;
 }
 
-/* A part of the way is not known. */
+/* A part of the turn is not known. */
 static void break_integral(gyro_state *state)
 {
     state->epoch++;

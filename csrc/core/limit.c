@@ -3,11 +3,11 @@
  * limit.c: the ramp of a twist under limits of velocity, acceleration, deceleration and jerk, exact in whole steps.
  *
  * The twists that the limits of base and wheels allow are a convex set. The ramp runs along the straight line from the
- * present twist to the goal, and one number drives it: the share of the way that is left which is covered in a second.
+ * present twist to the goal, and one number drives it: the share of what is left that is covered in a second.
  * So every twist between is allowed where both ends are, nothing is scaled after the ramp, and a stop keeps its
  * curvature. What holds in every step:
  *
- * Velocity: no axis leaves the way from where it is to its goal, so it passes neither the goal nor its limit. An axis
+ * Velocity: each axis stays between where it is and its goal, so it passes neither the goal nor its limit. An axis
  * beyond a limit that has been lowered comes back by its deceleration.
  * Acceleration: each axis keeps its acceleration where its speed grows and its deceleration where it falls. A step
  * through zero keeps both. The axis with the least room sets the pace of all.
@@ -22,7 +22,7 @@
 
 enum { BITS_OF_AXIS = 4 }; /* the reasons of each axis follow those of the one before */
 
-/* The share of the way a second, and what bounds it. */
+/* The share of what is left that a second covers, and what bounds it. */
 typedef struct {
     double rate_s;
     double sum_s; /* of all that was looked at, none of it negative: NaN when one of it is */
@@ -39,7 +39,7 @@ static inline void bind(pace *least, double rate_s, uint32_t reason)
 }
 
 /* The largest rate that can still be let go, by `step` each step, before `gap` is used up; `gap` is
- * the way that is left over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
+ * what is left, over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
  * that reach zero are the smallest n with gap <= step n (n + 1) / 2. */
 static double easing(double gap_s, double step_s)
 {
@@ -67,7 +67,7 @@ static double turning(double gap_s, double after_s, double step_s)
     return by_after_s < by_gap_s ? by_after_s : by_gap_s;
 }
 
-/* A speed that changes its sign on the way, and may gain less after it than it may lose before. */
+/* A speed that changes its sign before it arrives, and may gain less after it than it may lose before. */
 static inline bool turns(double from, double goal, double gains, double loses)
 {
     return from * goal < 0.0 && gains < loses;
@@ -77,7 +77,7 @@ static inline bool turns(double from, double goal, double gains, double loses)
 static inline void keep_axis(pace *least, pace *step, const limit_state *axis, const axis_limits *limits, double goal_u_s,
                              double dt_s, bool urgent, uint32_t shift)
 {
-    double from_u_s = axis->velocity_u_s, way_u_s = goal_u_s - from_u_s, size_u_s = fabs(way_u_s);
+    double from_u_s = axis->velocity_u_s, change_u_s = goal_u_s - from_u_s, size_u_s = fabs(change_u_s);
     if (size_u_s == 0.0) {
         return;
     }
@@ -86,7 +86,7 @@ static inline void keep_axis(pace *least, pace *step, const limit_state *axis, c
     uint32_t reason = rising ? REASON_LINEAR_ACCELERATION : REASON_LINEAR_DECELERATION;
     if (!urgent) {
         double step_u_s2 = limits->jerk_u_s3 * dt_s;
-        double along_u_s2 = way_u_s < 0.0 ? -axis->acceleration_u_s2 : axis->acceleration_u_s2;
+        double along_u_s2 = change_u_s < 0.0 ? -axis->acceleration_u_s2 : axis->acceleration_u_s2;
         double soft_u_s2 = (along_u_s2 > 0.0 ? along_u_s2 : 0.0) + step_u_s2;
         bind(step, step_u_s2 / size_u_s, (uint32_t)REASON_LINEAR_JERK << shift);
         if (soft_u_s2 < bound_u_s2) {
@@ -100,8 +100,8 @@ static inline void keep_axis(pace *least, pace *step, const limit_state *axis, c
 /* Eased by `step` each step, a speed meets its change of sign with no more than it may gain after it. */
 static void keep_turn(pace *least, double from, double goal, double gains, double step_s, double dt_s, uint32_t reason)
 {
-    double way = fabs(goal - from);
-    bind(least, turning(fabs(from) / (way * dt_s), gains / way, step_s), reason);
+    double change = fabs(goal - from);
+    bind(least, turning(fabs(from) / (change * dt_s), gains / change, step_s), reason);
 }
 
 /* Duty slews bound how fast a wheel's speed grows. */
@@ -134,13 +134,13 @@ static uint32_t rest(limit_state *axis)
 static void move(limit_state *axis, const double *goal_u_s, double rate_s, bool arrives, double dt_s)
 {
     for (int i = 0; i < AXES; i++) {
-        double from_u_s = axis[i].velocity_u_s, way_u_s = goal_u_s[i] - from_u_s;
-        double next_u_s = from_u_s + way_u_s * rate_s * dt_s;
-        /* the way is rounded, so a last step could pass the goal by a rounding */
-        if (arrives || (goal_u_s[i] - next_u_s) * way_u_s < 0.0) {
+        double from_u_s = axis[i].velocity_u_s, change_u_s = goal_u_s[i] - from_u_s;
+        double next_u_s = from_u_s + change_u_s * rate_s * dt_s;
+        /* the change is rounded, so a last step could pass the goal by a rounding */
+        if (arrives || (goal_u_s[i] - next_u_s) * change_u_s < 0.0) {
             next_u_s = goal_u_s[i];
         }
-        axis[i] = (limit_state){next_u_s, way_u_s * rate_s};
+        axis[i] = (limit_state){next_u_s, change_u_s * rate_s};
     }
 }
 

@@ -39,7 +39,7 @@ typedef struct {
 } motion;
 
 /* unused: bits of the word that are not the counter's, 0..63 */
-static inline int64_t short_way(uint64_t now, uint64_t before, uint32_t unused)
+static inline int64_t shortest_difference(uint64_t now, uint64_t before, uint32_t unused)
 {
     /* the counter's sign bit becomes the word's; the shift back extends it */
     return (int64_t)((now - before) << unused) >> unused;
@@ -47,7 +47,7 @@ static inline int64_t short_way(uint64_t now, uint64_t before, uint32_t unused)
 
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits)
 {
-    return bits == 0 || bits > 64 ? 0 : short_way(now, before, 64 - bits);
+    return bits == 0 || bits > 64 ? 0 : shortest_difference(now, before, 64 - bits);
 }
 
 /* b for a NaN in a: a floor holds */
@@ -169,7 +169,7 @@ static void take_velocity(joint_odometry *joint, const joint_feedback *sample, d
 
 static inline double travel_since(const joint_odometry *joint, const joint_feedback *sample, uint64_t before)
 {
-    return (double)short_way(sample->count, before, joint->constant.counter_bits_unused) * joint->constant.counter_rad;
+    return (double)shortest_difference(sample->count, before, joint->constant.counter_bits_unused) * joint->constant.counter_rad;
 }
 
 static void believe(joint_odometry *joint, uint64_t count)
@@ -223,13 +223,13 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
 static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad, double sure_rad, double reach_rad)
 {
     const joint_constants *constant = &joint->constant;
-    double way_rad = fabs(travel_rad);
+    double distance_rad = fabs(travel_rad);
     joint->velocity_rad_s = measured(sample->velocity_rad_s);
     if (isnan(joint->velocity_rad_s)) {
         joint->velocity_rad_s =
-            travel_rad * constant->reach_rad_s / (way_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
+            travel_rad * constant->reach_rad_s / (distance_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
     }
-    joint->unused_rad = larger(0.0, smaller(reach_rad - way_rad, constant->counter_unused_max_rad));
+    joint->unused_rad = larger(0.0, smaller(reach_rad - distance_rad, constant->counter_unused_max_rad));
 }
 
 /* A counter that is renewed more slowly than it is read catches up in steps: what reach a sample leaves unused is the next
@@ -280,8 +280,8 @@ static inline bool take_next(joint_odometry *joint, const joint_feedback *sample
     }
     double sure_rad = constant->reach_rad_s * ((double)(sample->stamp_ns - joint->stamp_ns) * 1e-9);
     double reach_rad = sure_rad + joint->unused_rad;
-    double travel_rad = travel_since(joint, sample, joint->count), way_rad = fabs(travel_rad);
-    if (!(way_rad + sure_rad < constant->counter_round_rad && way_rad <= reach_rad + constant->counter_slack_rad)) {
+    double travel_rad = travel_since(joint, sample, joint->count), distance_rad = fabs(travel_rad);
+    if (!(distance_rad + sure_rad < constant->counter_round_rad && distance_rad <= reach_rad + constant->counter_slack_rad)) {
         return false;
     }
     gather(joint, TRAVEL, travel_rad);
@@ -305,7 +305,7 @@ static arc collect(odometry_state *state, const core_config *config, const uint3
                 found.stamp_ns = joint->stamp_ns;
             }
             if (joint->fresh & SEED) {
-                found.degraded |= joint->pending_rad != 0.0; /* only part of the way is known: thrown away */
+                found.degraded |= joint->pending_rad != 0.0; /* only part of the distance is known: thrown away */
             } else {
                 uint32_t right = joint->constant.right;
                 found.travel_m[right] += joint->pending_rad * joint->constant.wheel_radius_m;
@@ -351,7 +351,7 @@ static motion by_wheels(const core_config *config, const arc *found)
     };
 }
 
-/* The way is the wheels', the turn the gyro's: their errors have nothing to do with each other. */
+/* The distance is the wheels', the turn the gyro's: their errors have nothing to do with each other. */
 static void turn_by_gyro(odometry_state *state, const core_config *config, int64_t moment_ns, motion *moved)
 {
     double turn_rad, variance_rad2;
@@ -365,9 +365,9 @@ static void turn_by_gyro(odometry_state *state, const core_config *config, int64
     moved->distance_turn_m_rad = moved->scrub_rad2 = 0.0;
 }
 
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of way and turn are carried into the pose by the
+/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of distance and turn are carried into the pose by the
  * Jacobians of the motion; the scrub of turning is added to the heading. Half of the turn's error is there in the middle
- * of the arc, whose direction the way has. */
+ * of the arc: the distance has its direction. */
 static void grow_pose_covariance(odometry_state *state, const core_config *config, const motion *moved, direction middle)
 {
     double *p = state->pose_covariance, sine = middle.sine, cosine = middle.cosine;

@@ -196,8 +196,9 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not do what it is
- * told: no set-point ends that, so the power goes off at once. A wheel that turns the wrong way is no better off on a ramp. */
+/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not do what it
+ * is told: no set-point ends that, so the power goes off at once. A wheel that turns in the wrong direction is no better
+ * off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
 {
     stop_action action = state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;

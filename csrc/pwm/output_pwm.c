@@ -118,8 +118,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        bool says_way = output->joint == joint && output->fd < 0 && output->pumps == 0;
-        if (says_way && ((bits ^ t->bits) >> output->bit & 1) != 0) {
+        bool says_direction = output->joint == joint && output->fd < 0 && output->pumps == 0;
+        if (says_direction && ((bits ^ t->bits) >> output->bit & 1) != 0) {
             return true;
         }
     }
@@ -163,7 +163,7 @@ static bool is_high(const bridge_pin *output, uint32_t mode)
     return output->base[mode] >= 0.5;
 }
 
-/* GPIO lines of a joint whose levels at COAST are those of a way (PWM and DIR): they take no power, the duty alone does. */
+/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they take no power, the duty alone does. */
 static uint64_t lines_without_a_say(const pwm_thread *t, uint32_t joint)
 {
     uint64_t bits = 0;
@@ -180,7 +180,7 @@ static uint64_t lines_without_a_say(const pwm_thread *t, uint32_t joint)
     return as_forward || as_reverse ? bits : 0;
 }
 
-/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only say the way stay as they are. */
+/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only set the direction stay as they are. */
 static int rest(pwm_thread *t)
 {
     double level[PWM_OUTPUTS_MAX] = {0};

@@ -5,19 +5,19 @@
 
 #include "line_wire.h"
 
-enum { WAY = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
+enum { DIRECTION = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
 
 static line_drive_state *drive;
 
 /* One drive that is told magnitude and way, and has two ranges that are read in turn. */
-static inline void begin_ways(double wanted_rad_s)
+static inline void begin_directions(double wanted_rad_s)
 {
     begin_with(2, 0);
     line_drive *table = &w.table.drive[0];
-    table->way_count = 1;
-    table->way[0] = (line_way){.rest = frame_of(1, WRITE, WAY, WAY_REST),
-                               .forward = frame_of(1, WRITE, WAY, WAY_FORWARD),
-                               .reverse = frame_of(1, WRITE, WAY, WAY_REVERSE)};
+    table->direction_count = 1;
+    table->direction[0] = (line_direction){.rest = frame_of(1, WRITE, DIRECTION, DIRECTION_REST),
+                                           .forward = frame_of(1, WRITE, DIRECTION, DIRECTION_FORWARD),
+                                           .reverse = frame_of(1, WRITE, DIRECTION, DIRECTION_REVERSE)};
     table->cyclic[0].setpoint[0].magnitude = 1;
     table->cyclic[0].setpoint[0].raw_min = 0.0;
     table->extra_count = 2;

@@ -18,7 +18,7 @@ static const uint64_t PERIOD_NS = 50000;
 
 static _Alignas(64) uint8_t exchange_memory[16384];
 
-static const uint64_t WAY_BIT = 1u << 3;
+static const uint64_t DIRECTION_BIT = 1u << 3;
 static const uint64_t POWER_BIT = 1u << 5;
 static _Atomic uint64_t bits_set_to;
 static _Atomic uint64_t bits_that_changed;
@@ -280,7 +280,7 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     CHECK(comes_true(fd, 0, duty));
     pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = 1});
     CHECK(comes_true(fd, 25000, duty));
-    CHECK(((bits_set_to & WAY_BIT) != 0) == (duty > 0.0));
+    CHECK(((bits_set_to & DIRECTION_BIT) != 0) == (duty > 0.0));
     CHECK(dup2(pipe_ends[1], fd) == fd); /* from now on its writes fail, with ESPIPE */
     bits_that_changed = 0;
     CHECK(ends(1, then, &report));

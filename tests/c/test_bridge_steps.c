@@ -87,10 +87,10 @@ static void each_mode_has_its_level(void)
     b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
     steps_on(&b, MS);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each rests in its way */
-    for (int way = -1; way <= 1; way += 2) {
+    for (int direction = -1; direction <= 1; direction += 2) {
         for (int i = 0; i < 4; i++) {
-            b.newest.joint[0].duty = way * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
-            CHECK(is(steps_on(&b, MS)[0], way > 0 ? 0.3 + 0.25 : 0.4 + 0.35));
+            b.newest.joint[0].duty = direction * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
+            CHECK(is(steps_on(&b, MS)[0], direction > 0 ? 0.3 + 0.25 : 0.4 + 0.35));
         }
     }
     asks(&b, PWM_STOP);

@@ -64,7 +64,7 @@ static void no_number_leaves_the_small_functions(void)
     }
 }
 
-static void counters_wrap_both_ways(void)
+static void counters_wrap_in_both_directions(void)
 {
     static const uint32_t BITS[] = {8, 16, 24, 32, 64};
     for (int i = 0; i < 5; i++) {
@@ -362,7 +362,7 @@ int main(void)
     a_gyro_turns_the_pose();
     a_ramp_arrives_and_comes_back_through_zero();
     no_number_leaves_the_small_functions();
-    counters_wrap_both_ways();
+    counters_wrap_in_both_directions();
     sine_and_cosine_are_right_in_every_quarter();
     each_bad_field_is_refused_by_name();
     a_drive_with_turns_and_saturation_keeps_its_covariance();

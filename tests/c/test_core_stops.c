@@ -122,12 +122,12 @@ static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(
     rig r;
     ready(&r, &config);
     for (int j = 0; j < 4; j++) {
-        for (int way = -1; way <= 1; way += 2) {
+        for (int sign = -1; sign <= 1; sign += 2) {
             prepare(&r);
-            r.input.feedback[j].velocity_rad_s = way * 0.05;
+            r.input.feedback[j].velocity_rad_s = sign * 0.05;
             CHECK(step(&r)->at_rest == 0);
             prepare(&r);
-            r.input.feedback[j].velocity_rad_s = way * nextafter(0.05, 0.0);
+            r.input.feedback[j].velocity_rad_s = sign * nextafter(0.05, 0.0);
             CHECK(step(&r)->at_rest == 1);
         }
     }
@@ -159,22 +159,22 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
     }
     config.joint[1].speed_loop.torque_max_n_m = 0.0;
     config.on_fault = STOP_HOLD;
-    for (int way = -1; way <= 1; way += 2) {
+    for (int sign = -1; sign <= 1; sign += 2) {
         rig r;
         start(&r, &config);
         go(&r, 0.2, 0.0);
         prepare(&r);
-        r.input.feedback[0].velocity_rad_s = way * 12.0; /* one and a half times its limit */
-        CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -way * 8.0 && r.out.joint[1].torque_n_m == 0.0);
+        r.input.feedback[0].velocity_rad_s = sign * 12.0; /* one and a half times its limit */
+        CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -sign * 8.0 && r.out.joint[1].torque_n_m == 0.0);
         prepare(&r);
-        r.input.feedback[1].velocity_rad_s = way * 12.1;
+        r.input.feedback[1].velocity_rad_s = sign * 12.1;
         CHECK(step(&r)->faults == 0);
         prepare(&r);
-        r.input.feedback[0].velocity_rad_s = way * 12.1;
+        r.input.feedback[0].velocity_rad_s = sign * 12.1;
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 && r.out.enabled == 1);
         CHECK(r.state.speed_loop[0].integral_n_m == 0.0 && r.out.joint[2].torque_n_m != 0.0);
         prepare(&r); /* latched: it is slower again, and gets no torque */
-        r.input.feedback[0].velocity_rad_s = -way;
+        r.input.feedback[0].velocity_rad_s = -sign;
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0);
         r.input.command.linear_m_s = 0.0;
         r.input.control.armed = 0;

@@ -189,7 +189,7 @@ static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
 {
     for (int back = 0; back < 2; back++) {
-        for (int way = -1; way <= 1; way += 2) {
+        for (int sign = -1; sign <= 1; sign += 2) {
             core_config config = good_config();
             config.on_fault = STOP_HOLD;
             for (int j = 0; j < 4; j++) {
@@ -202,10 +202,10 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
             start(&r, &config);
             go(&r, 0.2, 0.0);
             prepare(&r);
-            r.input.feedback[3].velocity_rad_s = way * 12.0;
+            r.input.feedback[3].velocity_rad_s = sign * 12.0;
             CHECK(step(&r)->faults == 0);
             prepare(&r);
-            r.input.feedback[3].velocity_rad_s = way * 12.01;
+            r.input.feedback[3].velocity_rad_s = sign * 12.01;
             CHECK(step(&r)->faults == FAULT_OVERSPEED);
         }
     }

@@ -224,9 +224,9 @@ static void the_largest_numbers_that_there_are_are_numbers(void)
     axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the distance overflows */
     CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
-    base_limits any_way = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
+    base_limits any_direction = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
     axis[0] = (limit_state){0}; /* the acceleration overflows */
-    CHECK(ramp_step(axis, &any_way, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
+    CHECK(ramp_step(axis, &any_direction, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
 }
 

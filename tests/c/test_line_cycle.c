@@ -17,49 +17,52 @@ static void goes(const uint32_t *frames, uint32_t count)
 
 static void rest_is_sent_before_another_way_and_the_way_after_its_first_magnitude(void)
 {
-    begin_ways(1.0);
-    uint32_t rest = frame_to(WAY, WAY_REST), forward = frame_to(WAY, WAY_FORWARD), reverse = frame_to(WAY, WAY_REVERSE);
+    begin_directions(1.0);
+    uint32_t rest = frame_to(DIRECTION, DIRECTION_REST), forward = frame_to(DIRECTION, DIRECTION_FORWARD),
+             reverse = frame_to(DIRECTION, DIRECTION_REVERSE);
     uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
     GOES(rest, fast, forward, status);
-    CHECK(drive->way_sent[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD && drive->state.sent_motion);
+    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD && drive->direction_last[0] == DIRECTION_FORWARD &&
+          drive->state.sent_motion);
     want(0.5);
     GOES(slow, status);
     want(-0.5);
     GOES(rest, slow, reverse, status);
-    CHECK(drive->way_sent[0] == WAY_REVERSE && drive->way_last[0] == WAY_REVERSE);
+    CHECK(drive->direction_sent[0] == DIRECTION_REVERSE && drive->direction_last[0] == DIRECTION_REVERSE);
     want(0.0);
     GOES(still, rest, status);
-    CHECK(drive->way_sent[0] == WAY_REST && drive->way_last[0] == WAY_REVERSE && !drive->state.sent_motion);
+    CHECK(drive->direction_sent[0] == DIRECTION_REST && drive->direction_last[0] == DIRECTION_REVERSE &&
+          !drive->state.sent_motion);
     GOES(still, status);
     want(0.5);
     GOES(slow, forward, status);
-    CHECK(drive->way_sent[0] == WAY_FORWARD && drive->way_last[0] == WAY_FORWARD);
+    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD && drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
 static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
 {
-    begin_ways(1.0);
-    GOES(frame_to(WAY, WAY_REST), frame_to(SPEED, 100), frame_to(WAY, WAY_FORWARD), frame_to(STATUS, 1));
+    begin_directions(1.0);
+    GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(SPEED, 100), frame_to(DIRECTION, DIRECTION_FORWARD), frame_to(STATUS, 1));
     want(-1.0);
     line_cycle_begin(&w.machine, 0, w.now_ns);
-    CHECK(sends() == frame_to(WAY, WAY_REST) && drive->way_sent[0] == WAY_UNKNOWN);
+    CHECK(sends() == frame_to(DIRECTION, DIRECTION_REST) && drive->direction_sent[0] == DIRECTION_UNKNOWN);
     answers_with(0);
-    CHECK(drive->way_sent[0] == WAY_REST && drive->place == 1);
+    CHECK(drive->direction_sent[0] == DIRECTION_REST && drive->place == 1);
     CHECK(sends() == frame_to(SPEED, 100));
     answers_with(0);
-    CHECK(sends() == frame_to(WAY, WAY_REVERSE));
+    CHECK(sends() == frame_to(DIRECTION, DIRECTION_REVERSE));
     want(0.0); /* while it is on its way */
     answers_with(0);
-    CHECK(drive->way_sent[0] == WAY_UNKNOWN && drive->way_last[0] == WAY_FORWARD);
+    CHECK(drive->direction_sent[0] == DIRECTION_UNKNOWN && drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
 /* Two exchanges of set-points: one of them that is not zero is a motion. */
 static void a_motion_in_any_exchange_is_a_motion(void)
 {
     for (uint32_t which = 0; which < 2; which++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         line_drive *table = &w.machine.table.drive[0];
-        table->way_count = 0;
+        table->direction_count = 0;
         table->cyclic[2] = table->cyclic[1];
         table->cyclic[1] = table->cyclic[0];
         table->cyclic[1].setpoint[0].joint = 1;
@@ -75,24 +78,24 @@ static void a_motion_in_any_exchange_is_a_motion(void)
 
 static void each_of_several_ways_is_sent(void)
 {
-    begin_ways(1.0);
+    begin_directions(1.0);
     line_drive *table = &w.machine.table.drive[0];
-    table->way_count = 2;
-    table->way[1] = (line_way){.rest = frame_of(1, WRITE, WAY + 1, WAY_REST),
-                               .forward = frame_of(1, WRITE, WAY + 1, WAY_FORWARD),
-                               .reverse = frame_of(1, WRITE, WAY + 1, WAY_REVERSE)};
-    drive->way_sent[0] = WAY_FORWARD;
+    table->direction_count = 2;
+    table->direction[1] = (line_direction){.rest = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REST),
+                                           .forward = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_FORWARD),
+                                           .reverse = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REVERSE)};
+    drive->direction_sent[0] = DIRECTION_FORWARD;
     uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
-    GOES(frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY + 1, WAY_FORWARD), status);
+    GOES(frame_to(DIRECTION + 1, DIRECTION_REST), fast, frame_to(DIRECTION + 1, DIRECTION_FORWARD), status);
     want(-1.0);
-    GOES(frame_to(WAY, WAY_REST), frame_to(WAY + 1, WAY_REST), fast, frame_to(WAY, WAY_REVERSE), frame_to(WAY + 1, WAY_REVERSE),
-         status);
+    GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(DIRECTION + 1, DIRECTION_REST), fast,
+         frame_to(DIRECTION, DIRECTION_REVERSE), frame_to(DIRECTION + 1, DIRECTION_REVERSE), status);
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
 static void one_that_is_stopping_is_sent_no_way(void)
 {
-    begin_ways(1.0);
+    begin_directions(1.0);
     drive->state.mode = DRIVE_READY;
     drive->state.stopping = true;
     w.machine.joint[0].feedback.velocity_rad_s = 3.0;
@@ -104,8 +107,8 @@ static void one_that_is_stopping_is_sent_no_way(void)
 
 static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
 {
-    begin_ways(0.0);
-    drive->way_sent[0] = WAY_REST;
+    begin_directions(0.0);
+    drive->direction_sent[0] = DIRECTION_REST;
     uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
     drive->state.mode = DRIVE_READY;
     drive->state.enabled = 0;
@@ -129,7 +132,7 @@ static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
 
 static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up(void)
 {
-    begin_ways(0.0);
+    begin_directions(0.0);
     drive->due_ns = w.now_ns;
     drive->cycle_start_ns = drive->cycle_ns = 0;
     line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -168,12 +171,12 @@ static void ends(void)
 
 static void the_end_of_a_cycle_judges_what_the_drive_said(void)
 {
-    begin_ways(0.0);
+    begin_directions(0.0);
     drive->lost_setup = true;
     ends();
     CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_LOST_SETUP &&
           drive->state.stop == STOP_POWER_OFF);
-    begin_ways(0.0);
+    begin_directions(0.0);
     ends();
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
     drive->state.enabled = 0;
@@ -181,7 +184,7 @@ static void the_end_of_a_cycle_judges_what_the_drive_said(void)
     CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
     for (uint32_t how = 0; how < 3; how++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         drive->state.mode = DRIVE_READY, drive->state.enabled = 2;
         drive->state.stopping = how != 2, drive->state.off_by_ns = INT64_MAX;
         w.machine.joint[0].feedback.velocity_rad_s = how == 1 ? 0.2 : 0.05;
@@ -194,7 +197,7 @@ static void the_end_of_a_cycle_judges_what_the_drive_said(void)
 static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 {
     for (uint32_t how = 0; how < 7; how++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         drive->state.mode = how == 1 ? DRIVE_OFF : DRIVE_READY;
         drive->state.enabled = how == 2 ? 2 : 1;
         drive->state.stopping = how == 3, drive->state.off_by_ns = INT64_MAX;
@@ -221,8 +224,8 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 
 static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
 {
-    begin_ways(0.0);
-    drive->way_sent[0] = WAY_REST;
+    begin_directions(0.0);
+    drive->direction_sent[0] = DIRECTION_REST;
     drive->cycle_count = 4;
     w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1]; /* behind the last one */
     line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -242,9 +245,9 @@ static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
 static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         line_drive *table = &w.machine.table.drive[0];
-        table->way_count = 0;
+        table->direction_count = 0;
         table->cyclic[2] = table->cyclic[1];
         table->cyclic[1] = table->cyclic[0];
         table->cyclic_count = 2 + reads;

@@ -26,15 +26,15 @@ static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
     for (uint32_t current = 0; current < 2; current++) {
         drive->stop_place = 1, drive->stop_done = 3, drive->stop_failures = 2, drive->stop_refused = true;
         drive->stage = STAGE_READ;
-        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            drive->way_sent[way] = WAY_FORWARD;
+        for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+            drive->direction_sent[direction] = DIRECTION_FORWARD;
         }
         w.machine.current = current;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         CHECK(drive->state.stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
         CHECK(drive->stop_failures == 0 && !drive->stop_refused && drive->stage == STAGE_IDLE);
-        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
+        for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+            CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
         }
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
     }
@@ -173,8 +173,8 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             drive->state.stopping = pending == 2;
             drive->cycle_count = 9, drive->extra_next = 3, drive->cycle_start_ns = 77;
             drive->due_ns = drive->answered_ns = 1;
-            for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-                drive->way_sent[way] = WAY_REVERSE;
+            for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+                drive->direction_sent[direction] = DIRECTION_REVERSE;
             }
             w.machine.joint[0].feedback.velocity_rad_s = 5.0;
             obey(DRIVE_READY, 0);
@@ -184,8 +184,8 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->state.stopping == (pending == 2));
             CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
             CHECK(drive->due_ns == w.now_ns && drive->answered_ns == w.now_ns);
-            for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-                CHECK(drive->way_sent[way] == WAY_UNKNOWN);
+            for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+                CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
             }
             CHECK(w.machine.joint[0].feedback.velocity_rad_s != 5.0);
         }

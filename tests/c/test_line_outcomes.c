@@ -5,8 +5,8 @@
 static void a_reply_that_took_longer_than_usual_tells_no_value(void)
 {
     for (uint32_t late = 0; late < 3; late++) {
-        begin_ways(0.0);
-        drive->way_sent[0] = WAY_REST;
+        begin_directions(0.0);
+        drive->direction_sent[0] = DIRECTION_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         answers_with(0);
@@ -24,8 +24,8 @@ static void a_reply_that_took_longer_than_usual_tells_no_value(void)
 static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
-        begin_ways(0.0);
-        drive->way_sent[0] = WAY_REST;
+        begin_directions(0.0);
+        drive->direction_sent[0] = DIRECTION_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         drive->failures = 2;
@@ -43,8 +43,8 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 static void what_is_not_answered_tells_no_turn_around(void)
 {
     for (uint32_t bytes = 0; bytes < 2; bytes++) {
-        begin_ways(0.0);
-        drive->way_sent[0] = WAY_REST;
+        begin_directions(0.0);
+        drive->direction_sent[0] = DIRECTION_REST;
         line_cycle_begin(&w.machine, 0, w.now_ns);
         CHECK(sends() == frame_to(SPEED, 0));
         w.machine.transaction.frame.reply_bytes = bytes;
@@ -56,7 +56,7 @@ static void what_is_not_answered_tells_no_turn_around(void)
 
 static void an_unresponsive_drive_that_answers_is_sent_to_switch_off_first(void)
 {
-    begin_ways(0.0);
+    begin_directions(0.0);
     drive->state.mode = DRIVE_UNRESPONSIVE;
     line_frame frame;
     line_next_probe(&w.machine, 0, w.now_ns, &frame);
@@ -77,7 +77,7 @@ static void each_failure_is_counted_by_its_kind(void)
         {ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0}, {ANSWER_REFUSED, 0, 0, 1}};
     for (uint32_t i = 0; i < 4; i++) {
         for (uint32_t current = 0; current < 2; current++) {
-            begin_ways(0.0);
+            begin_directions(0.0);
             line_cycle_begin(&w.machine, 0, w.now_ns);
             (void)sends();
             w.machine.current = current;
@@ -98,7 +98,7 @@ static void each_failure_is_counted_by_its_kind(void)
 static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         line_cycle_begin(&w.machine, 0, w.now_ns);
         (void)sends();
         drive->state.mode = how == 1 ? DRIVE_READY : how >= 2 && how < 4 ? DRIVE_OFF : DRIVE_ARMED;
@@ -108,7 +108,7 @@ static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
         CHECK((drive->state.mode == DRIVE_UNRESPONSIVE) == (how != 2 && how != 4));
     }
     for (uint32_t failures = 1; failures < 3; failures++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         drive->failures = failures;
         drive->due_ns = 1;
         line_drive_not_reached(&w.machine, 0, w.now_ns);
@@ -121,7 +121,7 @@ static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
 static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
 {
     for (uint32_t how = 0; how < 3; how++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         line_frame frame;
         CHECK(line_next_stop(&w.machine, 0, &frame));
@@ -138,7 +138,7 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
 static void a_frame_that_is_none_of_the_stop_any_more_is_not_done(void)
 {
     for (uint32_t behind = 0; behind < 2; behind++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         w.machine.table.drive[0].disarm_count = 2 - behind;
         drive->stop_place = 1;
@@ -152,7 +152,7 @@ static void a_frame_that_is_none_of_the_stop_any_more_is_not_done(void)
 static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
 {
     for (uint32_t older = 0; older < 2; older++) {
-        begin_ways(0.0);
+        begin_directions(0.0);
         drive->state.mode = DRIVE_OFF;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
         drive->stop_done = 1;

@@ -12,8 +12,8 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
         drive->state.stop = STOP_POWER_OFF;
         drive->state.stopping = drive->state.back = true;
         drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7, drive->probe_at_ns = 1;
-        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            drive->way_sent[way] = WAY_FORWARD;
+        for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+            drive->direction_sent[direction] = DIRECTION_FORWARD;
         }
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
@@ -24,8 +24,8 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);
         /* one quick stop, one set-point of zero, and a question; or the question alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
-        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
+        for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+            CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
         }
         CHECK(w.machine.current == (how == 1 ? 1 : (uint32_t)LINE_DRIVES_MAX));
     }

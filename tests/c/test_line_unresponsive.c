@@ -184,14 +184,14 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else
         drive->stage = STAGE_EXTRA;
         drive->probe_place = 2;
         drive->state.back = true;
-        memset(drive->way_sent, 1, sizeof drive->way_sent);
+        memset(drive->direction_sent, 1, sizeof drive->direction_sent);
         w.machine.current = current;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
         CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
               !drive->state.back);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
-        for (uint32_t way = 0; way < DRIVE_WAYS_MAX; way++) {
-            CHECK(drive->way_sent[way] == WAY_UNKNOWN);
+        for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
+            CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
         }
     }
 }

@@ -184,19 +184,19 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
 static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
 {
     drive();
-    const command_datagram on_its_way = {.magic = COMMAND_MAGIC,
-                                         .version = COMMAND_VERSION,
-                                         .kind = COMMAND_TWIST,
-                                         .sequence = UINT64_MAX / 4,
-                                         .stamp_ns = now_ns,
-                                         .linear_m_s = 0.5};
+    const command_datagram on_its_direction = {.magic = COMMAND_MAGIC,
+                                               .version = COMMAND_VERSION,
+                                               .kind = COMMAND_TWIST,
+                                               .sequence = UINT64_MAX / 4,
+                                               .stamp_ns = now_ns,
+                                               .linear_m_s = 0.5};
     wake_up(10 * MS);
     loop_tick(&work, now_ns, now_ns);
     CHECK((work.core.snapshot.reasons & REASON_COMMAND_STALE) != 0);
     CHECK(work.core.snapshot.joint[0].stale == 1 && work.core.snapshot.joint[1].stale == 1);
     CHECK(work.input.control.heartbeat_ns == 0);
     CHECK(work.arbiter.report.commander == 0 && work.arbiter.report.lease[0].fresh == 0);
-    CHECK(arbiter_submit(&work.arbiter, &on_its_way, sizeof on_its_way, now_ns, true) == 1 + REFUSED_AGE);
+    CHECK(arbiter_submit(&work.arbiter, &on_its_direction, sizeof on_its_direction, now_ns, true) == 1 + REFUSED_AGE);
     now_ns = clock_now_ns();
     hear_drives();
     loop_tick(&work, now_ns, now_ns);

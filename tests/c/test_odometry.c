@@ -54,17 +54,17 @@ static bool near(double value, double expected)
 
 static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
 {
-    for (int way = -1; way <= 1; way += 2) {
+    for (int sign = -1; sign <= 1; sign += 2) {
         base b = begun(15);
-        received(&b, STEP_NS, 0, 34.0 * way);
-        CHECK(near(received(&b, 11 * STEP_NS, 19792 * way, 34.0 * way)->position_rad, 19792 * way * COUNT_RAD));
+        received(&b, STEP_NS, 0, 34.0 * sign);
+        CHECK(near(received(&b, 11 * STEP_NS, 19792 * sign, 34.0 * sign)->position_rad, 19792 * sign * COUNT_RAD));
         CHECK(b.state.degraded == 0);
-        received(&b, 30 * STEP_NS, 100, 34.0 * way); /* beyond the timeout */
-        CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 19792 * way * COUNT_RAD + 34.0 * 0.25 * way));
+        received(&b, 30 * STEP_NS, 100, 34.0 * sign); /* beyond the timeout */
+        CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 19792 * sign * COUNT_RAD + 34.0 * 0.25 * sign));
         received(&b, 11 * STEP_NS, 10000, NAN);
         CHECK(b.state.degraded == 1 && isnan(b.state.joint[0].velocity_rad_s));
         received(&b, STEP_NS, 0, 0.0);
-        received(&b, 11 * STEP_NS, 10000, 34.0 * way); /* it has changed too much in between */
+        received(&b, 11 * STEP_NS, 10000, 34.0 * sign); /* it has changed too much in between */
         CHECK(b.state.degraded == 1);
     }
 }
@@ -112,14 +112,14 @@ typedef struct {
 
 static void expect_arc(expected_pose *e, const core_config *config, double left_m, double right_m)
 {
-    double way_m = 0.5 * (left_m + right_m), turn_rad = (right_m - left_m) / config->track_m, b = config->track_m;
+    double moved_m = 0.5 * (left_m + right_m), turn_rad = (right_m - left_m) / config->track_m, b = config->track_m;
     double middle_rad = e->heading_rad + 0.5 * turn_rad, s = sin(middle_rad), c = cos(middle_rad);
-    long double h = e->heading_rad, radius_m = fabs(turn_rad) > 1e-9 ? (long double)way_m / (long double)turn_rad : 0.0L;
-    e->x_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (sinl(h + (long double)turn_rad) - sinl(h))) : way_m * c;
-    e->y_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (cosl(h) - cosl(h + (long double)turn_rad))) : way_m * s;
-    double pose[3][3] = {{1, 0, -way_m * s}, {0, 1, way_m * c}, {0, 0, 1}};
-    double wheels[3][2] = {{0.5 * c + way_m * s / (2 * b), 0.5 * c - way_m * s / (2 * b)},
-                           {0.5 * s - way_m * c / (2 * b), 0.5 * s + way_m * c / (2 * b)},
+    long double h = e->heading_rad, radius_m = fabs(turn_rad) > 1e-9 ? (long double)moved_m / (long double)turn_rad : 0.0L;
+    e->x_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (sinl(h + (long double)turn_rad) - sinl(h))) : moved_m * c;
+    e->y_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (cosl(h) - cosl(h + (long double)turn_rad))) : moved_m * s;
+    double pose[3][3] = {{1, 0, -moved_m * s}, {0, 1, moved_m * c}, {0, 0, 1}};
+    double wheels[3][2] = {{0.5 * c + moved_m * s / (2 * b), 0.5 * c - moved_m * s / (2 * b)},
+                           {0.5 * s - moved_m * c / (2 * b), 0.5 * s + moved_m * c / (2 * b)},
                            {-1 / b, 1 / b}};
     double of_side[2] = {config->distance_variance_m2_per_m * fabs(left_m), config->distance_variance_m2_per_m * fabs(right_m)};
     double next[3][3] = {0};
@@ -138,7 +138,7 @@ static void expect_arc(expected_pose *e, const core_config *config, double left_
     next[2][2] += config->turn_variance_rad2_per_rad * fabs(turn_rad);
     memcpy(e->p, next, sizeof next);
     e->heading_rad = remainder(e->heading_rad + turn_rad, 2.0 * 3.14159265358979323846);
-    e->distance_m += fabs(way_m);
+    e->distance_m += fabs(moved_m);
     e->turned_rad += fabs(turn_rad);
 }
 
@@ -211,9 +211,9 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
         }
         expect_arc(&e, &config, side_m[0], side_m[1]);
         check_pose(&state, &e);
-        double elapsed_s = (double)after_ns * 1e-9, way_m = 0.5 * (side_m[0] + side_m[1]);
+        double elapsed_s = (double)after_ns * 1e-9, moved_m = 0.5 * (side_m[0] + side_m[1]);
         double turn_rad = (side_m[1] - side_m[0]) / 0.5, l2 = 1e-4 * fabs(side_m[0]), r2 = 1e-4 * fabs(side_m[1]);
-        CHECK(near(state.linear_m_s, way_m / elapsed_s) && near(state.angular_rad_s, turn_rad / elapsed_s));
+        CHECK(near(state.linear_m_s, moved_m / elapsed_s) && near(state.angular_rad_s, turn_rad / elapsed_s));
         CHECK(close_to(state.twist_covariance[0], 1e-3 + 0.25 * (l2 + r2) / elapsed_s / elapsed_s));
         CHECK(close_to(state.twist_covariance[1], (r2 - l2) / elapsed_s / elapsed_s));
         CHECK(close_to(state.twist_covariance[2], 2e-3 + (4.0 * (l2 + r2) + 1e-3 * fabs(turn_rad)) / elapsed_s / elapsed_s));
@@ -244,7 +244,7 @@ static void a_reset_throws_away_what_is_pending(void)
 }
 
 /* The deviations grow by what the set-points make the faster wheel of each side do. */
-static void without_a_side_the_deviations_grow_by_the_way(void)
+static void without_a_side_the_deviations_grow_by_the_distance(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
@@ -258,14 +258,14 @@ static void without_a_side_the_deviations_grow_by_the_way(void)
                                                {.velocity_rad_s = 4.0},
                                                {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
-    double way_m = 0.5 * (0.1 + 0.2), turn_rad = (0.1 + 0.2) / 0.5; /* 2 and 4 rad/s, 0.1 m, half a second */
-    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + way_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + way_m));
+    double moved_m = 0.5 * (0.1 + 0.2), turn_rad = (0.1 + 0.2) / 0.5; /* 2 and 4 rad/s, 0.1 m, half a second */
+    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + moved_m));
     CHECK(near(sqrt(b.state.pose_covariance[5]), 0.1 + turn_rad));
     CHECK(near(b.state.twist_covariance[0], 1e-3 + 0.36) && near(b.state.twist_covariance[2], 2e-3 + 0.16));
     b.state.twist_covariance[0] = b.state.twist_covariance[2] = 5.0;
     odometry_drift(&b.state, &b.config, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.5);
     CHECK(b.state.twist_covariance[0] == 5.0 && b.state.twist_covariance[2] == 5.0);
-    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + way_m));
+    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m));
 }
 
 static void every_number_of_it_is_looked_at(void)
@@ -426,7 +426,7 @@ int main(void)
     a_velocity_that_no_wheel_has_is_no_travel();
     pose_and_covariance_are_those_of_exact_arcs();
     a_reset_throws_away_what_is_pending();
-    without_a_side_the_deviations_grow_by_the_way();
+    without_a_side_the_deviations_grow_by_the_distance();
     every_number_of_it_is_looked_at();
     what_a_counter_can_mean_decides_what_is_believed();
     an_origin_that_moved_is_no_travel();

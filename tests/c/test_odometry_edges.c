@@ -191,7 +191,7 @@ static void a_counter_that_stays_where_it_jumped_to_is_followed_from_there(void)
 }
 
 /* What a sample catches up is older than the time since the last one. */
-static void a_speed_is_that_of_the_time_in_which_the_way_was_gone(void)
+static void a_speed_is_that_of_the_time_in_which_the_distance_was_covered(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -291,12 +291,12 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
         }
         odometry_init(&b.state, &b.config);
         received(&b, STEP_NS, 0, NAN);
-        int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), way = 40000;
-        comes(&b, 0, STEP_NS, way - turn, NAN);
-        comes(&b, 1, STEP_NS, way + turn, NAN);
+        int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), travel = 40000;
+        comes(&b, 0, STEP_NS, travel - turn, NAN);
+        comes(&b, 1, STEP_NS, travel + turn, NAN);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         long double half_rad = (long double)turn * (long double)COUNT_RAD * 0.1L / 0.5L;
-        long double chord_m = (long double)way * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
+        long double chord_m = (long double)travel * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
         CHECK(fabs((double)(hypotl(b.state.x_m, b.state.y_m) / chord_m - 1.0L)) < 1.5e-15);
     }
 }
@@ -317,10 +317,10 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     gyro->stamp_ns = b.feedback[0].stamp_ns;
     gyro->yaw_rad = 0.02;
     odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
-    double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02, way_m = 1200 * COUNT_RAD * 0.1;
-    CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) && near(b.state.distance_m, way_m));
+    double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02, moved_m = 1200 * COUNT_RAD * 0.1;
+    CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) && near(b.state.distance_m, moved_m));
     CHECK(fabs(b.state.pose_covariance[5] / turn_rad2 - 1.0) < 1e-9 && b.state.twist_covariance[1] == 0.0);
-    CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * way_m * sin(0.01)) - 1.0) < 1e-9);
+    CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * moved_m * sin(0.01)) - 1.0) < 1e-9);
 }
 
 /* What it measures is the rate, and of a base that stands it is zero. */
@@ -427,7 +427,7 @@ int main(void)
     an_estimate_is_taken_back_by_the_counts_that_follow();
     a_new_origin_has_nothing_left_from_before_it();
     a_counter_that_stays_where_it_jumped_to_is_followed_from_there();
-    a_speed_is_that_of_the_time_in_which_the_way_was_gone();
+    a_speed_is_that_of_the_time_in_which_the_distance_was_covered();
     one_that_has_used_all_its_reach_has_nothing_left();
     after_one_that_was_refused_all_the_time_since_the_last_good_one_counts();
     a_new_origin_that_is_near_is_no_travel_either();

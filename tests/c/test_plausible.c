@@ -65,8 +65,8 @@ static bool near(double value, double expected)
 
 static void each_check_has_its_fault_and_its_time(void)
 {
-    for (int way = -1; way <= 1; way += 2) {
-        double s = way;
+    for (int sign = -1; sign <= 1; sign += 2) {
+        double s = sign;
         wheel w = begun(-5.0 * s);
         CHECK(near(until_fault(&w, 3.0, -5.0 * s, -5.0 * s, 5.0 * s), 0.51) && w.why.fault == FAULT_DIRECTION);
         CHECK(w.why.setpoint_rad_s == 5.0 * s && near(w.why.measured_rad_s, -5.0 * s) && w.why.reported_rad_s == -5.0 * s);
@@ -120,11 +120,11 @@ static void a_time_of_zero_switches_a_check_off(void)
 /* Whichever way it turns: what is too fast for a set-point of zero is a runaway, or nothing. */
 static void no_wheel_is_too_slow_for_a_set_point_of_zero(void)
 {
-    for (int way = -1; way <= 1; way += 2) {
-        wheel w = begun(7.0 * way);
+    for (int sign = -1; sign <= 1; sign += 2) {
+        wheel w = begun(7.0 * sign);
         w.config.runaway_s = 0.0;
-        CHECK(isinf(until_fault(&w, 3.0, 7.0 * way, 7.0 * way, 0.0)));
-        CHECK(isinf(until_fault(&w, 3.0, 7.0 * way, 7.0 * way, -0.0)));
+        CHECK(isinf(until_fault(&w, 3.0, 7.0 * sign, 7.0 * sign, 0.0)));
+        CHECK(isinf(until_fault(&w, 3.0, 7.0 * sign, 7.0 * sign, -0.0)));
     }
 }
 

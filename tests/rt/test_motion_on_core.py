@@ -75,12 +75,12 @@ AXES = st.builds(
 @given(
     name=st.sampled_from(["linear", "angular"]),
     limits=AXES,
-    way_u=st.sampled_from([0.1, 0.5, 2.0, -0.3, -1.5]),
+    distance_u=st.sampled_from([0.1, 0.5, 2.0, -0.3, -1.5]),
     looks_late=st.integers(0, 4),
 )
-def test_it_ends_at_the_goal_and_within_the_limits(name, limits, way_u, looks_late):
+def test_it_ends_at_the_goal_and_within_the_limits(name, limits, distance_u, looks_late):
     both = {"linear": axis(1.0, 1.0, 1.0, math.inf), "angular": axis(1.0, 1.0, 1.0, math.inf)}
-    drive = Drive(both | {name: limits}, Goal(axis=name, way_u=way_u), looks_late)
+    drive = Drive(both | {name: limits}, Goal(axis=name, distance_u=distance_u), looks_late)
     wish = drive.to_its_end()
     assert (wish.end, wish.why) == (End.SUCCEEDED, "")
     drive.rig.drive(0.0)
@@ -88,12 +88,12 @@ def test_it_ends_at_the_goal_and_within_the_limits(name, limits, way_u, looks_la
     assert shown.at_rest
     assert drive.fastest_u_s <= limits["velocity_u_s"] * (1.0 + 1e-9)
     done_u = shown.x_m if name == "linear" else shown.heading_rad
-    assert done_u == pytest.approx(way_u, abs=drive.motion.plan.tolerance_u)
+    assert done_u == pytest.approx(distance_u, abs=drive.motion.plan.tolerance_u)
 
 
 def test_an_emergency_stop_ends_it_while_the_core_brings_the_base_to_rest():
     limits = {"linear": axis(0.5, 1.0, 1.0, math.inf), "angular": axis(1.0, 1.0, 1.0, math.inf)}
-    drive = Drive(limits, Goal(axis="linear", way_u=50.0), 1)
+    drive = Drive(limits, Goal(axis="linear", distance_u=50.0), 1)
     tick = drive.rig.tick
 
     def stopped(*args):

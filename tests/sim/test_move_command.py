@@ -163,8 +163,8 @@ def test_a_program_drives_a_distance_and_turns_right_after_its_own_commands(arme
 def test_a_program_is_sent_why_its_move_did_not_arrive(armed):
     with pytest.raises(MoveFailed, match="fault is latched: estop") as failed:
         armed.robot.carry_out(
-            Goal(axis="linear", way_u=20.0),
-            watch=lambda motion, _: motion.way_u > 0.02 and armed.robot.estop(),
+            Goal(axis="linear", distance_u=20.0),
+            watch=lambda motion, _: motion.distance_u > 0.02 and armed.robot.estop(),
         )
     assert failed.value.moved.distance_m == pytest.approx(0.1, abs=0.1)
     assert failed.value.latched

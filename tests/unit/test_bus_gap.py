@@ -136,7 +136,7 @@ async def test_a_goal_that_may_have_waited_is_refused(gate):
     mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
     async with watched(gate.gap):
         with pytest.raises(NotNow, match="No such file"):  # it would be planned
-            await mover.plan(Goal(axis="linear", way_u=1.0))
+            await mover.plan(Goal(axis="linear", distance_u=1.0))
         stand_still()
         with pytest.raises(NotNow, match="stood still"):
-            await mover.plan(Goal(axis="linear", way_u=1.0))
+            await mover.plan(Goal(axis="linear", distance_u=1.0))

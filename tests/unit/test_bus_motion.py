@@ -26,7 +26,7 @@ class Base:
 
     def __init__(self, axis, bounds, late_steps):
         self.axis, self.bounds = axis, bounds
-        self.speed_u_s, self.way_u, self.at_ms = 0.0, 0.0, 0
+        self.speed_u_s, self.distance_u, self.at_ms = 0.0, 0.0, 0
         self.fastest_u_s = 0.0
         self._wishes = deque([0.0] * late_steps, late_steps + 1)
         self.stops = 0
@@ -39,14 +39,14 @@ class Base:
         rate = self.bounds.acceleration_u_s2 if faster else self.bounds.deceleration_u_s2
         step_u_s = rate * STEP_MS / 1000.0
         self.speed_u_s += max(-step_u_s, min(step_u_s, away_u_s))
-        self.way_u += self.speed_u_s * STEP_MS / 1000.0
+        self.distance_u += self.speed_u_s * STEP_MS / 1000.0
         self.fastest_u_s = max(self.fastest_u_s, abs(self.speed_u_s))
         self.at_ms += STEP_MS
 
     def said(self, **changes):
-        pose = {"x_m": self.way_u}
+        pose = {"x_m": self.distance_u}
         if self.axis == "angular":
-            pose = {"heading_rad": math.remainder(self.way_u, math.tau)}
+            pose = {"heading_rad": math.remainder(self.distance_u, math.tau)}
         resting = self.speed_u_s == 0.0 and not any(self._wishes)
         return state(self.at_ms, **({"at_rest": resting} | pose | changes))
 
@@ -75,14 +75,14 @@ def carried_out(base, motion, steps_max=100_000):
 @settings(max_examples=60, deadline=None)
 @given(
     axis=st.sampled_from(["linear", "angular"]),
-    way_u=st.floats(0.05, 20.0).flatmap(lambda way: st.sampled_from([way, -way])),
+    distance_u=st.floats(0.05, 20.0).flatmap(lambda way: st.sampled_from([way, -way])),
     velocity_u_s=st.floats(0.05, 2.0),
     acceleration_u_s2=st.floats(0.1, 5.0),
     deceleration_u_s2=st.floats(0.1, 5.0),
     late_steps=st.integers(0, 4),
 )
 def test_it_gets_there_within_its_tolerance_and_its_speed(
-    axis, way_u, velocity_u_s, acceleration_u_s2, deceleration_u_s2, late_steps
+    axis, distance_u, velocity_u_s, acceleration_u_s2, deceleration_u_s2, late_steps
 ):
     bounds = Bounds(
         velocity_u_s=velocity_u_s,
@@ -90,25 +90,25 @@ def test_it_gets_there_within_its_tolerance_and_its_speed(
         deceleration_u_s2=deceleration_u_s2,
         jerk_u_s3=math.inf,
     )
-    base, motion = begun(Goal(axis=axis, way_u=way_u), bounds, late_steps)
+    base, motion = begun(Goal(axis=axis, distance_u=distance_u), bounds, late_steps)
     wish = carried_out(base, motion)
     assert (wish.end, wish.why) == (End.SUCCEEDED, "")
-    assert abs(base.way_u - way_u) <= motion.plan.tolerance_u
+    assert abs(base.distance_u - distance_u) <= motion.plan.tolerance_u
     assert base.speed_u_s == 0.0
     assert base.fastest_u_s <= velocity_u_s * (1.0 + 1e-9)
 
 
 def test_the_speed_asked_for_counts_where_it_is_less_than_the_limit():
-    base, motion = begun(Goal(axis="linear", way_u=1.0, velocity_u_s=0.1))
+    base, motion = begun(Goal(axis="linear", distance_u=1.0, velocity_u_s=0.1))
     carried_out(base, motion)
     assert base.fastest_u_s == pytest.approx(0.1)
-    base, motion = begun(Goal(axis="linear", way_u=2.0, velocity_u_s=9.0))
+    base, motion = begun(Goal(axis="linear", distance_u=2.0, velocity_u_s=9.0))
     carried_out(base, motion)
     assert base.fastest_u_s == pytest.approx(BOUNDS.velocity_u_s)
 
 
 def test_a_turn_of_several_times_round_is_counted_whole():
-    base, motion = begun(Goal(axis="angular", way_u=-5.0 * math.tau))
+    base, motion = begun(Goal(axis="angular", distance_u=-5.0 * math.tau))
     assert carried_out(base, motion).end is End.SUCCEEDED
     assert motion.travel.angle_rad == pytest.approx(-5.0 * math.tau, abs=0.02)
 
@@ -116,19 +116,20 @@ def test_a_turn_of_several_times_round_is_counted_whole():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"way_u": 0.0}, {"way_u": math.nan}, {"way_u": math.inf}, {"way_u": 1001.0},
+        {"distance_u": 0.0}, {"distance_u": math.nan},
+        {"distance_u": math.inf}, {"distance_u": 1001.0},
         {"velocity_u_s": -0.1}, {"velocity_u_s": math.nan}, {"tolerance_u": -0.01},
         {"timeout_s": -1.0}, {"timeout_s": math.inf}, {"timeout_s": 4000.0},
     ],
 )  # fmt: skip
 def test_a_goal_that_cannot_be_is_refused(wrong):
     with pytest.raises(ValueError):
-        planned(Goal(**({"axis": "linear", "way_u": 1.0} | wrong)), BOUNDS)
+        planned(Goal(**({"axis": "linear", "distance_u": 1.0} | wrong)), BOUNDS)
 
 
 def moving():
     """Under way, at full speed."""
-    base, motion = begun(Goal(axis="linear", way_u=5.0))
+    base, motion = begun(Goal(axis="linear", distance_u=5.0))
     while base.speed_u_s < BOUNDS.velocity_u_s:
         base.follow(looked(base, motion))
     return base, motion
@@ -174,7 +175,7 @@ def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
 
 @pytest.mark.parametrize(("owner", "why"), [(0, "nobody takes"), (LEASE + 1, "another source")])
 def test_it_does_not_wait_for_the_command_for_ever(owner, why):
-    _, motion = begun(Goal(axis="linear", way_u=1.0))
+    _, motion = begun(Goal(axis="linear", distance_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)
     for at_ms in (late_ms // 2, late_ms):
         assert motion.step(state(at_ms, owner=owner), at_ms * 1_000_000).end is None
@@ -194,17 +195,17 @@ def test_cancelled_it_comes_to_rest_and_then_ends():
 
 
 def test_what_takes_too_long_comes_to_rest_and_is_aborted():
-    base, motion = begun(Goal(axis="linear", way_u=5.0, timeout_s=2.0))
+    base, motion = begun(Goal(axis="linear", distance_u=5.0, timeout_s=2.0))
     wish = carried_out(base, motion)
     assert wish.end is End.ABORTED
     assert "longer than 2.0 s" in wish.why
     assert base.speed_u_s == 0.0
-    assert 0.0 < base.way_u < 5.0
+    assert 0.0 < base.distance_u < 5.0
 
 
 def test_a_base_that_something_holds_is_not_pushed_for_long():
-    base, motion = begun(Goal(axis="linear", way_u=5.0, timeout_s=1000.0))
-    while base.way_u < 1.0:
+    base, motion = begun(Goal(axis="linear", distance_u=5.0, timeout_s=1000.0))
+    while base.distance_u < 1.0:
         base.follow(looked(base, motion))
     held_ms = base.at_ms
     while looked(base, motion) != Wish():
@@ -219,13 +220,13 @@ def test_a_slow_base_is_not_a_stuck_one():
     slow = Bounds(
         velocity_u_s=0.002, acceleration_u_s2=0.001, deceleration_u_s2=0.001, jerk_u_s3=0.001
     )
-    base, motion = begun(Goal(axis="linear", way_u=0.05), slow)
+    base, motion = begun(Goal(axis="linear", distance_u=0.05), slow)
     assert carried_out(base, motion).end is End.SUCCEEDED
 
 
 def test_a_base_that_slides_past_the_goal_did_not_succeed():
-    base, motion = begun(Goal(axis="linear", way_u=1.0))
-    base.way_u = 1.2
+    base, motion = begun(Goal(axis="linear", distance_u=1.0))
+    base.distance_u = 1.2
     wish = carried_out(base, motion)
     assert wish.end is End.ABORTED
     assert "0.2 behind the goal" in wish.why
@@ -233,21 +234,21 @@ def test_a_base_that_slides_past_the_goal_did_not_succeed():
 
 @pytest.mark.parametrize("slip_u", [0.05, -0.05, 0.09])
 def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
-    base, motion = begun(Goal(axis="linear", way_u=-1.0))
+    base, motion = begun(Goal(axis="linear", distance_u=-1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))
-    base.way_u += slip_u
+    base.distance_u += slip_u
     wish = carried_out(base, motion)
     assert (wish.end, wish.why) == (End.SUCCEEDED, "")
-    assert base.way_u == pytest.approx(-1.0, abs=0.01)
+    assert base.distance_u == pytest.approx(-1.0, abs=0.01)
 
 
 def rested_beside_its_goal():
     """By the wheels, or by a stop that nobody saw."""
-    base, motion = begun(Goal(axis="linear", way_u=1.0))
+    base, motion = begun(Goal(axis="linear", distance_u=1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))
-    base.way_u += 0.05
+    base.distance_u += 0.05
     base.speed_u_s = 0.0
     return base, motion
 
@@ -257,7 +258,7 @@ def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
     base.stops = 1
     wish = carried_out(base, motion)
     assert (wish.end, wish.why) == (End.ABORTED, "a stop was asked for")
-    assert base.way_u == pytest.approx(1.05, abs=0.01)
+    assert base.distance_u == pytest.approx(1.05, abs=0.01)
 
 
 def test_a_stop_that_is_only_counted_ends_a_motion_under_way():
@@ -279,12 +280,12 @@ def test_who_does_not_know_whether_a_stop_came_corrects_nothing(asked_before):
 
 
 def test_a_base_that_slips_each_time_is_not_corrected_for_ever():
-    base, motion = begun(Goal(axis="linear", way_u=1.0))
+    base, motion = begun(Goal(axis="linear", distance_u=1.0))
     slips = 0
     while (wish := looked(base, motion)).end is None:
         base.follow(wish)
         if abs(motion.remaining_u) < 0.006 and base.speed_u_s == 0.0:
-            base.way_u += 0.05
+            base.distance_u += 0.05
             slips += 1
     assert wish.end is End.ABORTED
     assert "behind the goal" in wish.why
@@ -292,8 +293,8 @@ def test_a_base_that_slips_each_time_is_not_corrected_for_ever():
 
 
 def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
-    base, motion = begun(Goal(axis="linear", way_u=1.0))
-    base.way_u = 1.0
+    base, motion = begun(Goal(axis="linear", distance_u=1.0))
+    base.distance_u = 1.0
     for _ in range(2000):
         base.at_ms += STEP_MS
         wish = motion.step(base.said(at_rest=False), base.at_ms * 1_000_000)

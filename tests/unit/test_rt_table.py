@@ -150,7 +150,7 @@ def _reading(plan, drive):
 @pytest.mark.parametrize("name", MODBUS)
 def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
     _, drive = table_of(find_profile(name))
-    ways = [frame for way in drive.way for frame in (way.rest, way.forward, way.reverse)]
+    ways = [frame for way in drive.direction for frame in (way.rest, way.forward, way.reverse)]
     frames = [exchange.frame for exchange in (*drive.cyclic, *drive.extra)]
     for frame in (*frames, *ways, *drive.quick_stop, *drive.disarm):
         request = parse_request(frame.request)

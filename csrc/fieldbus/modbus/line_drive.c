@@ -24,7 +24,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     drive->stop_failures = 0;
     drive->stop_refused = false;
     drive->stage = STAGE_IDLE;
-    memset(drive->way_sent, 0, sizeof drive->way_sent);
+    memset(drive->direction_sent, 0, sizeof drive->direction_sent);
     if (m->current == number) {
         m->current = LINE_DRIVES_MAX;
     }
@@ -88,7 +88,7 @@ static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
     drive->due_ns = now_ns;
     drive->answered_ns = now_ns;
     drive->cycle_start_ns = 0;
-    memset(drive->way_sent, 0, sizeof drive->way_sent);
+    memset(drive->direction_sent, 0, sizeof drive->direction_sent);
     line_forget(m, number);
 }
 
@@ -140,30 +140,30 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
     return false;
 }
 
-static const line_frame *way_frame(const line_machine *m, uint32_t number, uint32_t way, uint32_t last_sent)
+static const line_frame *direction_frame(const line_machine *m, uint32_t number, uint32_t direction, uint32_t last_sent)
 {
-    const line_way *from = &m->table.drive[number].way[way];
-    return last_sent == WAY_REST ? &from->rest : last_sent == WAY_FORWARD ? &from->forward : &from->reverse;
+    const line_direction *from = &m->table.drive[number].direction[direction];
+    return last_sent == DIRECTION_REST ? &from->rest : last_sent == DIRECTION_FORWARD ? &from->forward : &from->reverse;
 }
 
-/* In REST: rest where another way than the told one comes. In WAYS: the way itself. */
-static bool next_way(line_machine *m, uint32_t number, line_frame *out)
+/* In REST: rest where the direction is to change. In DIRECTIONS: the new direction. */
+static bool next_direction(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (drive->state.stopping) {
         return false; /* rest would take its brake off: it comes with the power-off */
     }
-    for (; drive->place < table->way_count; drive->place++) {
-        uint32_t wanted = line_way_wanted(m, number, drive->place);
-        uint32_t last_sent = drive->way_sent[drive->place];
+    for (; drive->place < table->direction_count; drive->place++) {
+        uint32_t wanted = line_direction_wanted(m, number, drive->place);
+        uint32_t last_sent = drive->direction_sent[drive->place];
         bool resting = drive->stage == STAGE_REST;
-        if (wanted == last_sent || (resting && (wanted == WAY_REST || last_sent == WAY_REST))) {
+        if (wanted == last_sent || (resting && (wanted == DIRECTION_REST || last_sent == DIRECTION_REST))) {
             continue;
         }
-        wanted = resting ? WAY_REST : wanted;
-        drive->way_sent[drive->place] = WAY_UNKNOWN; /* until it is acknowledged */
-        *out = *way_frame(m, number, drive->place, wanted);
+        wanted = resting ? DIRECTION_REST : wanted;
+        drive->direction_sent[drive->place] = DIRECTION_UNKNOWN; /* until it is acknowledged */
+        *out = *direction_frame(m, number, drive->place, wanted);
         return true;
     }
     return false;
@@ -246,9 +246,9 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
     line_drive_state *drive = &m->drive[number];
     (void)now_ns;
     while (drive->stage != STAGE_IDLE) {
-        bool found = drive->stage == STAGE_REST || drive->stage == STAGE_WAYS ? next_way(m, number, out)
-                     : drive->stage == STAGE_EXTRA                            ? next_extra(m, number, out)
-                                                                              : next_exchange(m, number, out);
+        bool found = drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS ? next_direction(m, number, out)
+                     : drive->stage == STAGE_EXTRA                                  ? next_extra(m, number, out)
+                                                                                    : next_exchange(m, number, out);
         if (found) {
             return true;
         }
@@ -263,16 +263,16 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
 }
 
 /* --------------------------------------------------------------------------------------------------- outcomes */
-static void way_acknowledged(line_drive_state *drive, const line_machine *m, uint32_t number)
+static void direction_acknowledged(line_drive_state *drive, const line_machine *m, uint32_t number)
 {
-    uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)WAY_REST : line_way_wanted(m, number, drive->place);
-    const line_frame *sent = way_frame(m, number, drive->place, wanted);
+    uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)DIRECTION_REST : line_direction_wanted(m, number, drive->place);
+    const line_frame *sent = direction_frame(m, number, drive->place, wanted);
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
-        wanted = WAY_UNKNOWN; /* the set-point has changed while it was sent */
+        wanted = DIRECTION_UNKNOWN; /* the set-point has changed while it was sent */
     }
-    drive->way_sent[drive->place] = wanted;
-    if (wanted == WAY_FORWARD || wanted == WAY_REVERSE) {
-        drive->way_last[drive->place] = wanted;
+    drive->direction_sent[drive->place] = wanted;
+    if (wanted == DIRECTION_FORWARD || wanted == DIRECTION_REVERSE) {
+        drive->direction_last[drive->place] = wanted;
     }
     drive->place++;
 }
@@ -302,8 +302,8 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     if (m->current != number) {
         return; /* it was stopped while this was on its way */
     }
-    if (drive->stage == STAGE_REST || drive->stage == STAGE_WAYS) {
-        way_acknowledged(drive, m, number);
+    if (drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS) {
+        direction_acknowledged(drive, m, number);
     } else if (drive->stage == STAGE_EXTRA) {
         read_reply(m, number, &table->extra[drive->extra_next], reply, stamp_ns);
         drive->extra_next = (drive->extra_next + 1) % table->extra_count;

@@ -54,12 +54,12 @@ typedef struct {
 } line_transaction;
 
 /* What the exchange under way is for. */
-typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_WAY, WORK_STOP, WORK_BROADCAST, WORK_ASK, WORK_PROBE } line_work;
+typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_DIRECTION, WORK_STOP, WORK_BROADCAST, WORK_ASK, WORK_PROBE } line_work;
 
-typedef enum { WAY_UNKNOWN = 0, WAY_REST = 1, WAY_FORWARD = 2, WAY_REVERSE = 3 } line_way_sent;
+typedef enum { DIRECTION_UNKNOWN = 0, DIRECTION_REST = 1, DIRECTION_FORWARD = 2, DIRECTION_REVERSE = 3 } line_direction_sent;
 
 /* Where in its cycle a drive is. */
-typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_WAYS, STAGE_READ, STAGE_EXTRA } line_stage;
+typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_DIRECTIONS, STAGE_READ, STAGE_EXTRA } line_stage;
 
 typedef struct {
     drive_state state;
@@ -77,8 +77,8 @@ typedef struct {
     bool stop_refused; /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
     uint32_t probes_at_once;
-    uint32_t way_sent[DRIVE_WAYS_MAX];
-    uint32_t way_last[DRIVE_WAYS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
+    uint32_t direction_sent[DRIVE_DIRECTIONS_MAX];
+    uint32_t direction_last[DRIVE_DIRECTIONS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool may_turn; /* armed since it was last set up, before the port was opened or after */
     bool cycle_motion;
@@ -101,7 +101,7 @@ typedef struct {
     int64_t cycle_start_ns;
     int64_t cycle_ns;
     uint64_t cycle_count; /* since it was set up */
-    setpoints frozen;     /* of this cycle, where ways are told one by one */
+    setpoints frozen;     /* of this cycle, where directions are sent one by one */
     int64_t last_sent[DRIVE_CYCLIC_MAX][EXCHANGE_SETPOINTS_MAX];
     drive_report count; /* the counters of it */
 } line_drive_state;
@@ -194,8 +194,8 @@ uint32_t line_pick_ask(const line_machine *m, int64_t now_ns);
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The values of a good reply. */
 void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns);
-/* The way that the newest set-points want: REST, FORWARD, REVERSE. */
-uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way);
+/* The direction that the newest set-points want: REST, FORWARD, REVERSE. */
+uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t direction);
 /* What the drive may be told now: the joint's set-point, or 0 unless armed, fresh and enabled. */
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind);
 bool line_wants_motion(const line_machine *m, uint32_t drive);

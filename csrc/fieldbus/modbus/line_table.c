@@ -67,7 +67,7 @@ static void check_field(finding *f, const line_field *field, const line_frame *f
     need(f, field->kind <= FIELD_KEPT, "field.kind");
     need(f, field->form <= FORM_I32_LOW_FIRST, "field.form");
     need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes, "field.byte");
-    need(f, field->way <= DRIVE_WAYS_MAX, "field.way");
+    need(f, field->direction <= DRIVE_DIRECTIONS_MAX, "field.direction");
     need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
     need(f, isfinite(field->si_per_raw), "field.si_per_raw");
 }
@@ -95,7 +95,7 @@ static void check_counts(finding *f, const line_drive *drive)
     need(f, drive->watchdog_ns >= 0, "watchdog_ns");
     need(f, drive->cyclic_count >= 1 && drive->cyclic_count <= DRIVE_CYCLIC_MAX, "cyclic_count");
     need(f, drive->extra_count <= DRIVE_EXTRA_MAX, "extra_count");
-    need(f, drive->way_count <= DRIVE_WAYS_MAX, "way_count");
+    need(f, drive->direction_count <= DRIVE_DIRECTIONS_MAX, "direction_count");
     need(f, drive->quick_stop_count <= DRIVE_STOP_MAX, "quick_stop_count");
     need(f, drive->disarm_count <= DRIVE_STOP_MAX, "disarm_count");
     need(f, drive->probe <= drive->cyclic_count, "probe");
@@ -112,11 +112,11 @@ static void check_drive(finding *f, const line_drive *drive)
         check_exchange(f, &drive->extra[i]);
         need(f, drive->extra[i].setpoint_count == 0, "extra.setpoint_count");
     }
-    for (uint32_t i = 0; !f->bad && i < drive->way_count; i++) {
-        need(f, drive->way[i].joint < JOINTS_MAX && drive->way[i].kind <= SETPOINT_DUTY, "way.joint");
-        check_frame(f, &drive->way[i].rest);
-        check_frame(f, &drive->way[i].forward);
-        check_frame(f, &drive->way[i].reverse);
+    for (uint32_t i = 0; !f->bad && i < drive->direction_count; i++) {
+        need(f, drive->direction[i].joint < JOINTS_MAX && drive->direction[i].kind <= SETPOINT_DUTY, "direction.joint");
+        check_frame(f, &drive->direction[i].rest);
+        check_frame(f, &drive->direction[i].forward);
+        check_frame(f, &drive->direction[i].reverse);
     }
     for (uint32_t i = 0; !f->bad && i < drive->quick_stop_count; i++) {
         check_frame(f, &drive->quick_stop[i]);

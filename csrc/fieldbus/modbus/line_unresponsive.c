@@ -41,7 +41,7 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     drive->probes_at_once = stop_probes(m, number) + 1;
     drive->probe_pause_ns = PROBE_FIRST_NS;
     drive->probe_at_ns = now_ns;
-    memset(drive->way_sent, 0, sizeof drive->way_sent);
+    memset(drive->direction_sent, 0, sizeof drive->direction_sent);
     if (m->current == number) {
         m->current = LINE_DRIVES_MAX;
     }

@@ -9,8 +9,8 @@
 
 static const setpoints *source(const line_machine *m, uint32_t drive)
 {
-    /* where magnitude and way go out one by one, both have to be of the same set-point */
-    return m->table.drive[drive].way_count > 0 ? &m->drive[drive].frozen : &m->newest;
+    /* where magnitude and direction go out one by one, both have to be of the same set-point */
+    return m->table.drive[drive].direction_count > 0 ? &m->drive[drive].frozen : &m->newest;
 }
 
 /* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
@@ -88,14 +88,14 @@ bool line_wants_motion(const line_machine *m, uint32_t drive)
     return false;
 }
 
-uint32_t line_way_wanted(const line_machine *m, uint32_t drive, uint32_t way)
+uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t direction)
 {
-    const line_way *which = &m->table.drive[drive].way[way];
+    const line_direction *which = &m->table.drive[drive].direction[direction];
     double wanted = line_wanted(m, drive, which->joint, which->kind);
     if (wanted == 0.0) {
-        return WAY_REST;
+        return DIRECTION_REST;
     }
-    return (wanted > 0.0) != (which->inverted != 0) ? WAY_FORWARD : WAY_REVERSE;
+    return (wanted > 0.0) != (which->inverted != 0) ? DIRECTION_FORWARD : DIRECTION_REVERSE;
 }
 
 static void read_fault(line_machine *m, const line_field *field, uint32_t word)
@@ -109,7 +109,7 @@ static void read_fault(line_machine *m, const line_field *field, uint32_t word)
 
 static double signed_velocity(const line_drive_state *drive, const line_field *field, double velocity)
 {
-    bool reverse = field->way > 0 && drive->way_last[field->way - 1] == WAY_REVERSE;
+    bool reverse = field->direction > 0 && drive->direction_last[field->direction - 1] == DIRECTION_REVERSE;
     return reverse ? -velocity : velocity;
 }
 

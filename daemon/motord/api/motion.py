@@ -35,7 +35,7 @@ STOPS_EVERY_S = 0.1
 """So often the daemon is asked whether a stop came, beside what the state page says."""
 UNSTOPPED_WITHIN_S = 1.0
 """At rest: the daemon has said by then that no stop came, or nothing is corrected."""
-WAY_MAX_U = 1000.0
+DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
 TIMEOUT_MAX_S = 3600.0
@@ -60,18 +60,18 @@ class Bounds:
     jerk_u_s3: float
     """Infinity: no limit."""
 
-    def approach_u_s(self, way_u: float) -> float:
+    def approach_u_s(self, distance_u: float) -> float:
         """The speed from which it comes to rest within that way: v lag + v d / (2 j) + v² / (2 d),
         a uniform deceleration that begins late by the lag and rises by the jerk."""
         late_s = LAG_S + self.deceleration_u_s2 / (2.0 * self.jerk_u_s3)
-        root_s = math.sqrt(late_s * late_s + 2.0 * max(way_u, 0.0) / self.deceleration_u_s2)
+        root_s = math.sqrt(late_s * late_s + 2.0 * max(distance_u, 0.0) / self.deceleration_u_s2)
         return self.deceleration_u_s2 * (root_s - late_s)
 
-    def duration_s(self, way_u: float, velocity_u_s: float) -> float:
+    def duration_s(self, distance_u: float, velocity_u_s: float) -> float:
         """Of a trapezoid over that way, somewhat more."""
         ramps_s = velocity_u_s / self.acceleration_u_s2 + velocity_u_s / self.deceleration_u_s2
         jerks_s = (self.acceleration_u_s2 + self.deceleration_u_s2) / self.jerk_u_s3
-        return abs(way_u) / velocity_u_s + ramps_s + jerks_s
+        return abs(distance_u) / velocity_u_s + ramps_s + jerks_s
 
 
 _KEYS = {
@@ -104,7 +104,7 @@ class Goal:
     """What is asked for; 0 where the robot's own value is meant."""
 
     axis: Axis
-    way_u: float
+    distance_u: float
     """Its sign is the direction."""
     velocity_u_s: float = 0.0
     tolerance_u: float = 0.0
@@ -116,7 +116,7 @@ class Plan:
     """A goal that can be."""
 
     axis: Axis
-    way_u: float
+    distance_u: float
     velocity_u_s: float
     tolerance_u: float
     timeout_s: float
@@ -125,13 +125,17 @@ class Plan:
 
 def planned(goal: Goal, bounds: Bounds) -> Plan:
     """Raises ValueError, in words, for a goal that cannot be."""
-    numbers = (goal.way_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
+    numbers = (goal.distance_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
     if not all(map(math.isfinite, numbers)):
         raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
-    if not 0.0 < abs(goal.way_u) <= WAY_MAX_U:
-        raise ValueError(f"{goal.way_u:g} is no distance to go (not 0, at most {WAY_MAX_U:g})")
+    if not 0.0 < abs(goal.distance_u) <= DISTANCE_MAX_U:
+        raise ValueError(
+            f"{goal.distance_u:g} is no distance to go (not 0, at most {DISTANCE_MAX_U:g})"
+        )
     if min(goal.velocity_u_s, goal.tolerance_u, goal.timeout_s) < 0.0:
-        raise ValueError("speed, tolerance and time-out are not negative; the way has the sign")
+        raise ValueError(
+            "speed, tolerance and time-out are not negative; the distance has the sign"
+        )
     if goal.timeout_s > TIMEOUT_MAX_S:
         raise ValueError(
             f"a time-out of {goal.timeout_s:g} s is too long (at most {TIMEOUT_MAX_S:g} s)"
@@ -140,10 +144,10 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
     if goal.axis == "angular":
         velocity_u_s = min(velocity_u_s, TURN_RATE_MAX_RAD_S)
     tolerance_u = goal.tolerance_u or TOLERANCE_U[goal.axis]
-    least_s = bounds.duration_s(goal.way_u, velocity_u_s)
+    least_s = bounds.duration_s(goal.distance_u, velocity_u_s)
     return Plan(
         axis=goal.axis,
-        way_u=goal.way_u,
+        distance_u=goal.distance_u,
         velocity_u_s=velocity_u_s,
         tolerance_u=tolerance_u,
         timeout_s=goal.timeout_s or 2.0 * least_s + RESTS_WITHIN_S,
@@ -224,19 +228,19 @@ class Motion:
         self._commanding = False
         self._ending: tuple[End, str] | None = None
         self._ending_ns = 0
-        self._near_u, self._near_ns = abs(plan.way_u), now_ns
+        self._near_u, self._near_ns = abs(plan.distance_u), now_ns
         self._forward = 1.0
         self._corrections = 0
 
     @property
-    def way_u(self) -> float:
+    def distance_u(self) -> float:
         """Done so far, with its sign."""
         return self.travel.distance_m if self.plan.axis == "linear" else self.travel.angle_rad
 
     @property
     def remaining_u(self) -> float:
         """To go; negative behind the goal."""
-        return math.copysign(1.0, self.plan.way_u) * (self.plan.way_u - self.way_u)
+        return math.copysign(1.0, self.plan.distance_u) * (self.plan.distance_u - self.distance_u)
 
     def cancel(self, now_ns: int) -> None:
         """Come to rest, and end there."""
@@ -305,7 +309,7 @@ class Motion:
         """Not slower than what gets there."""
         plan = self.plan
         speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
-        speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.way_u)
+        speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.distance_u)
         return self._along(speed_u_s * self._forward)
 
     def _along(self, speed_u_s: float) -> Wish:

@@ -88,7 +88,7 @@ def never_canceled() -> bool:
 
 
 def goal_of(
-    axis: str, way_u: float, velocity_u_s: float | None, tolerance_u: float | None,
+    axis: str, distance_u: float, velocity_u_s: float | None, tolerance_u: float | None,
     timeout_s: float | None,
 ) -> Goal:  # fmt: skip
     """None: the robot's own value. Raises ValueError for a 0, which would mean the same."""
@@ -98,7 +98,7 @@ def goal_of(
             raise ValueError(f"the {name} has to be more than 0, not {value:g}")
     return Goal(
         axis="linear" if axis == "linear" else "angular",
-        way_u=way_u,
+        distance_u=distance_u,
         velocity_u_s=velocity_u_s or 0.0,
         tolerance_u=tolerance_u or 0.0,
         timeout_s=timeout_s or 0.0,

@@ -58,7 +58,7 @@ def move(client: Client, distance_m: float, as_json: bool, **asked: float | None
     Example: motord move 1
              motord move -0.5 --speed-m-s 0.1
     """
-    _carry_out(client, Goal(axis="linear", way_u=distance_m, **_given(asked)), as_json=as_json)
+    _carry_out(client, Goal(axis="linear", distance_u=distance_m, **_given(asked)), as_json=as_json)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -77,7 +77,7 @@ def turn(client: Client, angle_rad: float, as_json: bool, **asked: float | None)
     Example: motord turn 1.5708
              motord turn -6.2832 --speed-rad-s 0.5
     """
-    _carry_out(client, Goal(axis="angular", way_u=angle_rad, **_given(asked)), as_json=as_json)
+    _carry_out(client, Goal(axis="angular", distance_u=angle_rad, **_given(asked)), as_json=as_json)
 
 
 def _given(asked: Mapping[str, float | None]) -> dict[str, float]:
@@ -125,7 +125,7 @@ class _Display:
         if not sys.stderr.isatty():
             return
         text = (
-            f"{motion.way_u:8.3f} {unit} of {motion.plan.way_u:g}   "
+            f"{motion.distance_u:8.3f} {unit} of {motion.plan.distance_u:g}   "
             f"{newest.linear_m_s:6.2f} m/s {newest.angular_rad_s:6.2f} rad/s"
         )
         click.echo(f"\r\033[K{text}", nl=False, err=True)
@@ -140,5 +140,5 @@ def _plain(moved: Moved) -> dict[str, Any]:
 
 
 def _words(goal: Goal, moved: Moved) -> str:
-    way_u = moved.distance_m if goal.axis == "linear" else moved.angle_rad
-    return f"{moved.end.value}: {way_u:.3f} {_UNITS[goal.axis]} in {moved.duration_s:.1f} s"
+    distance_u = moved.distance_m if goal.axis == "linear" else moved.angle_rad
+    return f"{moved.end.value}: {distance_u:.3f} {_UNITS[goal.axis]} in {moved.duration_s:.1f} s"

@@ -107,24 +107,24 @@ class _Chip:
         self._section = section
         self._open: Ina | None = None
         self._said = ""
-        self._under_way: asyncio.Future[Power] | None = None
+        self._in_progress: asyncio.Future[Power] | None = None
 
     async def measure(self) -> Measure | None:
         """None: it cannot be had now."""
-        if self._under_way is None:
+        if self._in_progress is None:
             # a thread: a device that holds the bus blocks for seconds, and the robot must not wait
-            self._under_way = asyncio.get_running_loop().run_in_executor(None, self._read)
+            self._in_progress = asyncio.get_running_loop().run_in_executor(None, self._read)
         try:
             async with within(READ_WITHIN_S):
-                power = await asyncio.shield(self._under_way)
+                power = await asyncio.shield(self._in_progress)
         except TimeoutError as error:
-            if self._under_way.done():  # the chip's own NoReply
+            if self._in_progress.done():  # the chip's own NoReply
                 self._fail(error)
             return None  # still in the kernel: the same call is waited for again
         except HalError as error:
             self._fail(error)
             return None
-        self._under_way, self._said = None, ""
+        self._in_progress, self._said = None, ""
         sign = 1.0 if self._section.inverted else -1.0
         return Measure(
             stamp_ns=now_ns(),
@@ -144,7 +144,7 @@ class _Chip:
         return self._open.read()
 
     def _fail(self, error: Exception) -> None:
-        self._under_way = None
+        self._in_progress = None
         self.close()
         if str(error) != self._said:
             self._said = str(error)
@@ -152,6 +152,6 @@ class _Chip:
 
     def close(self) -> None:
         """Unless a thread is in it still: then the process's end closes it."""
-        if self._open is not None and self._under_way is None:
+        if self._open is not None and self._in_progress is None:
             self._open.close()
             self._open = None

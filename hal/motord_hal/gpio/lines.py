@@ -133,8 +133,8 @@ def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error
             name, owner = _name_and_owner(chip, offset)
             if owner:
                 where = f'line {offset} ("{name}") of {chip.path} "{chip.label}"'
-                way = f"end it, or free the pin: {freeing_step(owner)}"
-                return f'{line.purpose}: {where} is in use by "{owner}": {way}'
+                remedy = f"end it, or free the pin: {freeing_step(owner)}"
+                return f'{line.purpose}: {where} is in use by "{owner}": {remedy}'
     names = ", ".join(line.line for line in wanted)
     return f'{chip.path} "{chip.label}", lines {names}: {why(error)}'
 

@@ -114,8 +114,8 @@ def lines_take_power(joint: JointSpec) -> bool:
         if place.channel is None and place.pin in bridge.levels
     ]
     return all(
-        any((levels["coast"][0] >= 0.5) != (levels[way][0] >= 0.5) for levels in lines)
-        for way in ("forward", "reverse")
+        any((levels["coast"][0] >= 0.5) != (levels[direction][0] >= 0.5) for levels in lines)
+        for direction in ("forward", "reverse")
     )
 
 

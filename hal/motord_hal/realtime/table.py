@@ -86,7 +86,7 @@ class LineField:
     mask: int = 0
     equals_mask: int = 0
     equals: int = 0
-    way: int = 0
+    direction: int = 0
     si_per_raw: float = 1.0
     harmless_bits: int = 0
     is_code: int = 0
@@ -101,7 +101,7 @@ class LineExchange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineWay:
+class LineDirection:
     joint: int
     kind: SetpointKind
     inverted: int
@@ -121,7 +121,7 @@ class LineDrive:
     probe: int
     cyclic: tuple[LineExchange, ...]
     extra: tuple[LineExchange, ...]
-    way: tuple[LineWay, ...]
+    direction: tuple[LineDirection, ...]
     quick_stop: tuple[LineFrame, ...]
     disarm: tuple[LineFrame, ...]
     idle: tuple[LineFrame, ...] = ()

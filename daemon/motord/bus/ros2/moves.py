@@ -65,7 +65,7 @@ class Moves:
     async def _drive(self, goal: SimpleNamespace) -> Work:
         asked = Goal(
             axis="linear",
-            way_u=goal.distance_m,
+            distance_u=goal.distance_m,
             velocity_u_s=goal.speed_m_s,
             tolerance_u=goal.tolerance_m,
             timeout_s=goal.timeout_s,
@@ -75,7 +75,7 @@ class Moves:
     async def _rotate(self, goal: SimpleNamespace) -> Work:
         asked = Goal(
             axis="angular",
-            way_u=goal.angle_rad,
+            distance_u=goal.angle_rad,
             velocity_u_s=goal.speed_rad_s,
             tolerance_u=goal.tolerance_rad,
             timeout_s=goal.timeout_s,
@@ -169,13 +169,15 @@ def _ended(wish: Wish) -> Status:
 
 def _distance_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:
     return SimpleNamespace(
-        distance_m=motion.way_u, remaining_m=motion.remaining_u, speed_m_s=newest.linear_m_s
+        distance_m=motion.distance_u, remaining_m=motion.remaining_u, speed_m_s=newest.linear_m_s
     )
 
 
 def _angle_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:
     return SimpleNamespace(
-        angle_rad=motion.way_u, remaining_rad=motion.remaining_u, speed_rad_s=newest.angular_rad_s
+        angle_rad=motion.distance_u,
+        remaining_rad=motion.remaining_u,
+        speed_rad_s=newest.angular_rad_s,
     )
 
 

@@ -19,13 +19,13 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.realtime.table import (
     FieldKind,
     Form,
+    LineDirection,
     LineDrive,
     LineExchange,
     LineField,
     LineFrame,
     LineSetpoint,
     LineTable,
-    LineWay,
 )
 from motord_hal.rt_engine.decoding import harmless, setpoint_kind, sources_of
 from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
@@ -82,7 +82,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
         probe=_probe(cyclic),
         cyclic=tuple(_exchange(frames, planned, kept) for planned in cyclic),
         extra=tuple(_exchange(frames, planned, kept) for planned in _extra(frames)),
-        way=tuple(_ways(frames)),
+        direction=tuple(_ways(frames)),
         quick_stop=step_frames(frames, profile.quick_stop),
         disarm=step_frames(frames, profile.disarm),
         idle=frames.idle(),
@@ -167,7 +167,7 @@ def _way_joints(frames: DriveFrames) -> list[JointSpec]:
     return [joint for joint in frames.joints if channels[joint.channel].direction is not None]
 
 
-def _ways(frames: DriveFrames) -> Iterable[LineWay]:
+def _ways(frames: DriveFrames) -> Iterable[LineDirection]:
     for joint in _way_joints(frames):
         channel = frames.profile.channels[joint.channel]
         way = channel.direction
@@ -175,7 +175,7 @@ def _ways(frames: DriveFrames) -> Iterable[LineWay]:
         rest, forward, reverse = (
             frames.writes({way.register: raw})[0] for raw in (way.rest, way.forward, way.reverse)
         )
-        yield LineWay(
+        yield LineDirection(
             joint=joint.index,
             kind=setpoint_kind(channel),
             inverted=int(joint.inverted),
@@ -213,7 +213,7 @@ def _joint_field(
         byte=byte,
         form=form,
         mask=mask,
-        way=way,
+        direction=way,
         si_per_raw=factor,
         harmless_bits=bits,
         is_code=int(codes is not None),

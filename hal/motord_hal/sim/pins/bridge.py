@@ -61,8 +61,8 @@ class SimulatedBridge(SimulatedDrive):
 
     def follow(self, mode: str, duty: float) -> None:
         """What its pins say now."""
-        ways = {"forward": 1.0, "reverse": -1.0}
-        self._mode, self._duty = mode, duty * ways.get(mode, 0.0)
+        directions = {"forward": 1.0, "reverse": -1.0}
+        self._mode, self._duty = mode, duty * directions.get(mode, 0.0)
         self._apply()
 
     def _follow_setpoint(self, motor: Motor) -> None:
