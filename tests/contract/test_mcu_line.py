@@ -303,7 +303,7 @@ async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turnin
 async def test_a_board_that_says_nothing_when_it_is_stopped_is_named(peer):
     peer.do("m")
     problems = await halt_line(spec_of(peer))
-    assert problems == ["the board of left, right has said nothing"]
+    assert problems == ["the board of left, right has sent nothing"]
 
 
 # ----------------------------------------------------------------------------------------- faults

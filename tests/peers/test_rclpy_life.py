@@ -128,7 +128,7 @@ def test_what_it_is_started_with(tmp_path):
     ("parameters", "why"),
     [
         ({"speed": 1.0}, "no parameter speed"),
-        ({"robot": 1}, "parameter robot: a text, not 1"),
+        ({"robot": 1}, "parameter robot: must be a string, not 1"),
         ({"stamped": "yes"}, "parameter stamped: true or false"),
         ({"limits.linear_m_s": "fast"}, "a number, not 'fast'"),
         ({"limits.linear_m_s": float("nan")}, "a number, not nan"),

@@ -410,8 +410,8 @@ def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
 
 def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
     said = (
-        f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not heard:"
-        " we want geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+        f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not received:"
+        " motord wants geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
     )
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: said in stage.said(), "a word on its type")
@@ -419,7 +419,7 @@ def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
 
 def test_a_reader_of_another_type_is_named(stage):
     with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
-        said = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState hears nothing"
+        said = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState receives nothing"
         wait_until(lambda: said in stage.said(), "a word on its type")
 
 

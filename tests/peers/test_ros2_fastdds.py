@@ -75,7 +75,7 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
 
 def test_a_writer_of_another_type_is_named(fast, stage):
     with fast("joints", f"rt{NAMESPACE}/cmd_vel", 1.0, 2.0):
-        said = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not heard"
+        said = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not received"
         wait_until(lambda: said in stage.said(), "a word on its type")
 
 

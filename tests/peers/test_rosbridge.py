@@ -172,7 +172,7 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"op": "publish", "topic": "/cmd_vel", "msg": TWIST}, "only tells"),
+        ({"op": "publish", "topic": "/cmd_vel", "msg": TWIST}, "only publishes"),
         ({"op": "subscribe", "topic": "/odour"}, "no topic 'odour'"),
         ({"op": "fragment"}, "not served"),
         ({"op": [[[]]], "id": [[[]]]}, "not served"),

@@ -98,7 +98,7 @@ def test_a_chip_that_is_not_there_is_said_once_and_the_wheels_give_the_heading(t
         wait_until(lambda: "there is no such bus" in stage.said(), "the log's word")
         stage.wait_for("idle")
         stage.robot.arm()
-        wait_until(lambda: "the imu is not heard" in stage.said(), "the log's word")
+        wait_until(lambda: "the imu sends nothing" in stage.said(), "the log's word")
         assert stage.said().count("there is no such bus") == 1
         assert stage.robot.status()["imu"] is None
 

@@ -22,7 +22,11 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
             "",
             "joint.left.counts_per_turn: is not used: the line's feedback has no",
         ),
-        ("counts_per_turn = 1320\n", "", "joint.left.counts_per_turn: is missing: the board tells"),
+        (
+            "counts_per_turn = 1320\n",
+            "",
+            "joint.left.counts_per_turn: is missing: the board reports",
+        ),
         ("scale = 255.0", "scale = 0", "line.board.scale: 0 is out of range"),
         (
             TEMPLATE,

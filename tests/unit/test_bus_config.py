@@ -37,8 +37,8 @@ def test_commands_with_a_token_by_tls_or_from_this_machine_are_taken(tmp_path, m
         (
             'password_file = "p"\nusername = "u"\nhost = "broker.example"',
             (
-                "publish.fleet.password_file: broker.example would be told the password without"
-                " tls = true"
+                "publish.fleet.password_file: broker.example would get the password unencrypted:"
+                " set tls = true"
             ),
         ),
         (

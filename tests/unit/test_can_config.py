@@ -47,10 +47,10 @@ def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
         ("period_s = 0.01\nsilence_s = 0.2", "period_s = 0.01", "silence_s: is missing"),
         ('ask = "rtr"\nperiod_s = 0.01', "", "neither sent unasked"),
         ('ask = "rtr"', 'ask = "heartbeat"', "is no frame that motord sends"),
-        ("id = 0x003", "id = 0x001", "cannot be told from frame heartbeat"),
+        ("id = 0x003", "id = 0x001", "cannot be distinguished from frame heartbeat"),
         ('sender = "motord"', 'sender = "motord"\nperiod_s = 1', "only for frames of the drive"),
         ("bitrate = 250000", "bitrate = 9", "can.bitrate: 9 is out of range"),
-        ('type = "u32"', 'type = "u64"', '"u64" is none of'),
+        ('type = "u32"', 'type = "u64"', '"u64" is not one of'),
         ('unit = "turn"', 'unit = "v"', "must be"),
         ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "whole numbers, each -1 to 255"),
         ('protocol = "can"', 'protocol = "can"\n[serial]\nunit = 1', "serial: unknown key"),
@@ -173,7 +173,7 @@ def test_a_node_that_the_drive_cannot_have_is_an_error():
 
 
 def test_counts_that_the_drive_does_not_count_are_an_error():
-    assert "tells its position in turns" in wrong("joint.left.counts_per_turn=4096")
+    assert "reports its position in turns" in wrong("joint.left.counts_per_turn=4096")
 
 
 def test_a_drive_of_another_protocol_is_not_for_this_line():

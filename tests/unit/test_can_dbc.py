@@ -91,7 +91,7 @@ def test_scales_offsets_and_units_come_from_the_file():
             "",
             "Reserved of DRV_Command has no [signal]",
         ),
-        ('[dbc]\nfile = "dbc-example.dbc"', "[dbc]\nfile = 5", "dbc.file: 5 must be a text"),
+        ('[dbc]\nfile = "dbc-example.dbc"', "[dbc]\nfile = 5", "dbc.file: 5 must be a string"),
         ('frame = "power"', 'frame = "pover"', '"pover" is no frame'),
     ],
 )
@@ -124,7 +124,7 @@ def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, whe
         ('"degC"', '"K"', 'signal.temperature.unit: is missing: "K"'),
         ("(0.1,0) [-3000|3000]", "(0.1,5) [-3000|3000]", "its offset and default must be 0"),
         ("(0.1,0) [-3000|3000]", "(0.1,0) [10|3000]", "cannot say zero"),
-        ("BO_ 641", "BO_ 385", "cannot be told from frame status"),
+        ("BO_ 641", "BO_ 385", "cannot be distinguished from frame status"),
         ("SG_ 641 Supply 2400", "SG_ 513 Command 1", "Command starts with 1 in dbc-example.dbc"),
         ('32|32@1- (1,0) [0|0] "counts"', '32|32@1- (1,3) [0|0] "counts"', "position.offset"),
     ],

@@ -297,8 +297,7 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             [("track_slip_factor = 1.5", "")],
             (
                 "base.track_slip_factor: a skid base without track_slip_factor turns "
-                "less than it is "
-                "told (1.5 is usual)"
+                "less than commanded (1.5 is usual)"
             ),
         ),
         (

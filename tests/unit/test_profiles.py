@@ -103,7 +103,7 @@ def test_a_folder_of_the_user_s_outranks_the_shipped_one(tmp_path):
         ("stop_bits = 1", "stop_bits = true", "stop_bits =", "must be a whole number"),
         ("turnaround_s = 0.005", "turnaround_s = nan", "turnaround_s", "nan is out of range"),
         ("turnaround_s = 0.005", "turnaround_s = 60", "turnaround_s", "(1e-05 to 1 s)"),
-        ("write_function = 16", "write_function = 7", "write_function", "none of 6, 16"),
+        ("write_function = 16", "write_function = 7", "write_function", "not one of 6, 16"),
         ("counter_bits = 32", "counter_bits = 0", "[motor]", "both zero or both not"),
         (
             "address = 0x2089",
@@ -168,7 +168,7 @@ def test_a_folder_of_the_user_s_outranks_the_shipped_one(tmp_path):
         ),
         ("equals = 8\n", "equals = 65544\n", "[enabled]", "never true"),
         ("minimum_s = 0.01", "minimum_s = 40", "minimum_s = 40", "is above maximum_s"),
-        ("maximum_s = 32.767", "maximum_s = 80", "maximum_s = 80", "cannot be said"),
+        ("maximum_s = 32.767", "maximum_s = 80", "maximum_s = 80", "cannot be written to"),
         (
             'register = "communication_timeout"',
             'register = "control_mode"',

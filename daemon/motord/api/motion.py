@@ -160,7 +160,7 @@ def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
         return "the loop says nothing any more"
     if any(joint.stale for joint in snapshot.joints):
-        return "the odometry is stale: a wheel is not heard"
+        return "the odometry is stale: a wheel sends no feedback"
     if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
         return "the odometry is stale"
     pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad, snapshot.odometry_stamp_ns)

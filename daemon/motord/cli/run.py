@@ -71,7 +71,7 @@ def run(
                 {"robot": name, "pid": os.getpid(), "socket": str(socket), "state_page": str(page)}
             )
         except OSError as error:
-            _log.warning("stdout: %s: nobody is told that it is ready", error.strerror)
+            _log.warning("stdout: %s: the ready line cannot be written", error.strerror)
 
     try:
         on_ready = say_ready if as_json else lambda _: None

@@ -70,9 +70,9 @@ def _joint(joint: dict[str, Any]) -> str:
         if joint[key] is not None
     ]
     if joint["feedback_age_s"] is None:
-        parts.append("never heard")
+        parts.append("no feedback yet")
     else:
-        parts.append(f"heard {joint['feedback_age_s'] * 1000:.0f} ms ago")
+        parts.append(f"feedback {joint['feedback_age_s'] * 1000:.0f} ms ago")
     return ", ".join([*parts, *joint["fault_words"]])
 
 

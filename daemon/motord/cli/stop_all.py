@@ -34,7 +34,7 @@ WITHIN_S = 5.0
 @set_option
 @click.option(
     "--within-s", type=click.FloatRange(0.1, 60.0), default=WITHIN_S, show_default=True,
-    help="Longest time; what was not said by then is not said.",
+    help="Longest time; what was not sent by then is not sent.",
 )  # fmt: skip
 @json_option
 def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_json: bool) -> None:

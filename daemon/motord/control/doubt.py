@@ -13,7 +13,8 @@ _CHECK = {
     "stall": "does not turn: check that it is free, its motor's wires, its encoder and the cable",
     "following_error": "does not follow: check the load, the drive's current and speed limits, and"
     " counts_per_turn and gear_ratio of the joint",
-    "runaway": "is faster than it was told: check the drive's settings, the encoder and its wires",
+    "runaway": "is faster than its set-point: check the drive's settings, the encoder and its"
+    " wires",
     "implausible_feedback": "has feedback that cannot be true: check the encoder, its cable, and"
     " counts_per_turn and gear_ratio of the joint",
 }

@@ -28,10 +28,10 @@ LOOK_EVERY_S = 0.2
 _log = logging.getLogger(__name__)
 
 _SAID = {
-    None: "the imu is not heard",
-    "unbiased": "the gyro is heard; its zero is not known before the base has stood still",
+    None: "the imu sends nothing",
+    "unbiased": "the gyro sends samples; its zero is known once the base has stood still",
     "used": "the heading follows the gyro (its zero is at {:.5f} rad/s)",
-    "stale": "the gyro is not heard any more: the heading follows the wheels",
+    "stale": "the gyro sends nothing any more: the heading follows the wheels",
     "reversed": (
         "the gyro turns against the wheels, so it is not used any more: look at up in [imu], and "
         "at inverted and side of the joints"

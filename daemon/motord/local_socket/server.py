@@ -364,7 +364,7 @@ def _request(line: bytes) -> dict[str, Any]:
     if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
         raise RpcError('not a JSON-RPC 2.0 object: "jsonrpc": "2.0" is missing', INVALID_REQUEST)
     if not isinstance(request.get("id"), str | int | None):
-        raise RpcError("id is a whole number or a text", INVALID_REQUEST)
+        raise RpcError("id must be a whole number or a string", INVALID_REQUEST)
     if not isinstance(request.get("method"), str):
         raise RpcError("method is the name of a method", INVALID_REQUEST)
     if not isinstance(request.get("params", {}), dict):

@@ -83,7 +83,7 @@ def wishes_of(parameters: Mapping[str, Any]) -> Wishes:
     for name, value in parameters.items():
         if name in _TEXTS:
             if not isinstance(value, str):
-                raise ValueError(f"parameter {name}: a text, not {value!r}")
+                raise ValueError(f"parameter {name}: must be a string, not {value!r}")
             if value:  # a launch file cannot leave one out
                 found[name] = value
         elif name == "stamped":

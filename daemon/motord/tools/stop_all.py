@@ -37,7 +37,7 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     except ClientError:
         pass
     else:
-        raise DaemonRuns(f"the daemon of {name} runs ({socket}): motord estop tells it")
+        raise DaemonRuns(f"the daemon of {name} runs ({socket}): use motord estop")
     specs = line_specs(robot, profiles_of(robot))
     # exceptions come back as values, of whatever kind: one that nobody foresaw on one line must not
     # leave the motors of the other lines running
@@ -54,7 +54,7 @@ async def _problems(spec: LineSpec, within_s: float) -> list[str]:
     except HalError as error:  # before TimeoutError: NoReply is both
         return [str(error)]
     except TimeoutError:
-        return [f"{spec.name}: not all was said within {within_s:g} s"]
+        return [f"{spec.name}: not everything was sent within {within_s:g} s"]
 
 
 def _halted(spec: LineSpec, said: list[str] | BaseException) -> Halted:

@@ -28,7 +28,7 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
         _check_frame(table, frame, problems)
     for one, other in combinations(table.frames_from(Sender.DRIVE), 2):
         if one.base == other.base and _same_beginning(one, other):
-            problems.add(f"frame.{other.name}.id", f"cannot be told from frame {one.name}")
+            problems.add(f"frame.{other.name}.id", f"cannot be distinguished from frame {one.name}")
     for signal in profile.registers.values():
         if isinstance(signal, Signal) and signal.frame:
             _check_signal(table.frames[signal.frame], signal, problems)
@@ -146,7 +146,7 @@ def _check_presence(profile: DriveProfile, table: CanTable, problems: Problems) 
     """What the wheel is judged by must come by itself or on demand, and be missed when it does
     not."""
     if not any(frame.silence_s for frame in table.frames.values()):
-        problems.add("frame", "no frame has a silence_s: nothing tells that the drive is there")
+        problems.add("frame", "no frame has a silence_s: nothing shows that the drive is there")
     wanted = [profile.enabled.register] if profile.enabled else []
     for channel in profile.channels.values():
         wanted += [name for name in (channel.position, channel.velocity, channel.fault) if name]

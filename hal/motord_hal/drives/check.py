@@ -48,7 +48,7 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
         _check_steps(profile, name, getattr(profile, name), problems)
     for name in ("disarm", "quick_stop"):
         if not getattr(profile, name):
-            problems.add(f"steps.{name}", "must have a step: every drive can at least be told zero")
+            problems.add(f"steps.{name}", "must have a step: every drive can at least be sent zero")
     _check_enabled(profile, problems)
     _check_watchdog(profile, problems)
     _check_faults(profile, problems)
@@ -321,7 +321,7 @@ def _check_watchdog(profile: DriveProfile, problems: Problems) -> None:
         raw = register.from_si(seconds)
         low, high = register.raw_range
         if not low <= raw <= high or raw == 0 or abs(register.to_si(raw) - seconds) > seconds / 2:
-            problems.add(f"watchdog.{name}", f"{seconds:g} s cannot be said with {register.name}")
+            problems.add(f"watchdog.{name}", f"{seconds:g} s cannot be written to {register.name}")
 
 
 def _check_faults(profile: DriveProfile, problems: Problems) -> None:

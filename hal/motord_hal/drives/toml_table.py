@@ -96,11 +96,11 @@ class Table:
             return default or ""
         choices = list(choices)
         if not isinstance(value, str) or (not value.strip() and "" not in choices):
-            self.complain(key, f"{value!r} must be a text that is not empty")
+            self.complain(key, f"{value!r} must be a string that is not empty")
             return default or ""
         if choices and value not in choices:
             allowed = ", ".join(f'"{choice}"' for choice in choices)
-            self.complain(key, f'"{value}" is none of {allowed}{did_you_mean(value, choices)}')
+            self.complain(key, f'"{value}" is not one of {allowed}{did_you_mean(value, choices)}')
             return default or ""
         return value
 
@@ -140,7 +140,7 @@ class Table:
         """One of some whole numbers."""
         value = self.integer(key, min(choices), max(choices), default)
         if value not in choices:
-            self.complain(key, f"{value} is none of {', '.join(map(str, choices))}")
+            self.complain(key, f"{value} is not one of {', '.join(map(str, choices))}")
             return choices[0]
         return value
 

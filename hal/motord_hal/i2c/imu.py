@@ -158,7 +158,9 @@ class ImuChip:
         self._equal = self._equal + 1 if data == self._before else 0
         self._before = data
         if self._equal >= STUCK_SAMPLES:
-            raise BadReply(f"the sensor has said the same {STUCK_SAMPLES} times: it stands still")
+            raise BadReply(
+                f"the sensor has sent the same sample {STUCK_SAMPLES} times: it stands still"
+            )
         counts = family.row.unpack(data)
         gyro = counts[family.gyro_at : family.gyro_at + 3]
         acceleration = counts[family.acceleration_at : family.acceleration_at + 3]

@@ -44,7 +44,7 @@ class _Halt:
         if off or not self._dialect.answers:
             return []
         names = ", ".join(joint.name for joint in self._plan.joints)
-        what = "has said nothing" if self._said is None else "has not said that it is off"
+        what = "has sent nothing" if self._said is None else "has not reported that it is off"
         return [f"the board of {names} {what}"]
 
     async def _say(

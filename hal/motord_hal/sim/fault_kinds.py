@@ -82,13 +82,14 @@ KINDS = MappingProxyType(
             ms=_ms(2.0),
         ),
         "slow-flash": _reply(
-            "after the write of a setting the unit is deaf, or with busy=1 answers exception 6",
+            "after the write of a setting the unit receives nothing; with busy=1 it answers with"
+            " exception 6",
             ms=_ms(100.0),
             busy=Key(0, 1, whole=True, default=0),
         ),
         "unheard": _reply("CAN: a frame to the drive is lost"),
         "segments": _reply("TCP: the reply comes in pieces, so far apart", ms=_ms(5.0)),
-        "silence": _state("the unit hears nothing", unit=_UNIT, for_s=_FOR_S),
+        "silence": _state("the unit receives nothing", unit=_UNIT, for_s=_FOR_S),
         "turnaround": _state(
             "the unit takes so long to answer, and evenly spread up to so much longer",
             unit=_UNIT,
@@ -110,7 +111,7 @@ KINDS = MappingProxyType(
         ),
         "wrong-parity": _state("the unit is set to another parity: noise both ways", unit=_UNIT),
         "slip": _state(
-            "this part of the way of one side's wheels (0 left, 1 right) is none on the ground",
+            "this share of the travel of one side's wheels (0 left, 1 right) is slip",
             side=Key(0, 1, whole=True, needed=True),
             part=Key(0.0, 1.0, default=0.5),
         ),

@@ -105,6 +105,9 @@ class Calibration:
         else:
             factor = self._done_u() / self._asked.true_u
         if not FACTOR_MIN <= factor <= FACTOR_MAX:
-            why = f"a factor of {factor:.3g} is no error of measure: was it the way that was said?"
+            why = (
+                f"a factor of {factor:.3g} is too large for an error of measure:"
+                " was it the distance that was given?"
+            )
             return Found(End.ABORTED, why=why)
         return Found(End.SUCCEEDED, factor)

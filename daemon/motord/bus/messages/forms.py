@@ -168,12 +168,12 @@ def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Ca
     if not places:
         return _compiled(described, f"{prologue}return pack({', '.join(head.arguments)})", known)
     known["words"] = _Words(found[begin:end], found[end:], head.end)
-    said = [item.source for item in found[begin:end] if not isinstance(item, Constant)]
+    values = [item.source for item in found[begin:end] if not isinstance(item, Constant)]
     rest = [item.source for item in found[end:] if isinstance(item, Fixed)]
     return _compiled(
         described,
-        f"{prologue}said = ({', '.join(said)},)\n"
-        "  laid_out, pack_rest = words.kept if said == words.values else words.lay_out(said)\n"
+        f"{prologue}values = ({', '.join(values)},)\n"
+        "  laid_out, pack_rest = words.kept if values == words.values else words.lay_out(values)\n"
         f"  return pack({', '.join(head.arguments)}) + laid_out + pack_rest({', '.join(rest)})",
         known,
     )

@@ -250,7 +250,7 @@ def _imu_diagnostic(found: ImuSnapshot, body: Body) -> DiagnosticStatus:
 
 def _joint_level(joint: JointSnapshot) -> tuple[Level, str]:
     if joint.stale:
-        return Level.STALE, "not heard"
+        return Level.STALE, "no feedback"
     if joint.drive_faults:
         return Level.ERROR, f"the drive reports fault 0x{joint.drive_faults:x}"
     return Level.OK, "ok"

@@ -116,7 +116,7 @@ class Service:
                 while name not in self._hearing():  # noqa: ASYNC110  DDS has no event for it
                     await asyncio.sleep(_MATCHED_EVERY_S)
         except TimeoutError:
-            self._voice.say(f"service {self._name}: the client does not hear replies")
+            self._voice.say(f"service {self._name}: the client receives no replies")
 
     def _client_id(self, handle: int) -> bytes | None:
         try:

@@ -114,7 +114,7 @@ class RosbridgeClient:
 
     async def _publish(self, topic: str, message: object) -> None:
         if self._gate is None:
-            await self._say("error", "this server only tells: nothing can be published here")
+            await self._say("error", "this server only publishes: it takes no messages")
         else:
             try:
                 self._gate.take(topic, message)
@@ -159,7 +159,7 @@ class RosbridgeClient:
         if service == "rosapi/services":
             return {"services": list(self._services())}
         if self._gate is None:
-            raise NotTaken("this server only tells: no service of it moves the robot")
+            raise NotTaken("this server only publishes: none of its services moves the robot")
         if service not in TRIGGERS:
             raise NotTaken(f"no service {short(service)}; there are: {', '.join(self._services())}")
         try:

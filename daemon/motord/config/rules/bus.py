@@ -92,7 +92,7 @@ def _mqtt_credentials(robot: Robot) -> Iterator[Finding]:
         if section.password_file is not None and section.username is None:
             yield Finding(((*path, "password_file"),), "a password without username")
         if section.password_file is not None and not section.tls and section.host not in LOOPBACK:
-            text = f"{section.host} would be told the password without tls = true"
+            text = f"{section.host} would get the password unencrypted: set tls = true"
             yield Finding(((*path, "password_file"), (*path, "tls")), text)
         yield from _pair(path, section)
         for key in ("ca_file", "cert_file"):

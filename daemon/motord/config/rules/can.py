@@ -115,7 +115,7 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         own = joint.counts_per_turn
         if position is None or position.unit != "turn" or own in (None, profile.counts_per_turn):
             continue
-        text = f'is not used: drive "{joint.drive}" tells its position in turns'
+        text = f'is not used: drive "{joint.drive}" reports its position in turns'
         yield Finding((("joint", name, "counts_per_turn"), ("joint", name, "drive")), text)
 
 

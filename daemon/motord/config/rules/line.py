@@ -139,7 +139,7 @@ def _counts(robot: Robot, joints: tuple[str, ...], received: tuple[str, ...]) ->
         )
         sent, given = joint + COUNT in received, robot.joint[joint].counts_per_turn
         if sent and not given:
-            yield Finding(at, "is missing: the board tells a count")
+            yield Finding(at, "is missing: the board reports a count")
         elif not sent and given:
             text = f"is not used: the line's feedback has no {{{joint}{COUNT}}}"
             yield Finding(at, f"{text}; add it there, or leave this key out")

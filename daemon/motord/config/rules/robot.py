@@ -74,7 +74,7 @@ def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
 
 def _slip_factor(robot: Robot) -> Iterator[Finding]:
     if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
-        text = "a skid base without track_slip_factor turns less than it is told (1.5 is usual)"
+        text = "a skid base without track_slip_factor turns less than commanded (1.5 is usual)"
         yield Finding((("base", "track_slip_factor"),), text, warning=True)
 
 

@@ -164,15 +164,15 @@ def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:
 class Safety(Section):
     """When to stop, and how."""
 
-    command_timeout_s: float = number("a command older than this is none", 0.02, 5, "s", 0.3)
+    command_timeout_s: float = number("an older command is ignored", 0.02, 5, "s", 0.3)
     feedback_timeout_s: float = number(
-        "a wheel that has not been heard for so long is a fault", 0.005, 5, "s", 0.25
+        "no feedback of a wheel for so long is a fault", 0.005, 5, "s", 0.25
     )
     heartbeat_timeout_s: float = number(
         "the loop stops the robot when the daemon has hung for so long", 0.05, 5, "s", 0.5
     )
     drive_watchdog_s: float = number(
-        "the drives stop by themselves when they have heard nothing for so long",
+        "the drives stop by themselves when they have received nothing for so long",
         0.01,
         10,
         "s",

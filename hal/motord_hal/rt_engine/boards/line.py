@@ -127,7 +127,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._check_open()
         raw = None if drive.state is DriveState.UNRESPONSIVE else drive.jobs.value(register)
         if raw is None:
-            raise NoReply(f"{drive} has not said its {register}")
+            raise NoReply(f"{drive} has not reported its {register}")
         return found.to_si(raw)
 
 

@@ -22,6 +22,8 @@ def other_type_said(topic: str, side: Side, ours: str, theirs: str) -> str | Non
     if theirs == dds_type(ours):
         return None
     kind = theirs.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
-    received = "is not heard: we want" if side == "writer" else "hears nothing: we write"
+    lost = (
+        "is not received: motord wants" if side == "writer" else "receives nothing: motord writes"
+    )
     cure = CURES.get((ours, kind))
-    return f"{topic}: a {side} of {kind} {received} {ours}" + (f" ({cure})" if cure else "")
+    return f"{topic}: a {side} of {kind} {lost} {ours}" + (f" ({cure})" if cure else "")
