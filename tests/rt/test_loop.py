@@ -91,6 +91,27 @@ def test_it_starts_again_disarmed_and_forgets_what_it_was_sent():
     assert fds() == before
 
 
+def test_a_loop_that_starts_again_does_not_arm_by_the_wishes_of_its_last_run():
+    loop = rt.Loop(core_config(), settings())
+    loop.start()
+    try:
+        loop.put_control(rt.Control(armed=True, stop=True, machine_state=5, limits=LIMITS))
+        until(lambda: loop.read_state().machine_state == 5)
+    finally:
+        loop.stop()
+    loop.start()
+    try:
+        hear_wheels()
+        lease_of(loop).send(0.0, 0.0)
+        loop.beat()
+        until(lambda: not set(loop.read_state().reasons) & {"command_stale"})
+        seen = loop.read_state()
+        assert (seen.machine_state, seen.armed) == (0, False)
+        assert "stop_requested" not in seen.reasons
+    finally:
+        loop.stop()
+
+
 def test_a_second_loop_in_the_process_is_refused_and_the_first_runs_on(loop):
     with pytest.raises(RuntimeError, match="already"):
         rt.Loop(core_config(), settings()).start()

@@ -205,7 +205,8 @@ class Loop:
             _raise_for(code, "loop_start")
             self._event_fd, self._command_end = event_fd, command_end
             self._release = unless_started.pop_all()
-        self._buffers.control[0] = {"limits": self._limits}
+        # whole: cffi leaves the fields that a dictionary does not name as they were, armed too
+        self._buffers.control[0] = ffi.new("core_control *", {"limits": self._limits})[0]
         self.beat()
 
     def _loop_config(self, page_fd: int, journal_fd: int, event_fd: int, command_fd: int) -> Any:
