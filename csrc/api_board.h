@@ -132,7 +132,7 @@ typedef struct {
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
-    uint32_t said_bytes;     /* of said[]; 0: it has not spoken since it was unresponsive, or ever */
+    uint32_t said_bytes;     /* of said[]; 0: nothing since it was unresponsive, or ever */
     uint32_t stop_waits;     /* the port has not taken its newest stop */
     uint32_t reserved;
     uint64_t cycles;
@@ -145,7 +145,7 @@ typedef struct {
     int64_t cycle_ns;                /* smoothed time between two cycles */
     int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
     int64_t received_ns;             /* its newest word came */
-    int64_t knows_ns;                /* when it said it, it had heard what was sent then; TEXT cannot say: received_ns */
+    int64_t knows_ns;                /* when what it had received by then was sent; TEXT has no such number: received_ns */
     int64_t written_ns;              /* what stays in its payload was changed last */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     uint8_t said[BOARD_PAYLOAD_MAX]; /* the newest */

@@ -158,11 +158,11 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;      /* 1, 0, 2: it has not said */
-    uint32_t stopping;     /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t enabled;      /* 1, 0, 2: not reported yet */
+    uint32_t stopping;     /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;  /* its newest set-points are not zero */
     uint32_t missing;      /* 1 + number of the input that is not there; 0: none */
-    uint32_t stops;        /* how often it was told to stop, by C or by a request */
+    uint32_t stops;        /* how often it was stopped, by C or by a request */
     uint64_t cycles;       /* feedback that was made of it */
     uint64_t received;     /* frames */
     uint64_t unresponsive; /* how often it became UNRESPONSIVE */

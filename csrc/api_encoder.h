@@ -46,7 +46,7 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
                   int64_t stamp_ns);
 /* What a counter says now. */
 void encoder_counter(encoder_state *state, const encoder_config *config, uint64_t raw, int64_t now_ns);
-/* REPORTED: what the board has said. */
+/* REPORTED: what the board has counted. */
 void encoder_reported(encoder_state *state, const encoder_config *config, const encoder_sample *sample);
 /* Of the wheel, since the last call. */
 double encoder_velocity_rad_s(encoder_state *state, const encoder_config *config, int64_t now_ns);

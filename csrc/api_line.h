@@ -184,8 +184,8 @@ typedef struct {
 /* OFF     not set up: nothing cyclic is said to it
  * READY   cyclic, every set-point zero
  * ARMED   cyclic, with the core's set-points while they are fresh and enabled
- * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, told to stop where it may turn
- * BACK    an unresponsive drive has answered, and was told to disarm: as OFF, until Python has set it up */
+ * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, sent a stop where it may turn
+ * BACK    an unresponsive drive has answered, and was sent its power-off: as OFF, until Python has set it up */
 typedef enum {
     DRIVE_OFF = 0,
     DRIVE_READY = 1,

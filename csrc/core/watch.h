@@ -196,8 +196,8 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not do what it
- * is told: no set-point ends that, so the power goes off at once. A wheel that turns in the wrong direction is no better
+/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not obey its
+ * set-point: no other set-point ends that, so the power goes off at once. A wheel that turns in the wrong direction is no better
  * off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
 {

@@ -120,7 +120,7 @@ void motord_board_watch(motord_board *board, uint32_t now_us)
     if (!is_silent(board, now_us)) {
         return;
     }
-    board->has_received = 0;                                                 /* whoever speaks next may begin with any sequence */
+    board->has_received = 0;                                                 /* the next sender may begin with any sequence */
     board->received_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u; /* silent also when the clock has gone round */
     if (board->enabled) {
         board->stopped_by_silence = 1;

@@ -71,7 +71,7 @@ static void the_first_unresponsive_drive_whose_time_has_come_is_asked(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
-    m->drive[3].state.mode = DRIVE_UNRESPONSIVE; /* it is none of the line */
+    m->drive[3].state.mode = DRIVE_UNRESPONSIVE; /* it is not on the line */
     m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
@@ -98,7 +98,7 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
         m->ours_ns = w.now_ns + 3 * MS;
         m->broadcasts = what == 1;
-        m->drive[2].state.stop = STOP_QUICK; /* it is none of the line */
+        m->drive[2].state.stop = STOP_QUICK; /* it is not on the line */
         m->drive[1].state.stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
         m->drive[1].state.mode = what >= 3 ? DRIVE_UNRESPONSIVE : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;

@@ -25,7 +25,7 @@ nobody; here one event loop does, and a busy machine may leave it without a CPU 
 the product allows."""
 REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
 """Of drives here, which share this process: a reply that is later is none, and a drive that was
-not heard for so long is unresponsive."""
+without feedback for so long is unresponsive."""
 BOARDS = ("mcu", "ascii")
 
 

@@ -67,7 +67,7 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
         fast("odom", f"rt{NAMESPACE}/odom") as ear,
         fast("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0),
     ):
-        moved = ear.find(lambda sent: sent["x_m"] > 0.1 and sent["linear_m_s"] > 0.0, "a way")
+        moved = ear.find(lambda sent: sent["x_m"] > 0.1 and sent["linear_m_s"] > 0.0, "a distance")
     assert moved["frames"] == ("r2/odom", "r2/base_link")
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
     settle(stage)

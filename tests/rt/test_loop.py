@@ -91,7 +91,7 @@ def test_it_starts_again_disarmed_and_forgets_what_it_was_sent():
     assert fds() == before
 
 
-def test_a_loop_that_starts_again_does_not_arm_by_the_wishes_of_its_last_run():
+def test_a_loop_that_starts_again_does_not_arm_by_the_control_of_its_last_run():
     loop = rt.Loop(core_config(), settings())
     loop.start()
     try:
@@ -205,7 +205,7 @@ def test_denormal_numbers_are_nothing_to_the_thread():
             hear_wheels(velocity_rad_s=velocity_rad_s)
             return loop.read_state().linear_m_s != 0
 
-        until(lambda: received(1e-3))  # so that what is heard goes into the measured speed
+        until(lambda: received(1e-3))  # so that the feedback goes into the measured speed
         until(lambda: not received(1e-307))  # times 0.1 m: a denormal
         assert loop.read_state().joints[0].velocity_rad_s == 1e-307
 

@@ -75,7 +75,7 @@ def carried_out(base, motion, steps_max=100_000):
 @settings(max_examples=60, deadline=None)
 @given(
     axis=st.sampled_from(["linear", "angular"]),
-    distance_u=st.floats(0.05, 20.0).flatmap(lambda way: st.sampled_from([way, -way])),
+    distance_u=st.floats(0.05, 20.0).flatmap(lambda u: st.sampled_from([u, -u])),
     velocity_u_s=st.floats(0.05, 2.0),
     acceleration_u_s2=st.floats(0.1, 5.0),
     deceleration_u_s2=st.floats(0.1, 5.0),

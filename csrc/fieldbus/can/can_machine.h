@@ -47,7 +47,7 @@ typedef struct {
     int64_t received_ns[CAN_INPUTS_MAX]; /* 0: never */
     int64_t sample_ns[CAN_INPUTS_MAX];   /* of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
-    uint8_t last_sent[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* what each set-point frame said last */
+    uint8_t last_sent[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* newest content of each set-point frame */
     uint64_t cycles;
     uint64_t slow_cycles; /* since it was set up */
     uint64_t received;

@@ -18,7 +18,7 @@ static uint32_t zero_exchanges(const line_drive *table)
     return count;
 }
 
-/* Who may turn and hears us, though we do not hear it, is told to stop: our questions keep its watchdog fed. */
+/* A drive that may turn is sent a stop: it may receive though its answers do not arrive, and reads feed its watchdog. */
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];

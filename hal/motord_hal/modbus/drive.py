@@ -283,7 +283,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     def _probe_requests(self) -> Iterable[Request]:
         """It may hear us though we do not hear it, and then do what it was last told, as long as
-        questions keep its watchdog fed: so one that may turn is told to stop."""
+        questions keep its watchdog fed: so one that may turn is sent a stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
                 if step.value is not None:

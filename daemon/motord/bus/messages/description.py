@@ -65,7 +65,7 @@ def _lines(block: str) -> Iterator[str]:
 
 
 def descriptions(text: str) -> dict[str, Description]:
-    """By topic. Raises ValueError for a line that is none of a description."""
+    """By topic. Raises ValueError for a line that is not one of a description."""
     found = {}
     for block in text.split("=== ")[1:]:
         head, *lines = filter(None, _lines(block))

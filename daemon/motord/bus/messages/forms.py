@@ -160,7 +160,7 @@ def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Ca
     found = items(described, body, names)
     places = [place for place, item in enumerate(found) if isinstance(item, Open)]
     begin, end = (places[0], places[-1] + 1) if places else (len(found), len(found))
-    head = Block(found[:begin], 0, cdr.HEADER)  # type: ignore[arg-type]  # none of them is Open
+    head = Block(_closed(found[:begin]), 0, cdr.HEADER)
     unpacked = "".join(f"joint_{place}, " for place in range(len(names)))
     prologue = f"{unpacked}= joints\n  " if unpacked else ""
     known: dict[str, Any] = {"pack": head.struct(last=not places).pack}
@@ -177,6 +177,11 @@ def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Ca
         f"  return pack({', '.join(head.arguments)}) + laid_out + pack_rest({', '.join(rest)})",
         known,
     )
+
+
+def _closed(found: Sequence[Item]) -> list[Constant | Fixed]:
+    """Those of known sizes."""
+    return [item for item in found if not isinstance(item, Open)]
 
 
 class _Words:
@@ -214,7 +219,7 @@ class _Words:
     def _pack(self, phase: int) -> Callable[..., bytes]:
         """For a rest that begins at that place, modulo 8."""
         if phase not in self._packs:
-            block = Block(self._rest, phase)  # type: ignore[arg-type]  # none of them is Open
+            block = Block(_closed(self._rest), phase)
             pack = block.struct(last=True).pack
             taken, arguments = [], []
             for place, argument in enumerate(block.arguments):

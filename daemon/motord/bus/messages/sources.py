@@ -230,8 +230,8 @@ def _joint_diagnostics(snapshot: Snapshot, body: Body) -> Iterator[DiagnosticSta
             "temperature_c": _word(joint.temperature_c),
             "jumps": str(joint.jumps),
         }
-        said = f"{body.robot}: joint {name}"
-        yield DiagnosticStatus(level, said, message, f"{body.robot}/{name}", _pairs(values))
+        title = f"{body.robot}: joint {name}"
+        yield DiagnosticStatus(level, title, message, f"{body.robot}/{name}", _pairs(values))
 
 
 _IMU_LEVELS = {"used": Level.OK, "unbiased": Level.WARN, "stale": Level.STALE}

@@ -33,7 +33,7 @@ class View:
         return tuple((self.status or {}).get("why", ())) if self.snapshot.faults else ()
 
     def loop(self) -> Mapping[str, Any] | None:
-        """Statistics of the real-time loop. None: the daemon has not said yet."""
+        """Statistics of the real-time loop. None: no answer of the daemon yet."""
         return None if self.status is None else self.status["loop"]
 
     def commander(self) -> Commander | None:
@@ -54,7 +54,7 @@ class Topic:
 
 
 TOPICS = MappingProxyType(
-    {name: Topic(name=name, type_name=said.type_name) for name, said in DESCRIPTIONS.items()}
+    {name: Topic(name=name, type_name=one.type_name) for name, one in DESCRIPTIONS.items()}
 )
 """By name."""
 
