@@ -66,13 +66,13 @@ def test_a_payload_that_is_too_long_makes_no_frame():
 
 
 # ------------------------------------------------------------------------------------------- text
-def spec_of(said, received="", drive="ascii-velocity"):
+def spec_of(setpoints, received="", drive="ascii-velocity"):
     profile = find_profile(drive)
     joints = (
         JointSpec(index=0, name="left", profile=profile, unit=1, channel=1, gear_ratio=3.0),
         JointSpec(index=1, name="right", profile=profile, unit=1, channel=2, inverted=True),
     )
-    text = TextSpec(setpoints=said, feedback=received, scale=2.5, wheels=WHEELS, track_m=0.5)
+    text = TextSpec(setpoints=setpoints, feedback=received, scale=2.5, wheels=WHEELS, track_m=0.5)
     return LineSpec(
         index=0, name="board", kind="ascii", port="/nowhere", baudrate=115200, parity="none",
         stop_bits=1, cycle_hz=50.0, gap_s=None, engine="rt", joints=joints, text=text,

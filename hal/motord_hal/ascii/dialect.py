@@ -33,8 +33,8 @@ def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
     """Raises ValueError for a template that does not say everything."""
-    said = set(text.fields)
-    if said not in (set(joints), {LINEAR, ANGULAR}):
+    sent = set(text.fields)
+    if sent not in (set(joints), {LINEAR, ANGULAR}):
         raise ValueError(f"it must say {', '.join(joints)}, or v and w, and nothing else")
 
 
@@ -44,18 +44,18 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
     if spec.text is None:
         raise ProfileError(f"{spec.name}: no template")
     try:
-        said = Text(spec.text.setpoints, setpoint_fields(names))
-        check_setpoints(said, names)
+        sent = Text(spec.text.setpoints, setpoint_fields(names))
+        check_setpoints(sent, names)
         received = Text(spec.text.feedback, feedback_fields(names)) if spec.text.feedback else None
     except ValueError as error:
         raise ProfileError(f"{spec.name}: {error}") from error
-    return spec.text, said, received
+    return spec.text, sent, received
 
 
-def why_not_possible(said: Text, received: Text | None) -> str:
+def why_not_possible(sent: Text, received: Text | None) -> str:
     """What of the templates cannot be written or read, and what to write instead; empty:
     nothing."""
-    for _, name, form in said.parts:
+    for _, name, form in sent.parts:
         if name is not None and form[-1] not in "dfg":
             return (
                 f'the format "{form}" of {{{name}}} has no letter d, f or g: write {{{name}:d}}, '
@@ -74,7 +74,7 @@ class TextDialect:
     def __init__(self, spec: LineSpec) -> None:
         self.bad = 0
         self._spec_of_line = spec
-        self._spec, self._said, self._received = texts_of(spec)
+        self._spec, self._sent, self._received = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
         if self._profile.protocol != "ascii":
@@ -88,10 +88,10 @@ class TextDialect:
     def setpoints(self, raw: Mapping[str, int], now_ns: int) -> bytes:
         del now_ns
         motors = {joint.name: self._setpoint(joint, raw) for joint in self._joints}
-        if set(self._said.fields) == {LINEAR, ANGULAR}:
+        if set(self._sent.fields) == {LINEAR, ANGULAR}:
             wheels = {j.name: motors[j.name] * _sign(j) / j.gear_ratio for j in self._joints}
-            return self._said.say(twist_of(self._spec, wheels))
-        return self._said.say({name: value * self._spec.scale for name, value in motors.items()})
+            return self._sent.say(twist_of(self._spec, wheels))
+        return self._sent.say({name: value * self._spec.scale for name, value in motors.items()})
 
     def _setpoint(self, joint: JointSpec, raw: Mapping[str, int]) -> float:
         channel = self._profile.channels[joint.channel]
@@ -133,8 +133,8 @@ def _imu(numbers: Mapping[str, float]) -> BoardImu | None:
 
 def text_bytes(spec: LineSpec) -> int:
     """Of the longer of both lines of text, with numbers of a usual size."""
-    _, said, received = texts_of(spec)
-    size = len(said.say(dict.fromkeys(said.fields, -999.0)))
+    _, sent, received = texts_of(spec)
+    size = len(sent.say(dict.fromkeys(sent.fields, -999.0)))
     if received is None:
         return size
     return max(size, len(received.say(dict.fromkeys(received.fields, -99999.0))))

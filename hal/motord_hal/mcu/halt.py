@@ -26,11 +26,11 @@ class _Halt:
         self._plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
         self._stream = Stream(spec, self._take_in)
         self._period_s = period_s(spec, dialect.wire_bytes())
-        self._said: Said | None = None
+        self._newest: Said | None = None
 
     def _take_in(self, data: bytes) -> None:
-        for said in self._dialect.feed(data, now_ns()):
-            self._said = said
+        for newest in self._dialect.feed(data, now_ns()):
+            self._newest = newest
 
     async def run(self) -> list[str]:
         profile = self._plan.profile
@@ -44,7 +44,7 @@ class _Halt:
         if off or not self._dialect.answers:
             return []
         names = ", ".join(joint.name for joint in self._plan.joints)
-        what = "has sent nothing" if self._said is None else "has not reported that it is off"
+        what = "has sent nothing" if self._newest is None else "has not reported that it is off"
         return [f"the board of {names} {what}"]
 
     async def _say(
@@ -64,20 +64,20 @@ class _Halt:
         return {**raw, **self._plan.setpoints({})}
 
     def _rests(self, since_ns: int) -> bool:
-        said = self._received_since(since_ns)
-        if said is None:
+        newest = self._received_since(since_ns)
+        if newest is None:
             return False
-        readings = [self._plan.reading(joint, said.values, {}) for joint in self._plan.joints]
+        readings = [self._plan.reading(joint, newest.values, {}) for joint in self._plan.joints]
         rest_rad_s = self._rest_velocity_rad_s
         return all(abs(reading.velocity_rad_s) < rest_rad_s for reading in readings)
 
     def _is_off(self, since_ns: int) -> bool:
-        said = self._received_since(since_ns)
-        return said is not None and self._plan.enabled(said.values) is not True
+        newest = self._received_since(since_ns)
+        return newest is not None and self._plan.enabled(newest.values) is not True
 
     def _received_since(self, since_ns: int) -> Said | None:
-        said = self._said
-        return said if said is not None and said.received_ns >= since_ns else None
+        newest = self._newest
+        return newest if newest is not None and newest.received_ns >= since_ns else None
 
 
 async def halt_board(spec: LineSpec, dialect: Dialect) -> list[str]:

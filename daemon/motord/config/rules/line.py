@@ -116,8 +116,8 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             yield from _text_formats(name, text, received)
 
 
-def _text_formats(name: str, said: Text, received: Text | None) -> Iterator[Finding]:
-    if why := why_not_possible(said, received):
+def _text_formats(name: str, sent: Text, received: Text | None) -> Iterator[Finding]:
+    if why := why_not_possible(sent, received):
         yield Finding((("line", name, "template"), ("line", name, "feedback")), why)
 
 

@@ -37,18 +37,18 @@ class Layout:
     """Where registers stand in what the board is told, and in what it says."""
 
     sent: Mapping[str, Plain]
-    said: Mapping[str, Plain]
+    reported: Mapping[str, Plain]
     dialect: Plain
     """What the table needs of the protocol itself."""
     rate_z: Plain | None = None
     """Of an inertial sensor in a text; None: there is none."""
 
-    def raw(self, register: str, said: bytes) -> int | None:
+    def raw(self, register: str, payload: bytes) -> int | None:
         """Its value in a word of the board; None: it is not in it."""
-        place = self.said.get(register)
-        if place is None or len(said) < place["byte"] + place["bytes"]:
+        place = self.reported.get(register)
+        if place is None or len(payload) < place["byte"] + place["bytes"]:
             return None
-        data = said[place["byte"] :][: place["bytes"]]
+        data = payload[place["byte"] :][: place["bytes"]]
         return int.from_bytes(data, "little", signed=bool(place["is_signed"]))
 
 
@@ -64,8 +64,8 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
     registers = plan.profile.registers.values()
     payload = setpoints_payload(registers, {}, max(plan.profile.channels), period_s)
     sent = {one.name: _place(one, one.address) for one in registers if "w" in one.access}
-    said = {one.name: _place(one, one.address) for one in registers if "r" in one.access}
-    ends = [place["byte"] + place["bytes"] for place in said.values()]
+    reported = {one.name: _place(one, one.address) for one in registers if "r" in one.access}
+    ends = [place["byte"] + place["bytes"] for place in reported.values()]
     dialect = {
         "dialect": _FRAMES,
         "answers": 1,
@@ -73,7 +73,7 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
         "said_bytes": max(FEEDBACK_HEAD_BYTES, *ends),
         "payload": list(payload),
     }
-    return Layout(sent, said, dialect)
+    return Layout(sent, reported, dialect)
 
 
 def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
@@ -92,7 +92,7 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
     if received is None:
         return Layout(sent, {}, dialect)
     registers = _fields_of(plan)
-    said = {
+    reported = {
         registers[field].name: board_text.place_of(number)
         for number, field in enumerate(received.fields)
         if field in registers
@@ -103,7 +103,7 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
         "read": board_text.read(received, registers),
     }
     gyro = received.fields.index(GYRO_Z) if GYRO_Z in received.fields else None
-    return Layout(sent, said, dialect, None if gyro is None else board_text.place_of(gyro))
+    return Layout(sent, reported, dialect, None if gyro is None else board_text.place_of(gyro))
 
 
 def _fields_of(plan: DrivePlan) -> dict[str, Register]:
@@ -190,9 +190,9 @@ def _joint_fields(plan: DrivePlan, layout: Layout) -> Iterator[Plain]:
     for joint in plan.joints:
         channel = plan.channel(joint)
         for kind, name in sources_of(plan.profile, channel):
-            if name in layout.said:
+            if name in layout.reported:
                 yield {
-                    "place": layout.said[name],
+                    "place": layout.reported[name],
                     "meaning": {
                         "joint": joint.index,
                         "kind": int(kind),
@@ -215,12 +215,12 @@ def _board_fields(spec: LineSpec, profile: DriveProfile, layout: Layout) -> Iter
     waited = [step for step in configure_steps(profile, spec.watchdog_s) if step.value is None]
     wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in waited]
     if profile.enabled is not None:
-        said = profile.enabled
-        wanted.append((FieldKind.ENABLED, said.register, said.mask, said.equals))
+        enabled = profile.enabled
+        wanted.append((FieldKind.ENABLED, enabled.register, enabled.mask, enabled.equals))
     for kind, name, mask, equals in wanted:
-        if name in layout.said:
+        if name in layout.reported:
             yield {
-                "place": layout.said[name],
+                "place": layout.reported[name],
                 "meaning": {
                     "kind": int(kind),
                     "equals_mask": mask & _U32,

@@ -39,8 +39,8 @@ _FORMAT = re.compile(
 
 def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
     """The text of the set-points, from their raw values in this order."""
-    _, said, received = texts_of(spec)
-    if why := why_not_possible(said, received):
+    _, sent, received = texts_of(spec)
+    if why := why_not_possible(sent, received):
         raise ProfileError(f"{spec.name}: {why}")
     factors = _factors(spec, setpoints)
 
@@ -57,26 +57,26 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
             "number_per_raw": factors[name],
         }
 
-    return _pieces(said, number)
+    return _pieces(sent, number)
 
 
 def _factors(
     spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]
 ) -> dict[str, list[float]]:
     """Field → its number for one raw step of each set-point: all fields are sums of them."""
-    text, said, _ = texts_of(spec)
+    text, sent, _ = texts_of(spec)
     steps = {joint.name: si_per_raw(register) for joint, register in setpoints}
-    if set(said.fields) != {LINEAR, ANGULAR}:
+    if set(sent.fields) != {LINEAR, ANGULAR}:
         return {
             name: [step * text.scale * (name == one) for one, step in steps.items()]
-            for name in said.fields
+            for name in sent.fields
         }
     at_wheel = {
         joint.name: steps[joint.name] * (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
         for joint, _ in setpoints
     }
     alone = [twist_of(text, dict.fromkeys(steps, 0.0) | {n: at_wheel[n]}) for n in steps]
-    return {name: [twist[name] for twist in alone] for name in said.fields}
+    return {name: [twist[name] for twist in alone] for name in sent.fields}
 
 
 def place_of(number: int) -> Plain:

@@ -195,8 +195,8 @@ class RtDrive(abc.ABC):
     def _is_unresponsive(self, why: str) -> None:
         if not self._said_unresponsive:
             self._said_unresponsive = True
-            said = "; ".join(filter(None, (why, self._hint())))
-            self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {said}")
+            cause = "; ".join(filter(None, (why, self._hint())))
+            self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {cause}")
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
