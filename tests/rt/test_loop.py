@@ -83,10 +83,11 @@ def test_it_starts_again_disarmed_and_forgets_what_it_was_sent():
         state = loop.read_state()
         assert not state.armed
         assert state.command_age_s == math.inf
-        lease = arm(loop)
-        lease.send(0.5, 0.0)
-        until(lambda: loop.read_state().setpoint_linear_m_s > 0)
-        loop.stop()
+        try:
+            arm(loop).send(0.5, 0.0)
+            until(lambda: loop.read_state().setpoint_linear_m_s > 0)
+        finally:  # a loop that runs on takes down the tests after it
+            loop.stop()
         loop.stop()
     assert fds() == before
 
