@@ -43,6 +43,15 @@ static void become_unresponsive(void)
     }
 }
 
+static void be_ready_and_become_unresponsive(void)
+{
+    request(0, DRIVE_READY);
+    for (uint32_t i = 0; i < 20; i++) {
+        go_on();
+    }
+    become_unresponsive();
+}
+
 static void become_unresponsive_while_it_may_turn(void)
 {
     arm(0);
@@ -92,11 +101,7 @@ static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_second
 static void one_that_does_not_turn_is_only_asked(void)
 {
     begin_with(1, 0);
-    request(0, DRIVE_READY);
-    for (uint32_t i = 0; i < 20; i++) {
-        go_on();
-    }
-    become_unresponsive();
+    be_ready_and_become_unresponsive();
     look_for(5000 * MS);
     CHECK(sent_count >= 4);
     for (uint32_t i = 0; i < sent_count; i++) {
@@ -112,11 +117,7 @@ static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_th
         w.table.drive[0].extra_count = extras;
         w.table.drive[0].extra[0].frame = frame_of(1, READ, EXTRA, 1);
         restart();
-        request(0, DRIVE_READY);
-        for (uint32_t i = 0; i < 20; i++) {
-            go_on();
-        }
-        become_unresponsive();
+        be_ready_and_become_unresponsive();
         look_for(1000 * MS);
         CHECK(sent_count >= 3);
         for (uint32_t i = 0; i < sent_count; i++) {
@@ -130,11 +131,7 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
     begin_with(1, 0);
     w.table.drive[0].probe = 1;
     restart();
-    request(0, DRIVE_READY);
-    for (uint32_t i = 0; i < 20; i++) {
-        go_on();
-    }
-    become_unresponsive();
+    be_ready_and_become_unresponsive();
     look_for(1000 * MS);
     CHECK(sent_count >= 3 && is_zero(&sent[0]) && is_zero(&sent[1]) && is_zero(&sent[2]));
 }
