@@ -119,7 +119,7 @@ def show(result: Result) -> None:
         "odometry",
         f"{odometry['position_error_m'] * 1000:.1f} mm and "
         f"{odometry['heading_error_rad']:.4f} rad from the truth: "
-        f"{odometry['drift_percent']:.3f} % of the way{limit if odometry['judged'] else ''}",
+        f"{odometry['drift_percent']:.3f} % of the distance{limit if odometry['judged'] else ''}",
     )
     row("", report["worth"])
     if result.chip_imu:

@@ -198,8 +198,8 @@ class Safety(Section):
 class Odometry(Section):
     """Error model of the odometry: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4.
 
-    The defaults are what a base does that nobody has calibrated, about 1 % of the way and 3 % of
-    the turn (Borenstein & Feng, Measurement and Correction of Systematic Odometry Errors in Mobile
+    The defaults are what an uncalibrated base does, about 1 % of the distance and 3 % of the turn
+    (Borenstein & Feng, Measurement and Correction of Systematic Odometry Errors in Mobile
     Robots, IEEE Transactions on Robotics and Automation 12(6), 1996); the floors are a millimetre,
     a milliradian, 1 cm/s and 1 crad/s.
     """
