@@ -172,3 +172,20 @@ def test_the_demonstration_ends_well_and_prints_what_the_contract_says(tmp_path)
     line = result["lines"]["rs485"]
     assert line.keys() >= {"exchanges", "errors", "cycle_hz", "wire_limit_hz", "round_trip_us"}
     assert line["round_trip_us"].keys() >= {"p50", "p99", "max"}
+
+
+def test_a_stop_that_was_answered_does_not_come_again_with_its_datagram(tmp_path):
+    """Each is sent twice: to the loop, which looks once a tick, and to asyncio."""
+    with running(tmp_path, "loop.rate_hz=20") as stage:
+        stage.wait_for("idle")
+        for _ in range(5):
+            assert stage.robot.estop() == "estop"
+            assert stage.robot.disarm() == "estop"
+            assert stage.robot.reset() == "idle"
+            assert stage.robot.arm() == "armed"
+            assert stage.robot.stop() == "armed"
+            assert stage.robot.disarm() == "idle"
+            assert stage.robot.arm() == "armed"
+            tick = stage.robot.status()["loop"]["ticks"]
+            wait_until(lambda tick=tick: stage.robot.status()["loop"]["ticks"] > tick + 3, "ticks")
+            assert stage.state() == "armed"

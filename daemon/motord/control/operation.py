@@ -385,8 +385,8 @@ class Operation:
     def on_line_event(self, event: LineEvent) -> None:
         """Said once by the line, so once in the log; a loss while under power is a fault."""
         level = logging.WARNING if event.kind in _WORRYING else logging.INFO
-        said_of = about(line=event.line, joints=event.joints, event=event.kind)
-        _log.log(level, "%s", event.text, extra=said_of)
+        details = about(line=event.line, joints=event.joints, event=event.kind)
+        _log.log(level, "%s", event.text, extra=details)
         self.waiting.note(event)
         if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_UNRESPONSIVE):
             self.fault(event.text)

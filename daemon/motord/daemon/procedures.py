@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator
 from motord.control.machine import Event, State
 from motord.control.operation import Operation
 from motord.local_socket.server import Refused
-from motord_hal.base.clock import within
+from motord_hal.base.clock import now_ns, within
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import Line
 
@@ -62,6 +62,9 @@ async def disarm(operation: Operation) -> State:
     """Down the ramp, then the power off. Raises Refused where a drive did not say that it is."""
     async with operation.busy:
         problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
+        await _take_in_datagram(operation)
+        if not problems:
+            operation.acknowledge_disarm(operation.stop_requests)
     if problems:
         raise Refused(f"the robot is {operation.state}, but {'; '.join(problems)}")
     return operation.state
@@ -71,18 +74,21 @@ async def disarm_on_request(operation: Operation) -> None:
     """Until cancelled: the loop has received requests to disarm; take the power off for each."""
     while True:
         await operation.disarm_requested.wait()
-        requests = operation.stop_requests
-        try:
-            await disarm(operation)
-        except Refused as error:
-            _log.warning("disarm: %s", error)
-        operation.acknowledge_disarm(requests)
+        async with operation.busy:
+            requests = operation.stop_requests
+            if not operation.disarm_requested.is_set():
+                continue  # the disarm that was under way has done it
+            problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
+            operation.acknowledge_disarm(requests)
+        if problems:
+            _log.warning("disarm: the robot is %s, but %s", operation.state, "; ".join(problems))
 
 
 async def stop(operation: Operation) -> State:
     """To rest, and armed still. Returns when it rests."""
     operation.take(Event.STOP)
     deadline_s = ramp_s(operation, RAMP_MAX_S)
+    await _take_in_datagram(operation)
     if not await operation.until(lambda: operation.state is not State.STOPPING, deadline_s):
         raise Refused(f"not yet at rest after {deadline_s:.1f} s: motord disarm, or motord estop")
     return operation.state
@@ -93,7 +99,16 @@ async def estop(operation: Operation, pid: int, why: str) -> State:
     operation.estop(pid, why)
     if not await operation.until(lambda: "estop" in operation.snapshot.faults, CORE_WITHIN_S):
         raise Refused("the loop has not confirmed the emergency stop: cut the power by hand")
+    await _take_in_datagram(operation)
     return operation.state
+
+
+async def _take_in_datagram(operation: Operation) -> None:
+    """Clients send a stop to the loop first (motord.api.stop_request), then to asyncio. The loop
+    reads it in its next tick: once that is taken in, it does not come again after the answer."""
+    asked_ns = now_ns()
+    await operation.until(lambda: operation.snapshot.stamp_ns > asked_ns, CORE_WITHIN_S)
+    operation.look()
 
 
 async def reset(operation: Operation) -> State:

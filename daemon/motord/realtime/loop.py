@@ -278,7 +278,7 @@ class Loop:
         return LoopLease(self, priority, lifetime_s)
 
     def put_control(self, control: Control) -> None:
-        """The daemon's wishes, and a heartbeat with them."""
+        """The daemon's control levels, and a heartbeat with them."""
         raw = self._buffers.control
         raw.armed = control.armed
         raw.stop = control.stop
@@ -291,7 +291,7 @@ class Loop:
         self.beat()
 
     def beat(self) -> None:
-        """A heartbeat of asyncio, with the wishes of before. From a task, never from a thread."""
+        """A heartbeat of asyncio, with the levels of before. From a task, never from a thread."""
         raw = self._buffers.control
         raw.heartbeat_ns = lib.clock_now_ns()
         lib.exchange_put_control(self._exchange, raw)
@@ -392,7 +392,7 @@ class LoopLease:
         loop.grant([self._grant])
 
     def send(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> None:
-        """A wish of now, or of `stamp_ns`."""
+        """A command of now, or of `stamp_ns`."""
         self._sequence += 1
         stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
         token = self._grant.token
