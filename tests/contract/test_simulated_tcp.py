@@ -11,8 +11,9 @@ import pytest
 from gateway_rig import served
 from pymodbus.client import ModbusTcpClient
 from pymodbus.framer import FramerType
-from sim_bench import ARRIVAL_DEADLINE_S
+from sim_bench import ARRIVAL_DEADLINE_S, rig_of
 
+from motord_hal.drives.load import find_profile
 from motord_hal.modbus.codec import (
     Function,
     Request,
@@ -20,7 +21,8 @@ from motord_hal.modbus.codec import (
     build_reply,
     build_request,
 )
-from motord_hal.sim.rs485.gateway import TARGET_SILENT
+from motord_hal.sim.rig import PortSpec
+from motord_hal.sim.rs485.gateway import REPLY_TIMEOUT_S, TARGET_SILENT
 
 POSITIONS = Request(1, Function.READ_HOLDING, 0x20A7, 4)
 FRAME = build_request(POSITIONS)
@@ -99,6 +101,21 @@ def test_a_broadcast_through_a_gateway_is_obeyed_and_not_answered(tmp_path):
         connection.sendall(mbap(to_all, 1))
         back = Request(1, Function.READ_HOLDING, TARGET_VELOCITY, 1)
         assert ask(connection, build_request(back), 2) == (2, build_reply(back, (5,))[:-2])
+
+
+def test_a_simulator_that_was_held_up_does_not_say_that_a_drive_was(tmp_path):
+    ports = {"bus": PortSpec(raw=False)}
+    with rig_of(find_profile("zlac8015d"), tmp_path, ports=ports) as rig:
+        host, _, port = rig.ports()["bus"].rpartition(":")
+        with dial((host, int(port))) as connection:
+            connection.sendall(mbap(FRAME, 1))
+            now_s = 0.0
+            while rig.lines["bus"].counters.frames == 0:
+                now_s += 0.0001
+                rig.work(now_s)
+            for _ in range(3):
+                rig.work(now_s + 10 * REPLY_TIMEOUT_S)
+            assert next_adu(connection) == (1, REPLY[:-2])
 
 
 @pytest.mark.parametrize("head", [b"\0\1\0\5\0\6", b"\0\1\0\0\0\1", b"\0\1\0\0\xff\xff"])

@@ -27,7 +27,7 @@ _LENGTH_MAX = 254
 
 
 @dataclass(slots=True, eq=False)
-class _Ask:
+class _Request:
     client: Client
     transaction: int
     frame: bytes
@@ -43,10 +43,12 @@ class GatewayPort(TcpPort):
         self._rest()
 
     def _rest(self) -> None:
-        self._asks: deque[_Ask] = deque()
-        self._asking: _Ask | None = None
+        self._requests: deque[_Request] = deque()
+        self._under_way: _Request | None = None
         self._reply = bytearray()
         self._deadline_s = math.inf
+        self._overdue = False
+        """Seen after the deadline: what the wire carried until then has come by the next look."""
         self._free_s = -math.inf
         self._just_over = False
         self._hold = False
@@ -60,7 +62,7 @@ class GatewayPort(TcpPort):
         return True
 
     def due_s(self, now_s: float) -> float:
-        waiting_s = self._free_s if self._asks and self._asking is None else math.inf
+        waiting_s = self._free_s if self._requests and self._under_way is None else math.inf
         waiting_s = now_s if self._just_over else waiting_s
         return min(super().due_s(now_s), self._deadline_s, waiting_s)
 
@@ -74,24 +76,26 @@ class GatewayPort(TcpPort):
         if self._just_over:  # only now is the last byte surely over
             self._just_over = False
             self._free_s = now_s + self._gap_s
-        if self._asking is not None and now_s >= self._deadline_s:
-            self._fail(self._asking, now_s)
-        if self._asking is not None or not self._asks or now_s < self._free_s:
+        if self._under_way is not None and self._overdue:
+            self._fail(self._under_way, now_s)
+        self._overdue = now_s >= self._deadline_s
+        if self._under_way is not None or not self._requests or now_s < self._free_s:
             return b""
-        return self._begin(self._asks.popleft(), now_s)
+        return self._begin(self._requests.popleft(), now_s)
 
     def put(self, data: bytes, now_s: float) -> int:
         """Bytes of the wire; those that nobody has asked for are dropped."""
-        if self._asking is None:
+        if self._under_way is None:
             return len(data)
         self._reply += data
         self._deadline_s = max(self._deadline_s, now_s + REST_TIMEOUT_S)
+        self._overdue = False
         if _complete(bytes(self._reply)):
-            answered = self._reply[0] == self._asking.frame[0]
+            answered = self._reply[0] == self._under_way.frame[0]
             body = bytes(self._reply[:-2])
             self._reply.clear()
             if answered:
-                self._finish(self._asking, body, now_s)
+                self._finish(self._under_way, body, now_s)
         return len(data)
 
     # --------------------------------------------------------------------------------- in detail
@@ -106,33 +110,34 @@ class GatewayPort(TcpPort):
                 return
             frame = seal(bytes(client.buffer[6 : 6 + length]))
             del client.buffer[: 6 + length]
-            self._asks.append(_Ask(client, transaction, frame))
+            self._requests.append(_Request(client, transaction, frame))
             for held in client.held:
                 self._transmit(client, held, now_s)
             client.held.clear()
 
-    def _begin(self, ask: _Ask, now_s: float) -> bytes:
+    def _begin(self, request: _Request, now_s: float) -> bytes:
         self._reply.clear()
-        on_wire_s = len(ask.frame) * self._character_s
-        if ask.frame[0] == BROADCAST_UNIT:
+        on_wire_s = len(request.frame) * self._character_s
+        if request.frame[0] == BROADCAST_UNIT:
             self._free_s = now_s + on_wire_s + self._gap_s
         else:
-            self._asking = ask
+            self._under_way = request
             self._deadline_s = now_s + on_wire_s + REPLY_TIMEOUT_S
-        return ask.frame
+        return request.frame
 
-    def _fail(self, ask: _Ask, now_s: float) -> None:
-        refusal = bytes((ask.frame[0], ask.frame[1] | EXCEPTION_FLAG, TARGET_SILENT))
-        self._finish(ask, refusal, now_s)
+    def _fail(self, request: _Request, now_s: float) -> None:
+        refusal = bytes((request.frame[0], request.frame[1] | EXCEPTION_FLAG, TARGET_SILENT))
+        self._finish(request, refusal, now_s)
 
-    def _finish(self, ask: _Ask, body: bytes, now_s: float) -> None:
-        unit_and_pdu = struct.pack(">HHH", ask.transaction, 0, len(body)) + body
+    def _finish(self, request: _Request, body: bytes, now_s: float) -> None:
+        unit_and_pdu = struct.pack(">HHH", request.transaction, 0, len(body)) + body
         if self._hold:
-            ask.client.held.append(unit_and_pdu)
+            request.client.held.append(unit_and_pdu)
         else:
-            self._transmit(ask.client, unit_and_pdu, now_s)
+            self._transmit(request.client, unit_and_pdu, now_s)
         self._hold = False
-        self._asking = None
+        self._under_way = None
+        self._overdue = False
         self._deadline_s = math.inf
         self._free_s = math.inf
         self._just_over = True

@@ -90,10 +90,11 @@ class SimulatedLine:
         """When `work` has to be called next, bytes or not."""
         if not self.port.plugged:
             return math.inf
-        babble_s = (fault.waits_until_s for fault in self._script.faults if fault.kind == "babble")
-        return min(
-            self._frame_ends_s, self.wire.due_s(), self.port.due_s(now_s), *babble_s, math.inf
-        )
+        due_s = min(self._frame_ends_s, self.wire.due_s(), self.port.due_s(now_s))
+        for fault in self._script.faults:
+            if fault.kind == "babble":
+                due_s = min(due_s, fault.waits_until_s)
+        return due_s
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
         """Take in what has come, do what is due. `clock` tells the time while that goes on; without

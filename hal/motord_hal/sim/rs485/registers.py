@@ -74,8 +74,9 @@ class RegisterFile:
     def stored(self, name: str) -> int:
         """Raw value that was written last or stood there at power-up, signed as the register is."""
         register = self._profile.registers[name]
-        words = (self._words[register.address + i] for i in range(register.type.words))
-        return register.decode(tuple(words))
+        words, at = self._words, register.address
+        both = (words[at], words[at + 1]) if register.type.words == 2 else (words[at],)
+        return register.decode(both)
 
     def put(self, name: str, raw: int) -> None:
         """The drive itself changes a register."""
