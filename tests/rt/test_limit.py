@@ -44,7 +44,7 @@ class Axis:
         return self.state.velocity_u_s, reasons >> 4 * self.index
 
     def until(self, want: float) -> list[float]:
-        """All velocities until the wish is reached."""
+        """All velocities until the goal is reached."""
         found = [self.state.velocity_u_s]
         while found[-1] != want or self.state.acceleration_u_s2 != 0.0:
             found.append(self.step(want)[0])
@@ -114,6 +114,7 @@ def test_infinite_jerk_is_a_plain_ramp():
 @given(axes, st.floats(0.1, 5.0))
 def test_braking_through_zero_takes_no_longer_than_braking_to_zero(axis, start):
     axis.jerk = math.inf
+    axis.dt = max(axis.dt, start / axis.deceleration / 1000.0)
     axis.state.velocity_u_s = start
     steps = 0
     while axis.state.velocity_u_s > 1e-9:

@@ -65,8 +65,8 @@ def test_each_drive_counts_at_its_own_rate(spec):
 def test_what_helps_is_computed_for_this_line(spec):
     gap_s = 3.5 * CHARACTER_S
     both_s = (13 + 4 + 21) * CHARACTER_S + 2 * GAP_S  # function 23: 17 bytes, answered by 21
-    wish = dict(helps(replace(spec, cycle_hz=100.0)))
-    assert wish == {
+    help_wanted = dict(helps(replace(spec, cycle_hz=100.0)))
+    assert help_wanted == {
         "function 23 where the drives have it": pytest.approx(1 / (both_s + SLOT_S)),
         'gap = "3.5char"': pytest.approx(1 / (65 * CHARACTER_S + 6 * gap_s)),
         "baudrate = 921600": pytest.approx(1 / (65 * 10 / 921600 + 6 * GAP_S)),

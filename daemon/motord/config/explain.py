@@ -191,8 +191,8 @@ def _stand_in(node: Node, value: Any) -> Any:
 
 
 def _description(node: Node) -> str:
-    said = " ".join(node.get("description", "").split())
-    return f": {said.rstrip('.')}" if said else ""
+    description = " ".join(node.get("description", "").split())
+    return f": {description.rstrip('.')}" if description else ""
 
 
 def _hint(text: str) -> str:

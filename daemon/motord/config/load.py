@@ -57,8 +57,8 @@ class _Places:
         self.options: dict[Path, str] = {}
 
     def problem(self, path: Path, text: str) -> Problem:
-        for said, option in self.options.items():
-            if path[: len(said)] == said:
+        for place, option in self.options.items():
+            if path[: len(place)] == place:
                 return Problem(option, 0, dotted(path), text)
         return Problem(self.file, line_of(self.lines, path), dotted(path), text)
 

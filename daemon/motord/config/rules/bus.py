@@ -261,12 +261,12 @@ def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
 
 def _remaps_agree(robot: Robot) -> Iterator[Finding]:
     """One node has one name for a topic."""
-    said: dict[tuple[str, str, str, int, str], tuple[Path, str]] = {}
+    seen: dict[tuple[str, str, str, int, str], tuple[Path, str]] = {}
     for path, section in (*_ros2_nodes(robot), *_zenoh_nodes(robot)):
         over = "dds" if isinstance(section, Ros2Node) else "zenoh"
         for old, new in section.remap.items():
             key = (over, section.node_name, section.namespace, section.domain_id, old)
-            before, first = said.setdefault(key, (path, new))
+            before, first = seen.setdefault(key, (path, new))
             if first != new:
                 text = f"{'.'.join(map(str, before))} gives it another name for the same node"
                 yield Finding(((*path, "remap", old), (*before, "remap", old)), text)

@@ -95,11 +95,10 @@ def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         keys = ("gear_ratio", "full_duty_rad_s", "duty_max", "drive", "channel")
         on = (path, *(("joint", name, key) for key in keys))
         most = drive_velocity_max_rad_s(joint, profile)
-        wish = joint.velocity_max_rad_s
-        if wish is not None and wish > most * (1 + _ROUNDING):
-            text = (
-                f'{wish:g} rad/s is more than drive "{joint.drive}" can (at most {most:.4g} rad/s)'
-            )
+        wanted_rad_s = joint.velocity_max_rad_s
+        if wanted_rad_s is not None and wanted_rad_s > most * (1 + _ROUNDING):
+            can = f'drive "{joint.drive}" can (at most {most:.4g} rad/s)'
+            text = f"{wanted_rad_s:g} rad/s is more than {can}"
             yield Finding(on, text)
 
 
@@ -156,14 +155,14 @@ def _reverse(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    said = set()
+    reported = set()
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
         if counts_per_turn(joint, profile) and not counter_bits(joint, profile):
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
-        elif not counts_per_turn(joint, profile) and joint.drive not in said:
-            said.add(joint.drive)
+        elif not counts_per_turn(joint, profile) and joint.drive not in reported:
+            reported.add(joint.drive)
             measures = profile.channels[joint.channel].velocity is not None
             source = "the measured speed" if measures else "what the wheel was told"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
@@ -209,8 +208,8 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         text = "wheels that cannot turn backward cannot turn this base on the spot"
         yield Finding((path, *wheels), text, warning=True)
     elif robot.limits.angular_rad_s > on_spot_rad_s * (1 + _ROUNDING):
-        said = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
-        text = f"{said}: the wheels do {on_spot_rad_s:.4g} rad/s"
+        never = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
+        text = f"{never}: the wheels do {on_spot_rad_s:.4g} rad/s"
         yield Finding((path, *wheels), text, warning=True)
 
 

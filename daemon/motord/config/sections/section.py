@@ -73,8 +73,8 @@ class Section(BaseModel):
         extra="forbid",
         frozen=True,
         strict=True,
+        defer_build=True,  # of most tables a process needs no validator of their own
         allow_inf_nan=False,
-        use_attribute_docstrings=True,
         field_title_generator=lambda name, _: name,
     )
 
