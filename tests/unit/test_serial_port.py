@@ -10,6 +10,8 @@ import termios
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from motord_hal.base.errors import PortError
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, LineSpec
@@ -18,7 +20,7 @@ from motord_hal.serial.direction import kept_problem, pack_rs485
 from motord_hal.serial.gpio import request_line
 from motord_hal.serial.latency import ask_low_latency, shorten_latency_timer
 from motord_hal.serial.port import open_port
-from motord_hal.serial.sysfs import device_file, holders, usb_ports
+from motord_hal.serial.sysfs import device_file, holders
 
 
 def spec_of(port, *, baudrate=115200, direction=None):
@@ -47,38 +49,48 @@ def pty_path():
     os.close(master_fd)
 
 
-def plug(sys, tty, serial):
-    device = sys / "devices" / "usb1" / f"1-{tty}"
-    (device / "if0" / tty).mkdir(parents=True)
-    (device / "serial").write_text(f"{serial}\n")
-    (device / "idVendor").write_text("0403\n")
-    (device / "idProduct").write_text("6001\n")
-    (sys / "class" / "tty" / tty).mkdir(parents=True)
-    (sys / "class" / "tty" / tty / "device").symlink_to(device / "if0" / tty)
+@pytest.fixture
+def plug(monkeypatch):
+    """Plugs adapters in, as pyserial sees them."""
+    there = []
+    monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo("/dev/ttyS0"), *there])
+
+    def plug(tty, serial):
+        port = ListPortInfo(f"/dev/{tty}")
+        port.vid, port.pid, port.serial_number = 0x0403, 0x6001, serial
+        there.append(port)
+        return lambda: there.remove(port)
+
+    return plug
 
 
-def test_an_adapter_is_found_by_its_serial_number_also_under_a_new_name(tmp_path):
-    plug(tmp_path, "ttyUSB0", "A1")
-    plug(tmp_path, "ttyUSB1", "B2")
-    assert device_file("usb:B2", tmp_path) == "/dev/ttyUSB1"
-    (tmp_path / "class/tty/ttyUSB1/device").unlink()
-    plug(tmp_path, "ttyUSB7", "B2")
-    assert device_file("usb:B2", tmp_path) == "/dev/ttyUSB7"
-    assert usb_ports(tmp_path)[0].vendor_product == "0403:6001"
+def test_an_adapter_is_found_by_its_serial_number_also_under_a_new_name(plug):
+    plug("ttyUSB0", "A1")
+    unplug = plug("ttyUSB1", "B2")
+    assert device_file("usb:B2") == "/dev/ttyUSB1"
+    unplug()
+    plug("ttyUSB7", "B2")
+    assert device_file("usb:B2") == "/dev/ttyUSB7"
 
 
 @pytest.mark.parametrize("wanted", ["usb:none", "usb:"])
-def test_an_absent_adapter_is_named_with_those_that_are_there(tmp_path, wanted):
-    plug(tmp_path, "ttyUSB0", "A1")
-    with pytest.raises(PortError, match=r'ttyUSB0 is "A1" \(0403:6001\)'):
-        device_file(wanted, tmp_path)
+def test_an_absent_adapter_is_named_with_those_that_are_there(plug, wanted):
+    plug("ttyUSB0", "A1")
+    with pytest.raises(PortError, match=r'there: ttyUSB0 is "A1" \(0403:6001\)$'):
+        device_file(wanted)
 
 
-def test_two_adapters_with_one_serial_number_are_not_guessed_between(tmp_path):
-    plug(tmp_path, "ttyUSB0", "A1")
-    plug(tmp_path, "ttyUSB1", "A1")
+def test_two_adapters_with_one_serial_number_are_not_guessed_between(plug):
+    plug("ttyUSB0", "A1")
+    plug("ttyUSB1", "A1")
     with pytest.raises(PortError, match="not one port but 2"):
-        device_file("usb:A1", tmp_path)
+        device_file("usb:A1")
+
+
+def test_an_adapter_that_is_unplugged_while_the_ports_are_listed_is_absent(monkeypatch):
+    monkeypatch.setattr(list_ports, "comports", lambda: [int(None, 16)])
+    with pytest.raises(PortError, match="there: none"):
+        device_file("usb:A1")
 
 
 @pytest.mark.parametrize("baudrate", [9600, 115200, 250000, 4000000])
@@ -152,9 +164,10 @@ def test_an_absent_gpio_chip_is_said(tmp_path):
 
 
 def test_the_latency_timer_is_set_and_another_chip_left_alone(tmp_path):
-    plug(tmp_path, "ttyUSB0", "A1")
+    device = tmp_path / "class/tty/ttyUSB0/device"
+    device.mkdir(parents=True)
     assert shorten_latency_timer("/dev/ttyUSB0", tmp_path) == ""
-    timer = tmp_path / "class/tty/ttyUSB0/device/latency_timer"
+    timer = device / "latency_timer"
     timer.write_text("16\n")
     assert shorten_latency_timer("/dev/ttyUSB0", tmp_path) == ""
     assert timer.read_text() == "1\n"

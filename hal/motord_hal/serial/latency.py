@@ -23,7 +23,7 @@ _UDEV_LINE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{l
 
 
 def ask_low_latency(fd: int) -> bool:
-    """Whether the driver now hands bytes on at once; False where it does not know the wish."""
+    """Whether the driver now hands bytes on at once; False where it has no such flag."""
     state = bytearray(_SERIAL_STRUCT_BYTES)
     try:
         fcntl.ioctl(fd, termios.TIOCGSERIAL, state)
@@ -31,7 +31,7 @@ def ask_low_latency(fd: int) -> bool:
         struct.pack_into("=i", state, _FLAGS_OFFSET, flags | _ASYNC_LOW_LATENCY)
         fcntl.ioctl(fd, termios.TIOCSSERIAL, state)
     except OSError:
-        return False  # a wish, not a need: many drivers have no such thing
+        return False  # many drivers have no such flag, and work without
     return True
 
 

@@ -57,8 +57,8 @@ def open_port(spec: LineSpec) -> OpenPort:
         try:
             set_raw(fd, spec.baudrate, spec.parity, spec.stop_bits)
         except (OSError, ValueError, termios.error) as error:
-            wish = f"{spec.baudrate} baud, parity {spec.parity}, {spec.stop_bits} stop bits"
-            raise SettingRefused(f"{path} cannot be set to {wish}: {error}") from error
+            wanted = f"{spec.baudrate} baud, parity {spec.parity}, {spec.stop_bits} stop bits"
+            raise SettingRefused(f"{path} cannot be set to {wanted}: {error}") from error
         facts = tune(fd, path, spec)
         de_fd = -1
         if spec.direction.kind is DirectionKind.GPIO:

@@ -1,27 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which device file an adapter has now, and who holds it: facts read from /sys and /proc."""
+"""Which device file an adapter has now, and who holds it."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from motord_hal.base.errors import PortError
 
+if TYPE_CHECKING:
+    from serial.tools.list_ports_common import ListPortInfo
+
 USB_PREFIX = "usb:"
-_SYS = Path("/sys")
 _PROC = Path("/proc")
-
-
-@dataclass(frozen=True, slots=True)
-class UsbPort:
-    """One tty of a USB adapter."""
-
-    tty: str
-    serial: str
-    vendor_product: str
-    """As lsusb prints it: 0403:6001."""
 
 
 def _text(path: Path) -> str:
@@ -31,38 +23,35 @@ def _text(path: Path) -> str:
         return ""
 
 
-def usb_ports(sys: Path = _SYS) -> tuple[UsbPort, ...]:
-    """All ttys that hang on a USB device, by name."""
-    found = []
-    for tty in sorted((sys / "class" / "tty").glob("*")):
-        device = tty / "device"
-        if not device.exists():
-            continue
-        for above in (real := device.resolve(), *real.parents):
-            vendor = _text(above / "idVendor")
-            if vendor:
-                number = f"{vendor}:{_text(above / 'idProduct')}"
-                found.append(UsbPort(tty.name, _text(above / "serial"), number))
-                break
-    return tuple(found)
+def usb_ports() -> list[ListPortInfo]:
+    """The serial ports of all USB adapters that are plugged in."""
+    # only here: lines whose port is a path go without pyserial
+    from serial.tools.list_ports import comports
+
+    try:
+        return [port for port in comports() if port.vid is not None]
+    except TypeError:  # int(None) in pyserial: an adapter was unplugged while it was read
+        return []
 
 
-def device_file(port: str, sys: Path = _SYS, dev: Path = Path("/dev")) -> str:
+def device_file(port: str) -> str:
     """The device file that `port` (a path, or usb:SERIAL) means now. Raises PortError."""
     if not port.startswith(USB_PREFIX):
         return port
     serial = port.removeprefix(USB_PREFIX)
-    known = usb_ports(sys)
-    fitting = [each for each in known if serial and each.serial == serial]
+    known = usb_ports()
+    fitting = [each for each in known if serial and each.serial_number == serial]
     if len(fitting) == 1:
-        return str(dev / fitting[0].tty)
+        return str(fitting[0].device)
     if fitting:
-        names = ", ".join(each.tty for each in fitting)
+        names = ", ".join(each.name for each in fitting)
         raise PortError(
             f"{port} is not one port but {len(fitting)} ({names}): name a path of /dev/serial/by-id"
         )
-    there = ", ".join(f'{p.tty} is "{p.serial}" ({p.vendor_product})' for p in known) or "none"
-    raise PortError(f"{port}: no such USB adapter is plugged in; there: {there}")
+    there = ", ".join(
+        f'{one.name} is "{one.serial_number or ""}" ({one.vid:04x}:{one.pid:04x})' for one in known
+    )
+    raise PortError(f"{port}: no such USB adapter is plugged in; there: {there or 'none'}")
 
 
 def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
