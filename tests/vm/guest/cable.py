@@ -24,8 +24,8 @@ SLOW_PROFILE = "./zlac8015d.toml"
 
 def adapter():
     """The device file that the adapter has now; empty: it is not plugged in."""
-    found = [port.tty for port in usb_ports() if port.serial == ADAPTER_SERIAL]
-    return f"/dev/{found[0]}" if found and Path("/dev", found[0]).exists() else ""
+    found = [port.device for port in usb_ports() if port.serial_number == ADAPTER_SERIAL]
+    return found[0] if found and Path(found[0]).exists() else ""
 
 
 def _monitor(command, **arguments):

@@ -127,14 +127,15 @@ def test_a_robot_file_with_mistakes_is_not_tried_again_and_again():
     bad = ETC / "bad.toml"
     bad.write_text("[robot]\n")
     try:
-        output("systemctl", "start", "--no-block", "motord@bad.service")
+        with prepared("bad"):
+            output("systemctl", "start", "--no-block", "motord@bad.service")
 
-        def failed():
-            time.sleep(0.5)  # each look costs the emulated machine a tenth of a second
-            return properties("motord@bad.service", "ActiveState")["ActiveState"] == "failed"
+            def failed():
+                time.sleep(0.5)  # each look costs the emulated machine a tenth of a second
+                return properties("motord@bad.service", "ActiveState")["ActiveState"] == "failed"
 
-        wait_until(failed, "it has failed")
-        assert properties("motord@bad.service", "NRestarts")["NRestarts"] == "0"
+            wait_until(failed, "it has failed")
+            assert properties("motord@bad.service", "NRestarts")["NRestarts"] == "0"
     finally:
         bad.unlink()
-        output("systemctl", "reset-failed", "motord@bad.service")
+        status_of("systemctl", "reset-failed", "motord@bad.service")
