@@ -248,7 +248,7 @@ async def test_a_drive_that_is_stopped_between_power_and_set_points_is_not_armed
             await drive.go(began)
     else:
         going = asyncio.create_task(drive.go(began))
-        await asyncio.sleep(0)  # its wish is out
+        await asyncio.sleep(0)  # its request is out
         off = drive.stand_down()
         with pytest.raises(HalError, match="stopped"):
             await going

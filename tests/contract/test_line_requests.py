@@ -15,11 +15,11 @@ from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.realtime.line import AnswerKind, Ask, LineThread, ThreadSpec
+from motord_hal.realtime.line import AnswerKind, LineRequest, LineThread, ThreadSpec
 from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.modbus_frames import modbus_frame
 from motord_hal.rt_engine.rs485.protocols import frames_of
-from motord_hal.rt_engine.rs485.request_queue import Asks
+from motord_hal.rt_engine.rs485.request_queue import RequestQueue
 from motord_hal.rt_engine.rs485.table import line_table
 from motord_hal.serial.port import open_port
 
@@ -69,11 +69,11 @@ async def test_an_urgent_request_does_not_get_the_reply_of_the_one_on_the_wire(p
         limit_ns = now_ns() + 10**10
 
         def put(number, drive, frame, urgent):
-            ask = Ask(
+            request = LineRequest(
                 id=number, drive=drive, frame=frame, expires_ns=limit_ns,
                 turnaround_ns=20_000_000, urgent=urgent,
             )  # fmt: skip
-            assert thread.put_ask(ask)
+            assert thread.put_request(request)
 
         put(1, 0, read_request(1), urgent=False)
         await until(lambda: len(peer.received) == 1)
@@ -140,7 +140,7 @@ async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer
 async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_sent(peer):
     """Power that waits for its turn is not switched on after the power-off that overtook it."""
     async with thread_on(peer) as (thread, news):
-        asks, allowed = Asks("rs485", thread, 1.0), True
+        queue, allowed = RequestQueue("rs485", thread, 1.0), True
 
         def check():
             if not allowed:
@@ -148,23 +148,23 @@ async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_se
 
         async def attend():
             while True:
-                asks.take_answers()
+                queue.take_answers()
                 await news.wait()
 
         async def enable():
             frame = modbus_frame(Request(1, Function.WRITE_SINGLE, CONTROL, values=(ENABLE,)))
             with pytest.raises(HalError, match="stopped"):
-                await asks.ask(0, frame, 0.02, check=check)
+                await queue.send(0, frame, 0.02, check=check)
 
         peer.tricks.append(lambda request, honest: [(0.015, honest)])
         async with asyncio.TaskGroup() as tasks:
             attending = tasks.create_task(attend())
-            reading = tasks.create_task(asks.ask(0, read_request(1), 0.02))
+            reading = tasks.create_task(queue.send(0, read_request(1), 0.02))
             await until(lambda: len(peer.received) == 1)
             enabling = tasks.create_task(enable())
             await asyncio.sleep(0)  # it waits for its turn
             allowed = False
-            await asks.ask(0, power_off_request(1), 0.02, urgent=True)
+            await queue.send(0, power_off_request(1), 0.02, urgent=True)
             await reading
             await enabling
             attending.cancel()

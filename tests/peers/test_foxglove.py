@@ -88,11 +88,11 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
     async with asyncio.timeout(2 * DEADLINE_S), wired(port) as stuck, wired(port) as client:
         for one in (stuck, client):
             channels = await one.advertised(len(OFFERED) + 1)
-            wishes = [
+            channels_wanted = [
                 {"id": number, "channelId": channel["id"]}
                 for number, channel in enumerate(channels.values())
             ]
-            await one.send("subscribe", subscriptions=wishes)
+            await one.send("subscribe", subscriptions=channels_wanted)
         for _ in range(200):
             await client.said(MESSAGE_DATA)
     assert stage.robot.status()["loop"]["ticks"] > ticks
@@ -102,8 +102,8 @@ async def test_whoever_begins_to_read_is_sent_what_the_robot_looks_like(stage, p
     for _ in range(2):  # the second who comes, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)
-            wish = {"id": 9, "channelId": channels["/robot_description"]["id"]}
-            await client.send("subscribe", subscriptions=[wish])
+            channel = {"id": 9, "channelId": channels["/robot_description"]["id"]}
+            await client.send("subscribe", subscriptions=[channel])
             raw = await client.said(MESSAGE_DATA)
         typestore = get_typestore(Stores.ROS2_JAZZY)
         text = typestore.deserialize_cdr(raw[13:], "std_msgs/msg/String")

@@ -234,10 +234,10 @@ class Driving:
 
 
 def set_off(stage, driving):
-    def wish(may):
+    def command(may):
         driving.linear_m_s = 0.2 if may else 0.0
 
-    obeying(stage, wish)
+    obeying(stage, command)
 
 
 def at_rest(stage):

@@ -22,7 +22,7 @@ from tests.peers.rclpy_stage import (
 )
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, connected, ended, running, wait_until
 
-from motord.ros2_rclpy.__main__ import wishes_of
+from motord.ros2_rclpy.__main__ import options_of
 
 T = pytest.importorskip("geometry_msgs.msg")
 Trigger = pytest.importorskip("std_srvs.srv").Trigger
@@ -137,15 +137,15 @@ def test_what_it_is_started_with(tmp_path):
 )
 def test_a_parameter_that_is_none_is_named(parameters, why):
     with pytest.raises(ValueError, match=why):
-        wishes_of(parameters)
+        options_of(parameters)
 
 
 def test_parameters_of_the_node_are_wishes():
     given = {"use_sim_time": False, "robot": "", "socket": "/run/r2.sock", "stamped": False}
-    wishes = wishes_of(given | {"limits.linear_m_s": 1})
-    assert (wishes.robot, wishes.socket, wishes.input) == (None, Path("/run/r2.sock"), "ros")
-    assert not wishes.stamped
-    assert wishes.limits == {"limits.linear_m_s": 1.0}
+    options = options_of(given | {"limits.linear_m_s": 1})
+    assert (options.robot, options.socket, options.input) == (None, Path("/run/r2.sock"), "ros")
+    assert not options.stamped
+    assert options.limits == {"limits.linear_m_s": 1.0}
 
 
 def test_it_needs_the_standard_library_alone():

@@ -43,10 +43,10 @@ class Drive:
             if tick % LOOK_TICKS == 0:
                 self._seen.append(self.snapshot())
                 self.motion.counted(0, self.rig.input.now_ns)
-                wish = self.motion.step(self._seen[0], self.rig.input.now_ns)
-                if wish.end is not None:
-                    return wish
-                self.rig.drive(wish.linear_m_s, wish.angular_rad_s)
+                step = self.motion.step(self._seen[0], self.rig.input.now_ns)
+                if step.end is not None:
+                    return step
+                self.rig.drive(step.linear_m_s, step.angular_rad_s)
             shown = self.rig.tick()
             speed_u_s = abs(shown.setpoint_linear_m_s) + abs(shown.setpoint_angular_rad_s)
             self.fastest_u_s = max(self.fastest_u_s, speed_u_s)
@@ -81,8 +81,8 @@ AXES = st.builds(
 def test_it_ends_at_the_goal_and_within_the_limits(name, limits, distance_u, looks_late):
     both = {"linear": axis(1.0, 1.0, 1.0, math.inf), "angular": axis(1.0, 1.0, 1.0, math.inf)}
     drive = Drive(both | {name: limits}, Goal(axis=name, distance_u=distance_u), looks_late)
-    wish = drive.to_its_end()
-    assert (wish.end, wish.why) == (End.SUCCEEDED, "")
+    step = drive.to_its_end()
+    assert (step.end, step.why) == (End.SUCCEEDED, "")
     drive.rig.drive(0.0)
     shown = drive.rig.ticks(0.1)
     assert shown.at_rest
@@ -101,8 +101,8 @@ def test_an_emergency_stop_ends_it_while_the_core_brings_the_base_to_rest():
         return tick(*args)
 
     drive.rig.tick = stopped
-    wish = drive.to_its_end()
-    assert wish.end is End.ABORTED
-    assert "estop" in wish.why
-    assert (wish.linear_m_s, wish.angular_rad_s) == (0.0, 0.0)
+    step = drive.to_its_end()
+    assert step.end is End.ABORTED
+    assert "estop" in step.why
+    assert (step.linear_m_s, step.angular_rad_s) == (0.0, 0.0)
     assert drive.rig.ticks(0.1).at_rest

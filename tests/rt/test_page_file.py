@@ -152,8 +152,8 @@ else:
     if deed == "locks":
         fcntl.flock(fd, fcntl.LOCK_SH)
     if deed == "locks for reading":
-        wish = struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, wish)
+        lock = struct.pack("hhqqi4x", fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
 print("done", flush=True)
 sys.stdin.read()
 if deed.startswith("makes"):

@@ -9,19 +9,19 @@ from core_rig import Rig, core_config, joint_config
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-WISH = st.floats(-1e6, 1e6)
+SPEED = st.floats(-1e6, 1e6)
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def factor(wishes: list[float], limits: list[tuple[float, float]]) -> float:
+def factor(twists: list[float], limits: list[tuple[float, float]]) -> float:
     joints = ffi.new("joint_config[]", len(limits))
     for joint, (low, high) in zip(joints, limits, strict=True):
         joint.velocity_min_rad_s, joint.velocity_max_rad_s = low, high
-    return lib.saturate_factor(ffi.new("double[]", wishes), joints, len(wishes))
+    return lib.saturate_factor(ffi.new("double[]", twists), joints, len(twists))
 
 
 wheels = st.lists(
-    st.tuples(WISH, st.floats(-100.0, -0.001), st.floats(0.001, 100.0)), min_size=1, max_size=8
+    st.tuples(SPEED, st.floats(-100.0, -0.001), st.floats(0.001, 100.0)), min_size=1, max_size=8
 )
 
 
@@ -60,7 +60,7 @@ def test_a_wish_that_is_no_number_stops_the_whole_base(broken):
     assert factor([1.0, broken], [(-2.0, 2.0), (-2.0, 2.0)]) == 0.0
 
 
-# less than 1e-9 rad/s is no wish at all
+# less than 1e-9 rad/s is no command at all
 TURN = st.floats(-1.9, 1.9).filter(lambda turn: turn == 0.0 or abs(turn) > 1e-8)
 
 
@@ -86,7 +86,7 @@ def test_a_saturated_base_settles_on_the_curvature_of_its_command(linear, angula
 @settings(max_examples=20)
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=2, max_size=4))
 @example([(0.88, 0.0), (0.3, 2.0)])
-def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(wishes):
+def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(twists):
     joints = [
         joint_config(side, velocity_max_rad_s=9.0, velocity_min_rad_s=-9.0) for side in (-1.0, 1.0)
     ]
@@ -95,8 +95,8 @@ def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(wis
     limits = {"linear": slow | {"jerk_u_s3": math.inf}, "angular": fast | {"jerk_u_s3": math.inf}}
     rig = Rig(core_config(joint=joints, limits=limits))
     rig.arm()
-    for wish in wishes:
-        rig.drive(*wish)
+    for twist in twists:
+        rig.drive(*twist)
         for _ in range(1000):
             shown = rig.tick()
             turn_m_s = shown.setpoint_angular_rad_s * 0.25

@@ -47,7 +47,7 @@ def outcome(*words, status=0):
 def recording(tmp_path_factory):
     """A robot that has driven, turned, lost its command, and had an emergency stop."""
     folder = tmp_path_factory.mktemp("tape")
-    with running(folder, *settings(folder / "files")) as stage:
+    with running(folder, "loop.rate_hz=1000", *settings(folder / "files")) as stage:
         stage.wait_for("idle")
         wait_until(lambda: list((folder / "files").glob("*.mcap")), "a recording")
         set_off(stage)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.unit.bus_views import joint, view
 
-from motord.api.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, Wish, planned
+from motord.api.motion import COMMANDS_WITHIN_S, Bounds, End, Goal, Motion, MotionStep, planned
 
 LEASE, STALE_S, STEP_MS = 7, 0.25, 20
 BOUNDS = Bounds(velocity_u_s=0.5, acceleration_u_s2=0.5, deceleration_u_s2=0.8, jerk_u_s3=math.inf)
@@ -22,7 +22,7 @@ def state(at_ms, **changes):
 
 
 class Base:
-    """Follows wishes as the core does: ramps within the limits, so many steps late."""
+    """Follows commands as the core does: ramps within the limits, so many steps late."""
 
     def __init__(self, axis, bounds, late_steps):
         self.axis, self.bounds = axis, bounds
@@ -31,9 +31,9 @@ class Base:
         self._wishes = deque([0.0] * late_steps, late_steps + 1)
         self.stops = 0
 
-    def follow(self, wish):
-        assert (wish.linear_m_s, wish.angular_rad_s)[self.axis == "linear"] == 0.0
-        self._wishes.append(wish.linear_m_s + wish.angular_rad_s)
+    def follow(self, step):
+        assert (step.linear_m_s, step.angular_rad_s)[self.axis == "linear"] == 0.0
+        self._wishes.append(step.linear_m_s + step.angular_rad_s)
         away_u_s = self._wishes[0] - self.speed_u_s
         faster = abs(self._wishes[0]) > abs(self.speed_u_s)
         rate = self.bounds.acceleration_u_s2 if faster else self.bounds.deceleration_u_s2
@@ -43,7 +43,7 @@ class Base:
         self.fastest_u_s = max(self.fastest_u_s, abs(self.speed_u_s))
         self.at_ms += STEP_MS
 
-    def said(self, **changes):
+    def snapshot(self, **changes):
         pose = {"x_m": self.distance_u}
         if self.axis == "angular":
             pose = {"heading_rad": math.remainder(self.distance_u, math.tau)}
@@ -53,22 +53,24 @@ class Base:
 
 def begun(goal, bounds=BOUNDS, late_steps=2):
     base = Base(goal.axis, bounds, late_steps)
-    motion = Motion(planned(goal, bounds), base.said(), 0, lease=LEASE, stale_s=STALE_S, stops=0)
+    motion = Motion(
+        planned(goal, bounds), base.snapshot(), 0, lease=LEASE, stale_s=STALE_S, stops=0
+    )
     return base, motion
 
 
 def looked(base, motion):
     """With the daemon's count of stops, as of this moment."""
     motion.counted(base.stops, base.at_ms * 1_000_000)
-    return motion.step(base.said(), base.at_ms * 1_000_000)
+    return motion.step(base.snapshot(), base.at_ms * 1_000_000)
 
 
 def carried_out(base, motion, steps_max=100_000):
     for _ in range(steps_max):
-        wish = looked(base, motion)
-        if wish.end is not None:
-            return wish
-        base.follow(wish)
+        step = looked(base, motion)
+        if step.end is not None:
+            return step
+        base.follow(step)
     raise AssertionError("it has no end")
 
 
@@ -91,8 +93,8 @@ def test_it_gets_there_within_its_tolerance_and_its_speed(
         jerk_u_s3=math.inf,
     )
     base, motion = begun(Goal(axis=axis, distance_u=distance_u), bounds, late_steps)
-    wish = carried_out(base, motion)
-    assert (wish.end, wish.why) == (End.SUCCEEDED, "")
+    step = carried_out(base, motion)
+    assert (step.end, step.why) == (End.SUCCEEDED, "")
     assert abs(base.distance_u - distance_u) <= motion.plan.tolerance_u
     assert base.speed_u_s == 0.0
     assert base.fastest_u_s <= velocity_u_s * (1.0 + 1e-9)
@@ -151,15 +153,15 @@ def moving():
 )
 def test_what_is_amiss_ends_it_at_once_with_a_wish_of_zero(change, why):
     base, motion = moving()
-    wish = motion.step(base.said(**change), base.at_ms * 1_000_000)
-    assert wish.end is End.ABORTED
-    assert (wish.linear_m_s, wish.angular_rad_s) == (0.0, 0.0)
-    assert why in wish.why
+    step = motion.step(base.snapshot(**change), base.at_ms * 1_000_000)
+    assert step.end is End.ABORTED
+    assert (step.linear_m_s, step.angular_rad_s) == (0.0, 0.0)
+    assert why in step.why
 
 
 def test_a_state_page_that_stands_still_ends_it():
     base, motion = moving()
-    newest = base.said()
+    newest = base.snapshot()
     just_ns = (base.at_ms + round(STALE_S * 1000)) * 1_000_000
     assert motion.step(newest, just_ns).end is None
     assert motion.step(newest, just_ns + 1_000_000).end is End.ABORTED
@@ -168,9 +170,9 @@ def test_a_state_page_that_stands_still_ends_it():
 def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
     base, motion = moving()
     base.at_ms += 901
-    wish = looked(base, motion)
-    assert wish.end is End.ABORTED
-    assert "not looked at" in wish.why
+    step = looked(base, motion)
+    assert step.end is End.ABORTED
+    assert "not looked at" in step.why
 
 
 @pytest.mark.parametrize(("owner", "why"), [(0, "nobody takes"), (LEASE + 1, "another source")])
@@ -179,26 +181,26 @@ def test_it_does_not_wait_for_the_command_for_ever(owner, why):
     late_ms = round(COMMANDS_WITHIN_S * 1000)
     for at_ms in (late_ms // 2, late_ms):
         assert motion.step(state(at_ms, owner=owner), at_ms * 1_000_000).end is None
-    wish = motion.step(state(late_ms + 1, owner=owner), (late_ms + 1) * 1_000_000)
-    assert wish.end is End.ABORTED
-    assert why in wish.why
+    step = motion.step(state(late_ms + 1, owner=owner), (late_ms + 1) * 1_000_000)
+    assert step.end is End.ABORTED
+    assert why in step.why
 
 
 def test_cancelled_it_comes_to_rest_and_then_ends():
     base, motion = moving()
     motion.cancel(base.at_ms * 1_000_000)
-    wish = looked(base, motion)
-    assert wish.end is None
-    assert (wish.linear_m_s, wish.angular_rad_s) == (0.0, 0.0)
-    wish = carried_out(base, motion)
-    assert (wish.end, base.speed_u_s) == (End.CANCELED, 0.0)
+    step = looked(base, motion)
+    assert step.end is None
+    assert (step.linear_m_s, step.angular_rad_s) == (0.0, 0.0)
+    step = carried_out(base, motion)
+    assert (step.end, base.speed_u_s) == (End.CANCELED, 0.0)
 
 
 def test_what_takes_too_long_comes_to_rest_and_is_aborted():
     base, motion = begun(Goal(axis="linear", distance_u=5.0, timeout_s=2.0))
-    wish = carried_out(base, motion)
-    assert wish.end is End.ABORTED
-    assert "longer than 2.0 s" in wish.why
+    step = carried_out(base, motion)
+    assert step.end is End.ABORTED
+    assert "longer than 2.0 s" in step.why
     assert base.speed_u_s == 0.0
     assert 0.0 < base.distance_u < 5.0
 
@@ -208,12 +210,12 @@ def test_a_base_that_something_holds_is_not_pushed_for_long():
     while base.distance_u < 1.0:
         base.follow(looked(base, motion))
     held_ms = base.at_ms
-    while looked(base, motion) != Wish():
+    while looked(base, motion) != MotionStep():
         base.at_ms += STEP_MS
     assert 3000 < base.at_ms - held_ms < 5000
     base.speed_u_s = 0.0
-    wish = carried_out(base, motion)
-    assert (wish.end, wish.why) == (End.ABORTED, "it is stuck")
+    step = carried_out(base, motion)
+    assert (step.end, step.why) == (End.ABORTED, "it is stuck")
 
 
 def test_a_slow_base_is_not_a_stuck_one():
@@ -227,9 +229,9 @@ def test_a_slow_base_is_not_a_stuck_one():
 def test_a_base_that_slides_past_the_goal_did_not_succeed():
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     base.distance_u = 1.2
-    wish = carried_out(base, motion)
-    assert wish.end is End.ABORTED
-    assert "0.2 behind the goal" in wish.why
+    step = carried_out(base, motion)
+    assert step.end is End.ABORTED
+    assert "0.2 behind the goal" in step.why
 
 
 @pytest.mark.parametrize("slip_u", [0.05, -0.05, 0.09])
@@ -238,8 +240,8 @@ def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))
     base.distance_u += slip_u
-    wish = carried_out(base, motion)
-    assert (wish.end, wish.why) == (End.SUCCEEDED, "")
+    step = carried_out(base, motion)
+    assert (step.end, step.why) == (End.SUCCEEDED, "")
     assert base.distance_u == pytest.approx(-1.0, abs=0.01)
 
 
@@ -256,15 +258,15 @@ def rested_beside_its_goal():
 def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
     base, motion = rested_beside_its_goal()
     base.stops = 1
-    wish = carried_out(base, motion)
-    assert (wish.end, wish.why) == (End.ABORTED, "a stop was asked for")
+    step = carried_out(base, motion)
+    assert (step.end, step.why) == (End.ABORTED, "a stop was asked for")
     assert base.distance_u == pytest.approx(1.05, abs=0.01)
 
 
 def test_a_stop_that_is_only_counted_ends_a_motion_under_way():
     base, motion = moving()
     base.stops = 1
-    assert looked(base, motion) == Wish(end=End.ABORTED, why="a stop was asked for")
+    assert looked(base, motion) == MotionStep(end=End.ABORTED, why="a stop was asked for")
 
 
 @pytest.mark.parametrize("asked_before", [True, False])
@@ -272,23 +274,23 @@ def test_who_does_not_know_whether_a_stop_came_corrects_nothing(asked_before):
     base, motion = rested_beside_its_goal()
     if asked_before:
         motion.counted(0, base.at_ms * 1_000_000)
-    while (wish := motion.step(base.said(), base.at_ms * 1_000_000)).end is None:
-        assert wish == Wish()
-        base.follow(wish)
-    assert wish.end is End.ABORTED
-    assert "behind the goal" in wish.why
+    while (step := motion.step(base.snapshot(), base.at_ms * 1_000_000)).end is None:
+        assert step == MotionStep()
+        base.follow(step)
+    assert step.end is End.ABORTED
+    assert "behind the goal" in step.why
 
 
 def test_a_base_that_slips_each_time_is_not_corrected_for_ever():
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     slips = 0
-    while (wish := looked(base, motion)).end is None:
-        base.follow(wish)
+    while (step := looked(base, motion)).end is None:
+        base.follow(step)
         if abs(motion.remaining_u) < 0.006 and base.speed_u_s == 0.0:
             base.distance_u += 0.05
             slips += 1
-    assert wish.end is End.ABORTED
-    assert "behind the goal" in wish.why
+    assert step.end is End.ABORTED
+    assert "behind the goal" in step.why
     assert slips == 4
 
 
@@ -297,10 +299,10 @@ def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
     base.distance_u = 1.0
     for _ in range(2000):
         base.at_ms += STEP_MS
-        wish = motion.step(base.said(at_rest=False), base.at_ms * 1_000_000)
-        if wish.end is not None:
+        step = motion.step(base.snapshot(at_rest=False), base.at_ms * 1_000_000)
+        if step.end is not None:
             break
-    assert (wish.end, wish.why) == (End.ABORTED, "it does not come to rest")
+    assert (step.end, step.why) == (End.ABORTED, "it does not come to rest")
 
 
 def test_a_jerk_limit_makes_it_slow_down_earlier():

@@ -11,7 +11,7 @@ from motord.bus.ros2.zenoh.names import (
     Attachment,
     NodeNames,
     gid,
-    quality_said,
+    quality_text,
 )
 
 STRING = "std_msgs/msg/String"
@@ -52,8 +52,8 @@ def test_a_publisher_says_of_itself_what_those_of_ros_2_say(token, quality, atta
     parts = token.split("/")
     names = node(session_id=parts[2], name=parts[8])
     topic = parts[9].replace("%", "/")
-    said = names.endpoint_token(4, PUBLISHER, topic, STRING, quality_said(**quality))
-    assert said == token
+    found = names.endpoint_token(4, PUBLISHER, topic, STRING, quality_text(**quality))
+    assert found == token
 
 
 @pytest.mark.parametrize(("token", "quality", "attachment"), SEEN)

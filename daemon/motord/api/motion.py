@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One motion over a given way, by the odometry: how fast to go now, and when and why it ends.
 
-Pure: the state comes in as snapshots, the time as an argument, and what comes out is a wish. The
+Pure: the state comes in as snapshots, the time as an argument; out come steps, one a snapshot. The
 core limits and ramps it like any other; a motion that is not asked on lapses with its lease.
 `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
 """
@@ -18,7 +18,7 @@ from motord.api.snapshot import Snapshot
 
 Axis = Literal["linear", "angular"]
 LAG_S = 0.15
-"""From a wish to the odometry that shows it, at most: the line's cycle, the drive and the page."""
+"""From a command to the odometry that shows it, at most: line cycle, drive and state page."""
 COMMANDS_WITHIN_S = 1.0
 """A lease that is not in command by then will not be."""
 RESTS_WITHIN_S = 5.0
@@ -202,7 +202,7 @@ class Travel:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class MotionStep:
     """What to command now; with `end`, that and no more."""
 
     linear_m_s: float = 0.0
@@ -217,7 +217,7 @@ class Motion:
     def __init__(
         self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
     ) -> None:
-        """`lease`: the number under which the wishes are sent. `stale_s`: what is older says
+        """`lease`: the number under which its commands are sent. `stale_s`: what is older says
         nothing. `stops`: how many the daemon had counted before."""
         self.plan = plan
         self.travel = Travel(start)
@@ -254,11 +254,11 @@ class Motion:
         else:
             self._unstopped_ns = asked_ns
 
-    def step(self, snapshot: Snapshot, now_ns: int) -> Wish:
-        """The wish that follows from what is known now."""
+    def step(self, snapshot: Snapshot, now_ns: int) -> MotionStep:
+        """The step that follows from what is known now."""
         why = self._trouble(snapshot, now_ns)
         if why is not None:
-            return Wish(end=End.ABORTED, why=why)
+            return MotionStep(end=End.ABORTED, why=why)
         if (now_ns - self._start_ns) * _NS > self.plan.timeout_s:
             self._end(End.ABORTED, f"it took longer than {self.plan.timeout_s:.1f} s", now_ns)
         if self.remaining_u * self._forward <= self.plan.tolerance_u / 2.0:
@@ -305,33 +305,35 @@ class Motion:
         creep_u_s = self.plan.bounds.approach_u_s(self.plan.tolerance_u / 2.0)
         return min(creep_u_s, self.plan.velocity_u_s)
 
-    def _onward(self) -> Wish:
+    def _onward(self) -> MotionStep:
         """Not slower than what gets there."""
         plan = self.plan
         speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
         speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.distance_u)
         return self._along(speed_u_s * self._forward)
 
-    def _along(self, speed_u_s: float) -> Wish:
-        return Wish(speed_u_s, 0.0) if self.plan.axis == "linear" else Wish(0.0, speed_u_s)
+    def _along(self, speed_u_s: float) -> MotionStep:
+        return (
+            MotionStep(speed_u_s, 0.0) if self.plan.axis == "linear" else MotionStep(0.0, speed_u_s)
+        )
 
-    def _come_to_rest(self, snapshot: Snapshot, now_ns: int) -> Wish:
+    def _come_to_rest(self, snapshot: Snapshot, now_ns: int) -> MotionStep:
         assert self._ending is not None
         how, why = self._ending
         if not snapshot.at_rest:
             self._rest_ns = None
             if (now_ns - self._ending_ns) * _NS > RESTS_WITHIN_S + self._ramp_s():
-                return Wish(end=End.ABORTED, why="it does not come to rest")
-            return Wish()
+                return MotionStep(end=End.ABORTED, why="it does not come to rest")
+            return MotionStep()
         self._rest_ns = now_ns if self._rest_ns is None else self._rest_ns
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
             unstopped = self._unstopped_ns > self._rest_ns
             if not unstopped and (now_ns - self._rest_ns) * _NS <= UNSTOPPED_WITHIN_S:
-                return Wish()  # who knows what brought it to rest
+                return MotionStep()  # who knows what brought it to rest
             if unstopped and self._corrected(now_ns):
-                return Wish()
+                return MotionStep()
             how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"
-        return Wish(end=how, why=why)
+        return MotionStep(end=how, why=why)
 
     def _corrected(self, now_ns: int) -> bool:
         """It goes on, towards the goal from where it is."""

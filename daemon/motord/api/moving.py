@@ -19,7 +19,7 @@ from motord.api.motion import (
     End,
     Goal,
     Motion,
-    Wish,
+    MotionStep,
     bounds_of,
     limit_names,
     obstacle,
@@ -134,13 +134,13 @@ def procedure(
                 stale_s=STALE_S,
                 stops=before["stops"],
             )
-            wish = yield from _follow(motion, start, page, owner, watch, canceled)
+            step = yield from _follow(motion, start, page, owner, watch, canceled)
     except NoPage as error:
         raise MoveFailed(str(error)) from error
-    assert wish.end is not None  # _follow returns nothing else
+    assert step.end is not None  # _follow returns nothing else
     moved = Moved(
-        end=wish.end,
-        why=wish.why,
+        end=step.end,
+        why=step.why,
         distance_m=motion.travel.distance_m,
         angle_rad=motion.travel.angle_rad,
         duration_s=time.monotonic() - begin_s,
@@ -177,7 +177,7 @@ def _follow(
     owner: Mapping[str, str],
     watch: Watch,
     canceled: Canceled,
-) -> Generator[Call | Pause, Any, Wish]:
+) -> Generator[Call | Pause, Any, MotionStep]:
     due_s = count_s = time.monotonic()
     while True:
         if time.monotonic() >= count_s:
@@ -186,15 +186,15 @@ def _follow(
         newest = page.read() or newest
         if canceled():
             motion.cancel(time.monotonic_ns())
-        wish = motion.step(newest, time.monotonic_ns())
-        command = {"linear_m_s": wish.linear_m_s, "angular_rad_s": wish.angular_rad_s, **owner}
+        step = motion.step(newest, time.monotonic_ns())
+        command = {"linear_m_s": step.linear_m_s, "angular_rad_s": step.angular_rad_s, **owner}
         try:
             yield Call("drive", command)
         except Refused as error:
             why = obstacle(page.read() or newest) or str(error)
-            return wish if wish.end else Wish(end=End.ABORTED, why=why)
-        if wish.end is not None:
-            return wish
+            return step if step.end else MotionStep(end=End.ABORTED, why=why)
+        if step.end is not None:
+            return step
         watch(motion, newest)
         due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
         yield Pause(due_s)

@@ -206,8 +206,8 @@ def _lock(fd: int, path: Path) -> bool:
 
 def _is_locked_by_a_writer(fd: int) -> bool:
     """Another one than this descriptor."""
-    wish = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
-    kind, *_ = _LOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, wish))
+    wanted = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+    kind, *_ = _LOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, wanted))
     return bool(kind != fcntl.F_UNLCK)
 
 

@@ -212,16 +212,16 @@ class Runtime:
 
     async def _look(self) -> None:
         """Feed what the state page says, as long as there is one."""
-        said = False
+        reported = False
         while True:
             try:
                 with self.page() as page:
-                    said = False
+                    reported = False
                     await self._watch(page)
             except NoPage as error:
-                if not said:
+                if not reported:
                     _log.warning("no state yet: %s", error)
-                    said = True
+                    reported = True
             self.view = None
             await asyncio.sleep(ATTACH_AGAIN_S)
 

@@ -92,7 +92,7 @@ def _status_of_refusal_at(path: Path) -> Exit:
 
 
 def _halted(path: Path, state: str, *, as_json: bool) -> None:
-    """As `_said`; why something is latched is left out where the daemon does not answer."""
+    """As `_print_state`; why something is latched is left out where the daemon does not answer."""
     why: list[str] = []
     if state in _LATCHED:
         with contextlib.suppress(ClientError), Client(path, timeout_s=WHY_WITHIN_S) as client:
@@ -100,7 +100,7 @@ def _halted(path: Path, state: str, *, as_json: bool) -> None:
     _show_state(state, why, as_json=as_json)
 
 
-def _said(client: Client, state: str, *, as_json: bool) -> None:
+def _print_state(client: Client, state: str, *, as_json: bool) -> None:
     """The state that an act has led to; a latched one ends with its own exit status."""
     _show_state(state, client.status()["why"] if state in _LATCHED else [], as_json=as_json)
 
@@ -146,7 +146,7 @@ def arm(client: Client, as_json: bool) -> None:
     \b
     Example: motord arm && motord drive 0.2 0
     """
-    _said(client, client.arm(), as_json=as_json)
+    _print_state(client, client.arm(), as_json=as_json)
 
 
 @click.command
@@ -220,7 +220,7 @@ def reset(client: Client, as_json: bool) -> None:
     \b
     Example: motord status; motord reset && motord arm
     """
-    _said(client, client.reset(), as_json=as_json)
+    _print_state(client, client.reset(), as_json=as_json)
 
 
 @click.command("reset-odometry")
@@ -232,7 +232,7 @@ def reset_odometry(client: Client, as_json: bool) -> None:
     \b
     Example: motord reset-odometry && motord move 1
     """
-    _said(client, client.reset_odometry(), as_json=as_json)
+    _print_state(client, client.reset_odometry(), as_json=as_json)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})

@@ -79,14 +79,14 @@ class BatteryWatch:
         self._received_ns = now_ns
         self._towards = BatteryLevel.UNKNOWN
         self._since_ns = now_ns
-        self._said_silent = False
+        self._reported_silent = False
         self.level = BatteryLevel.UNKNOWN
 
     def take(self, measure: Measure | None, now_ns: int) -> str | None:
         """Look at a measure, or at there being none. What is worth a line in the log, or None."""
         if measure is None or not measure.counts:
             return self._miss(now_ns)
-        self._measure, self._received_ns, self._said_silent = measure, now_ns, False
+        self._measure, self._received_ns, self._reported_silent = measure, now_ns, False
         wanted = self._judge(measure.voltage_v)
         if wanted is not self._towards:
             self._towards, self._since_ns = wanted, now_ns
@@ -113,9 +113,9 @@ class BatteryWatch:
             return None
         self._measure, self.level = None, BatteryLevel.UNKNOWN
         self._towards = BatteryLevel.UNKNOWN
-        if self._said_silent:
+        if self._reported_silent:
             return None
-        self._said_silent = True
+        self._reported_silent = True
         return f"the battery is unknown: nothing was measured for {silent_s:.1f} s"
 
     def report(self, now_ns: int) -> dict[str, Any]:

@@ -51,11 +51,11 @@ def _take(operation: Operation, measure: Measure | None) -> None:
     watch = operation.battery
     if watch is None:
         return
-    said = watch.take(measure, now_ns())
-    if said is not None:
+    message = watch.take(measure, now_ns())
+    if message is not None:
         fine = watch.level is BatteryLevel.NORMAL
         level = logging.INFO if fine else logging.WARNING
-        _log.log(level, "%s", said, extra=about(event=f"battery_{watch.level}"))
+        _log.log(level, "%s", message, extra=about(event=f"battery_{watch.level}"))
     if operation.battery_forbids:
         operation.fault("the battery is critical (safety.on_battery_critical)")
 
@@ -67,7 +67,7 @@ class _Readings:
         self._operation = operation
         self._section = section
         self._joints = tuple(operation.robot.joint)
-        self._said: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
 
     async def measure(self) -> Measure:
         """A drive that is not heard is not asked: it would only be waited for."""
@@ -89,10 +89,10 @@ class _Readings:
             value, problem = math.nan, str(error.args[0])
         except (HalError, TimeoutError) as error:
             value, problem = math.nan, str(error) or "it took too long"
-        if problem and problem != self._said.get(where):
+        if problem and problem != self._reported.get(where):
             text = f"battery: {where} was not read: {problem}"
             _log.warning("%s", text, extra=about(event="battery_sensor", joints=(joint,)))
-        self._said[where] = problem
+        self._reported[where] = problem
         return value
 
     def _line_of(self, joint: str) -> Line:
@@ -106,7 +106,7 @@ class _Chip:
     def __init__(self, section: InaBattery) -> None:
         self._section = section
         self._open: Ina | None = None
-        self._said = ""
+        self._reported = ""
         self._in_progress: asyncio.Future[Power] | None = None
 
     async def measure(self) -> Measure | None:
@@ -124,7 +124,7 @@ class _Chip:
         except HalError as error:
             self._fail(error)
             return None
-        self._in_progress, self._said = None, ""
+        self._in_progress, self._reported = None, ""
         sign = 1.0 if self._section.inverted else -1.0
         return Measure(
             stamp_ns=now_ns(),
@@ -146,8 +146,8 @@ class _Chip:
     def _fail(self, error: Exception) -> None:
         self._in_progress = None
         self.close()
-        if str(error) != self._said:
-            self._said = str(error)
+        if str(error) != self._reported:
+            self._reported = str(error)
             _log.warning("battery: %s", error, extra=about(event="battery_sensor"))
 
     def close(self) -> None:

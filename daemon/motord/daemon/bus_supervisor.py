@@ -97,15 +97,15 @@ class BusSupervisor:
     @contextlib.asynccontextmanager
     async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
         """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
-        async with _pipe() as (output, said):
+        async with _pipe() as (output, write_end):
             try:
                 with _in_memory(self._checked) as fd:
                     process = await asyncio.create_subprocess_exec(
                         *self._command, "--checked-fd", str(fd), pass_fds=(fd,),
-                        stdin=PIPE, stdout=said, start_new_session=True,
+                        stdin=PIPE, stdout=write_end, start_new_session=True,
                     )  # fmt: skip
             finally:
-                os.close(said)
+                os.close(write_end)
             self._pid = process.pid
             try:
                 yield process, output
@@ -137,11 +137,11 @@ class BusSupervisor:
 
 def _figures(line: bytes) -> dict[str, Any]:
     """Raises ValueError and RecursionError for what could not be told to others as it is."""
-    said = json.loads(line)
-    if not isinstance(said, dict):
+    figures = json.loads(line)
+    if not isinstance(figures, dict):
         raise ValueError("no object")
-    json.dumps(said, allow_nan=False)
-    return said
+    json.dumps(figures, allow_nan=False)
+    return figures
 
 
 @contextlib.contextmanager

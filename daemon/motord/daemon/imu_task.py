@@ -74,7 +74,7 @@ async def _read(section: ChipImu) -> None:
     )
     opening = partial(I2cDevice.open, Path(section.bus), address)
     reader = ImuReader(spec, opening, Exchange.of_loop())
-    backoff, said, samples = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S), "", 0
+    backoff, reported, samples = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S), "", 0
     try:
         while True:
             try:
@@ -82,9 +82,9 @@ async def _read(section: ChipImu) -> None:
             except HalError as error:
                 if reader.samples > samples:  # it had worked meanwhile
                     backoff.reset()
-                    said, samples = "", reader.samples
-                if str(error) != said:
-                    said = str(error)
+                    reported, samples = "", reader.samples
+                if str(error) != reported:
+                    reported = str(error)
                     _log.warning("imu: %s", error, extra=about(event="imu_sensor"))
             await asyncio.sleep(backoff.next_s())
     finally:

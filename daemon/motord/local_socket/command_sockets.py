@@ -97,8 +97,10 @@ def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = Fal
     return opened.fileno()
 
 
-def _bind(opened: socket.socket, address: object, said: str) -> None:
+def _bind(opened: socket.socket, address: object, address_text: str) -> None:
     try:
         opened.bind(address)  # type: ignore[arg-type]  # a path or a pair, by the family
     except OSError as error:
-        raise OSError(error.errno, f"commands cannot come in: {error.strerror}", said) from error
+        raise OSError(
+            error.errno, f"commands cannot come in: {error.strerror}", address_text
+        ) from error

@@ -192,10 +192,10 @@ async def serve(
 
 
 async def _readable(listener: socket.socket) -> None:
-    loop, news = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(listener, news.set)
+    loop, arrived = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(listener, arrived.set)
     try:
-        await news.wait()
+        await arrived.wait()
     finally:
         loop.remove_reader(listener)
 
@@ -340,12 +340,12 @@ class _Connection:
             return
         answer = {"jsonrpc": "2.0", "id": number, **content}
         try:
-            said = json.dumps(answer, allow_nan=False)
+            reply = json.dumps(answer, allow_nan=False)
         except ValueError as error:  # our own mistake, and no reason to let the robot go
             _log.exception("an answer to process %d", self._caller.pid)
             problem = {"code": INTERNAL_ERROR, "message": f"the answer is no JSON: {error}"}
-            said = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
-        writer.write(said.encode() + b"\n")
+            reply = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
+        writer.write(reply.encode() + b"\n")
         if writer.transport.get_write_buffer_size() > UNREAD_BYTES_MAX:
             self.drop("it does not read its answers")
 

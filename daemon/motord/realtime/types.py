@@ -190,7 +190,7 @@ class StopRequests:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
-    """The daemon's wishes, as levels and counters: `core_control` without the heartbeat."""
+    """The daemon's control, as levels and counters: `core_control` without the heartbeat."""
 
     armed: bool = False
     stop: bool = False

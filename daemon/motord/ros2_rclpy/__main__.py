@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.guard import first
-from motord.ros2_rclpy.bridge import Wishes, Wrong, serve
+from motord.ros2_rclpy.bridge import BridgeOptions, Wrong, serve
 
 if TYPE_CHECKING:
     from motord.ros2_rclpy.node import RclpyNode
@@ -39,15 +39,15 @@ def main(arguments: list[str] | None = None) -> int:
         return _USAGE
     logging.getLogger().setLevel(logging.INFO)
     with opened(NAME, ros_arguments) as node:
-        said = {key: value for key, value in vars(given).items() if value is not None}
+        options_given = {key: value for key, value in vars(given).items() if value is not None}
         try:
-            wishes = wishes_of(parameters_of(node) | said)
+            options = options_of(parameters_of(node) | options_given)
         except ValueError as error:
             _log.error("%s", error)
             return _USAGE
         ended_by: BaseException | None = None
         try:
-            asyncio.run(run(wishes, RclpyNode(node)))
+            asyncio.run(run(options, RclpyNode(node)))
         except* (Ended, Wrong) as errors:
             ended_by = first(errors)
             _log.error("%s", ended_by)
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def wishes_of(parameters: Mapping[str, Any]) -> Wishes:
+def options_of(parameters: Mapping[str, Any]) -> BridgeOptions:
     """Parameters of the node, or the same as options. Raises ValueError."""
     found: dict[str, Any] = {}
     limits: dict[str, float] = {}
@@ -99,17 +99,17 @@ def wishes_of(parameters: Mapping[str, Any]) -> Wishes:
             raise ValueError(f"no parameter {name}; there are: {known}")
     if "socket" in found:
         found["socket"] = Path(found["socket"])
-    return Wishes(**found, limits=limits)
+    return BridgeOptions(**found, limits=limits)
 
 
-async def run(wishes: Wishes, node: RclpyNode) -> None:
+async def run(options: BridgeOptions, node: RclpyNode) -> None:
     """Until a signal, or the end of ROS 2. Raises Wrong, in a group."""
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
     async with asyncio.TaskGroup() as tasks:
-        work = tasks.create_task(serve(wishes, node))
+        work = tasks.create_task(serve(options, node))
         await end.wait()
         work.cancel()
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, cast
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.adapters import Adapter
 from motord.bus.commands.gate import NotTaken
-from motord.bus.commands.link import Ask, Source, call
+from motord.bus.commands.link import Call, Source, call
 from motord.bus.parameters import Tunable
 from motord.bus.ros2.commands import Ros2Commands
 from motord.bus.ros2.nodes import Node
@@ -41,7 +41,7 @@ class Wrong(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wishes:
+class BridgeOptions:
     """What the node's parameters ask for."""
 
     robot: str | None = None
@@ -54,28 +54,28 @@ class Wishes:
     """Robot parameters (limits.*) that are set whenever the lease is taken."""
 
 
-async def serve(wishes: Wishes, node: Node) -> None:
+async def serve(options: BridgeOptions, node: Node) -> None:
     """Until cancelled. Raises Wrong."""
-    path, description = await _described(wishes)
+    path, description = await _described(options)
     _log.info("%s: robot %s", path, description["robot"])
     robot = _robot(description)
     section = SimpleNamespace(
-        stamped=wishes.stamped, lease_s=_input(description, wishes.input)["lease_s"]
+        stamped=options.stamped, lease_s=_input(description, options.input)["lease_s"]
     )
-    runtime = BridgeRuntime(robot, path, description, wishes.limits)
+    runtime = BridgeRuntime(robot, path, description, options.limits)
     # It asks the section for no more than that.
-    commands = Ros2Commands(wishes.input, cast("Ros2Input", section), runtime, node)
+    commands = Ros2Commands(options.input, cast("Ros2Input", section), runtime, node)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(runtime.run())
         tasks.create_task(commands.run())
 
 
-async def _described(wishes: Wishes) -> tuple[Path, dict[str, Any]]:
+async def _described(options: BridgeOptions) -> tuple[Path, dict[str, Any]]:
     """The daemon's socket, and what it says of its robot, as soon as there is a daemon."""
     last_error = ""
     while True:
         try:
-            path = wishes.socket or find_socket(wishes.robot)
+            path = options.socket or find_socket(options.robot)
             return path, await call(path, "robot")
         except ClientError as error:
             if str(error) != last_error:
@@ -151,17 +151,17 @@ class BridgeSource(Source):
         super().__init__(path, owner)
         self._robot, self._description, self._limits = robot, description, limits
 
-    async def _grant(self, ask: Ask) -> dict[str, Any]:
+    async def _grant(self, call_daemon: Call) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
-        if await ask("robot", {}) != self._description:
+        if await call_daemon("robot", {}) != self._description:
             raise Wrong("the robot file is another than at the start of this bridge: start it anew")
 
         async def on_this_connection(method: str, **params: Any) -> Any:
-            return await ask(method, params)
+            return await call_daemon(method, params)
 
         if self._limits:
             try:
                 await Tunable(self._robot, on_this_connection).change(self._limits)
             except NotTaken as error:
                 _log.error("parameters of this node: %s", error)
-        return await super()._grant(ask)
+        return await super()._grant(call_daemon)

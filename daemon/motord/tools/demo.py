@@ -322,8 +322,8 @@ def refused(stage: Stage, ride: Ride, refusal: Refused) -> str:
 
 def measure(status: dict[str, Any], truth: RobotTruth) -> Score:
     """Both have come to rest: where each says that the robot is."""
-    said = status["odometry"]
+    odometry = status["odometry"]
     return score(
-        Pose(said["x_m"], said["y_m"], said["heading_rad"], said["distance_m"]),
+        Pose(odometry["x_m"], odometry["y_m"], odometry["heading_rad"], odometry["distance_m"]),
         Pose(truth.x_m, truth.y_m, truth.heading_rad, truth.distance_m),
     )

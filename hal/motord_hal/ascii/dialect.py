@@ -10,7 +10,7 @@ from motord_hal.ascii.text import Lines, Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR, twist_of
 from motord_hal.base.errors import ProfileError
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec
-from motord_hal.mcu.dialect import Said
+from motord_hal.mcu.dialect import BoardFeedback
 from motord_hal.mcu.frames import BoardImu
 
 COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
@@ -98,13 +98,13 @@ class TextDialect:
         name = channel.setpoint
         return self._profile.registers[name].to_si(raw.get(name, 0))
 
-    def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:
+    def feed(self, data: bytes, now_ns: int) -> Iterator[BoardFeedback]:
         for line in self._lines.feed(data) if self._received else ():
             numbers = self._received.read(line) if self._received else None
             if numbers is None:
                 self.bad += 1
                 continue
-            yield Said(self._values(numbers), now_ns, now_ns, None, _imu(numbers))
+            yield BoardFeedback(self._values(numbers), now_ns, now_ns, None, _imu(numbers))
 
     def _values(self, numbers: Mapping[str, float]) -> dict[str, int]:
         values: dict[str, int] = {}

@@ -65,7 +65,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._values: dict[str, int] = {}
         """Register → the newest raw value."""
         self._rules = DriveRules()
-        self._said_unresponsive = False
+        self._reported_unresponsive = False
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
@@ -121,9 +121,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """Nothing is heard of it. Returns whether that is new, and was said."""
         self._forget(error)
         self._rules.unresponsive()
-        if self._said_unresponsive:
+        if self._reported_unresponsive:
             return False
-        self._said_unresponsive = True
+        self._reported_unresponsive = True
         why = "; ".join(filter(None, (str(error), self._hint())))
         self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {why}")
         return True
@@ -223,11 +223,11 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     def _configured(self) -> None:
         self._rules.request(Mode.READY)
-        if self._said_unresponsive:
+        if self._reported_unresponsive:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
             self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_unresponsive = False
+        self._reported_unresponsive = False
 
     def _armed(self) -> None:
         self._rules.request(Mode.ARMED, self.enabled_count)

@@ -114,9 +114,13 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _check_power(self, frame: Frame) -> None:
         """What the frame says of the power, against what it should be."""
-        said = self.plan.profile.enabled
+        enabled_place = self.plan.profile.enabled
         enabled = self.plan.enabled(self._values)
-        if said is None or self.plan.read_frame_of(said.register) is not frame or enabled is None:
+        if (
+            enabled_place is None
+            or self.plan.read_frame_of(enabled_place.register) is not frame
+            or enabled is None
+        ):
             return
         self._judge_power(enabled)
 

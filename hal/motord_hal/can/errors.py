@@ -53,13 +53,16 @@ class BusWarnings:
     """What error frames foretell, for people: each kind once in WARN_EVERY_S."""
 
     def __init__(self) -> None:
-        self._said_s: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
 
     def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
         """What is to be said of these kinds of errors now."""
         found = []
         for kind in kinds:
-            if kind in _WARNINGS and now_s - self._said_s.get(kind, -WARN_EVERY_S) >= WARN_EVERY_S:
-                self._said_s[kind] = now_s
+            if (
+                kind in _WARNINGS
+                and now_s - self._reported_s.get(kind, -WARN_EVERY_S) >= WARN_EVERY_S
+            ):
+                self._reported_s[kind] = now_s
                 found.append(_WARNINGS[kind])
         return found

@@ -94,16 +94,16 @@ class _Unit:
         """As halt.halt_unit, and then what the drive says of its power: without power it has
         stopped, whatever it did not acknowledge."""
         problem = await halt_unit(self)
-        said = await self._confirm()
-        return said and (problem or said)
+        power_problem = await self._confirm()
+        return power_problem and (problem or power_problem)
 
     async def _confirm(self) -> str:
-        said = self.profile.enabled
-        if said is None:
+        place = self.profile.enabled
+        if place is None:
             return f"{self.name}: told to stop; it cannot say whether it has power"
         until_s = now_s() + HEAR_WITHIN_S
         try:
-            while await self.read(said.register) & said.mask == said.equals:
+            while await self.read(place.register) & place.mask == place.equals:
                 if now_s() > until_s:
                     return f"{self.name}: says that it is enabled still"
         except HalError as error:

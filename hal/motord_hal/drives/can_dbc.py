@@ -136,12 +136,12 @@ class _Reader:
         }
 
     def _frame(self, name: str, table: Table, node: int, shift: int) -> dict[str, object]:
-        said = table.without("dbc")
+        given = table.without("dbc")
         if "dbc" not in table:
-            return said
+            return given
         message = self._messages.get(self._name(table, self._messages))
         if message is None or not self._is_simple(message):
-            return said
+            return given
         self._named[name] = message
         own = table.flag("addressed", default=True)
         base = message.frame_id - (node << table.integer("node_shift", 0, 24, shift)) * own
@@ -157,9 +157,9 @@ class _Reader:
             "sender": "drive" if by_drive else "motord",
             "source": f"{self._file.name}, {message.name}",
         }
-        if by_drive and message.cycle_time and "ask" not in said:
+        if by_drive and message.cycle_time and "ask" not in given:
             found["period_s"] = message.cycle_time / 1000
-        return self._agreed(table, said, found)
+        return self._agreed(table, given, found)
 
     def _is_simple(self, message: Message) -> bool:
         import cantools
@@ -192,19 +192,19 @@ class _Reader:
         }
 
     def _signal(self, table: Table) -> dict[str, object]:
-        said = table.without("dbc")
+        given = table.without("dbc")
         if "dbc" not in table:
-            return said
+            return given
         frame = table.text("frame")
         message = self._named.get(frame)
         if message is None:
             if not self._problems.rows:
                 table.complain("frame", f'"{frame}" is no frame of the DBC file')
-            return said
+            return given
         signals = {one.name: one for one in message.signals}
         signal = signals.get(self._name(table, signals))
         if signal is None or not self._is_sayable(message, signal):
-            return said
+            return given
         self._mapped.add((frame, signal.name))
         unit, factor = self._unit(table, signal)
         start_bit, big = signal.start, signal.byte_order == "big_endian"
@@ -222,11 +222,11 @@ class _Reader:
         if by_drive and isinstance(start, int) and not signal.is_float:
             found["default"] = start
         if not by_drive:
-            found |= self._limits(table, said, signal, factor)
-            if start and "default" not in said:  # it might be the command that lets the motor run
+            found |= self._limits(table, given, signal, factor)
+            if start and "default" not in given:  # it might be the command that lets the motor run
                 problem = f"is missing: {signal.name} starts with {start} in {self._file.name},"
                 table.complain("default", f"{problem} motord would send 0 until it is written")
-        return self._agreed(table, said, found)
+        return self._agreed(table, given, found)
 
     def _is_sayable(self, message: Message, signal: DbcSignal) -> bool:
         problem = ""
@@ -257,7 +257,7 @@ class _Reader:
         return wanted, known[1]
 
     def _limits(
-        self, table: Table, said: Mapping[str, object], signal: DbcSignal, factor: float
+        self, table: Table, given: Mapping[str, object], signal: DbcSignal, factor: float
     ) -> dict[str, object]:
         """What may be sent. The profile may be narrower than the file."""
         found: dict[str, object] = {}
@@ -266,21 +266,21 @@ class _Reader:
             if limit is None or not math.isfinite(limit):
                 continue
             found[key] = limit * factor
-            own = said.get(key)
+            own = given.get(key)
             if isinstance(own, int | float) and (own - limit * factor) * inward < 0:
                 table.complain(key, f"{own:g} is beyond the {limit * factor:g} of the DBC file")
         return found
 
     # ----------------------------------------------------------------------------- what both say
     def _agreed(
-        self, table: Table, said: Mapping[str, object], found: Mapping[str, object]
+        self, table: Table, given: Mapping[str, object], found: Mapping[str, object]
     ) -> dict[str, object]:
         """Both together; what is said in both must be the same."""
         for key, value in found.items():
-            own = said.get(key, value)
+            own = given.get(key, value)
             if key not in _MAY_DIFFER and not _same(own, value):
                 table.complain(key, f"{own!r} is not {value!r}, as {self._file.name} has it")
-        return {**found, **said}
+        return {**found, **given}
 
     def check_whole(self) -> None:
         """A message that motord sends is known in all its parts: else 0 would go out in some."""

@@ -75,24 +75,24 @@ class _Reader:
 
     def object(self, name: str, table: Table) -> dict[str, object]:
         """The object with its type, and what the drive starts with."""
-        said = table.without()
+        given = table.without()
         index, sub = table.integer("index", 0x1000, 0xFFFF), table.integer("sub", 0, 255, 0)
         entry = self._dictionary.get_variable(index, sub)
         if entry is None:
             table.complain("index", f"{index:04X}h:{sub:02X}h is not in {self._file}")
-            return said
+            return given
         self._indices[name] = index, sub
         kind = _TYPES.get(entry.data_type or 0)
         if kind is None:
             table.complain("index", f"{self._file}: has a type that no profile has")
-            return said
-        if said.get("type", kind) != kind:
-            table.complain("type", f'"{said["type"]}" is not "{kind}", as {self._file} has it')
+            return given
+        if given.get("type", kind) != kind:
+            table.complain("type", f'"{given["type"]}" is not "{kind}", as {self._file} has it')
         read_only = entry.access_type in _READ_ONLY
-        if read_only and said.get("access", "rw") != "r":
+        if read_only and given.get("access", "rw") != "r":
             table.complain("access", f"{self._file}: cannot be written ({entry.access_type})")
         default = {"default": entry.default} if isinstance(entry.default, int) else {}
-        return {"type": kind, **default, **said}
+        return {"type": kind, **default, **given}
 
     def check_steps(self, steps: Table) -> None:
         """What is mapped into PDOs can be, and the mode is one that the drive has."""

@@ -73,11 +73,11 @@ def _check_serial(profile: DriveProfile, problems: Problems) -> None:
         if profile.read_write_function and profile.write_function != 16:
             problems.add("serial.read_write_function", "a drive that has 23 has 16 too: say it")
         return
-    for key, said in (
+    for key, has_it in (
         ("read_write_function", profile.read_write_function),
         ("broadcast_stop", profile.broadcast_stop),
     ):
-        if said:
+        if has_it:
             problems.add(f"serial.{key}", f"{profile.protocol} has no such thing")
 
 

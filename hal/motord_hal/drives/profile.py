@@ -8,6 +8,7 @@ one door.
 from __future__ import annotations
 
 import enum
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,15 +34,15 @@ class RegisterType(enum.StrEnum):
     I32_LOW_FIRST = "i32-low-first"
     F32 = "f32"
 
-    @property
+    @functools.cached_property
     def bits(self) -> int:
         return int(self.value.split("-")[0][1:])
 
-    @property
+    @functools.cached_property
     def words(self) -> int:
         return 2 if self.bits > 16 else 1
 
-    @property
+    @functools.cached_property
     def signed(self) -> bool:
         return self.value.startswith(("i", "f"))
 

@@ -59,7 +59,7 @@ class LineTask(abc.ABC):
         self.spec = spec
         self._listener = listener
         self._is_open = False
-        self._said_lost = False
+        self._reported_lost = False
         self._losses = 0
         """How often the medium was lost, or could not be opened."""
         self._reopened = 0
@@ -102,22 +102,22 @@ class LineTask(abc.ABC):
 
     async def _open(self) -> None:
         while True:
-            if self._said_lost:
+            if self._reported_lost:
                 await asyncio.sleep(self._backoff.next_s())
             try:
                 text = await self._open_medium()
                 break
             except HalError as error:
                 self._lose(error)
-        self._reopened += self._said_lost
-        self._is_open, self._said_lost = True, False
+        self._reopened += self._reported_lost
+        self._is_open, self._reported_lost = True, False
         self._say_all(EventKind.LINE_OPEN, text)
 
     def _lose(self, error: HalError) -> None:
         self._losses += 1
         self._close(error)
-        if not self._said_lost:
-            self._said_lost = True
+        if not self._reported_lost:
+            self._reported_lost = True
             self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
 
     def _close(self, error: HalError) -> None:

@@ -49,10 +49,10 @@ class Plan:
 
     def enabled(self, values: Mapping[str, int]) -> bool | None:
         """None: the drive cannot say, or has not said yet."""
-        said = self.profile.enabled
-        if said is None or said.register not in values:
+        enabled = self.profile.enabled
+        if enabled is None or enabled.register not in values:
             return None
-        return values[said.register] & said.mask == said.equals
+        return values[enabled.register] & enabled.mask == enabled.equals
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
         """Register → raw for the set-points, and for what goes with them. What is missing, NaN or

@@ -176,10 +176,10 @@ class Mounting:
 
     def from_base(self, vector: Sequence[float]) -> tuple[float, ...]:
         """The other way round: a sensor that sits so says this."""
-        said = [0.0, 0.0, 0.0]
+        sensed = [0.0, 0.0, 0.0]
         for (axis, sign), value in zip(self._rows(), vector, strict=True):
-            said[axis] = sign * value
-        return tuple(said)
+            sensed[axis] = sign * value
+        return tuple(sensed)
 
     def _rows(self) -> tuple[tuple[int, float], ...]:
         """Of each of the base's axes: the sensor's that lies along it, and its sign."""

@@ -179,8 +179,10 @@ class ImuChip:
     def _check(self) -> None:
         for register, value in self._kept:
             if (found := self._registers.read_byte(register)) != value:
-                said = f"register 0x{register:02X} reads 0x{found:02X}, was written 0x{value:02X}"
-                raise BadReply(f"the chip has lost its set-up: {said}")
+                problem = (
+                    f"register 0x{register:02X} reads 0x{found:02X}, was written 0x{value:02X}"
+                )
+                raise BadReply(f"the chip has lost its set-up: {problem}")
 
 
 def range_place(family: Family, range_rad_s: float) -> int:

@@ -145,9 +145,9 @@ class Ina:
     def _check_settings(self) -> None:
         for register, wanted in self._chip.settings:
             if (found := self._registers.read_word(register)) != wanted:
-                said = f"reads 0x{found:04X}, was written 0x{wanted:04X}"
+                problem = f"reads 0x{found:04X}, was written 0x{wanted:04X}"
                 raise BadReply(
-                    f"the chip's configuration {said}: it is another chip, or lost power"
+                    f"the chip's configuration {problem}: it is another chip, or lost power"
                 )
 
 

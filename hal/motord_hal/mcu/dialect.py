@@ -11,7 +11,7 @@ from motord_hal.mcu.frames import BoardImu
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class BoardFeedback:
     """One good feedback of the board."""
 
     values: dict[str, int]
@@ -41,7 +41,7 @@ class Dialect(Protocol):
         """What to send: every register that is written, set-points among them."""
         ...
 
-    def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:
+    def feed(self, data: bytes, now_ns: int) -> Iterator[BoardFeedback]:
         """The feedback that these bytes complete."""
         ...
 

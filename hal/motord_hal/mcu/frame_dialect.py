@@ -10,7 +10,7 @@ from dataclasses import replace
 from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.fieldbus.ports import LineSpec
-from motord_hal.mcu.dialect import Said
+from motord_hal.mcu.dialect import BoardFeedback
 from motord_hal.mcu.frames import (
     Frame,
     FrameError,
@@ -67,7 +67,7 @@ class FrameDialect:
             del self._sent_ns[next(iter(self._sent_ns))]
         return build(Frame(Type.SETPOINTS, self._sequence, now_ns // NS_PER_US, payload))
 
-    def feed(self, data: bytes, now_ns: int) -> Iterator[Said]:
+    def feed(self, data: bytes, now_ns: int) -> Iterator[BoardFeedback]:
         for piece in self._splitter.feed(data):
             try:
                 frame = parse(piece)
@@ -78,9 +78,11 @@ class FrameDialect:
             except FrameError:
                 self.bad += 1
                 continue
-            yield replace(self._said(frame, values, received, now_ns), imu=imu)
+            yield replace(self._feedback(frame, values, received, now_ns), imu=imu)
 
-    def _said(self, frame: Frame, values: dict[str, int], received: Received, now_ns: int) -> Said:
+    def _feedback(
+        self, frame: Frame, values: dict[str, int], received: Received, now_ns: int
+    ) -> BoardFeedback:
         sent_ns = self._sent_ns.get(received.sequence)
         stamp_ns = self._clock.stamp_ns(frame.time_us, now_ns)
         trip_s = -math.inf if sent_ns is None else (now_ns - sent_ns) * 1e-9 - received.held_s
@@ -88,8 +90,8 @@ class FrameDialect:
             self._sequence = received.sequence
             self._sent_ns.clear()
         if sent_ns is None or trip_s < -HELD_TOLERANCE_S:
-            return Said(values, stamp_ns, 0, None)
-        return Said(values, stamp_ns, sent_ns, trip_s)
+            return BoardFeedback(values, stamp_ns, 0, None)
+        return BoardFeedback(values, stamp_ns, sent_ns, trip_s)
 
     def wire_bytes(self) -> int:
         return wire_bytes(self._motors, imu=self._has_imu)

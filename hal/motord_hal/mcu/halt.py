@@ -10,7 +10,7 @@ from motord_hal.base.clock import now_ns, now_s
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.halt import STOPPING_WITHIN_S
 from motord_hal.fieldbus.ports import LineSpec
-from motord_hal.mcu.dialect import Dialect, Said
+from motord_hal.mcu.dialect import BoardFeedback, Dialect
 from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.mcu.pace import period_s
@@ -26,7 +26,7 @@ class _Halt:
         self._plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
         self._stream = Stream(spec, self._take_in)
         self._period_s = period_s(spec, dialect.wire_bytes())
-        self._newest: Said | None = None
+        self._newest: BoardFeedback | None = None
 
     def _take_in(self, data: bytes) -> None:
         for newest in self._dialect.feed(data, now_ns()):
@@ -75,7 +75,7 @@ class _Halt:
         newest = self._received_since(since_ns)
         return newest is not None and self._plan.enabled(newest.values) is not True
 
-    def _received_since(self, since_ns: int) -> Said | None:
+    def _received_since(self, since_ns: int) -> BoardFeedback | None:
         newest = self._newest
         return newest if newest is not None and newest.received_ns >= since_ns else None
 

@@ -47,8 +47,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
         self._stamps_ns: dict[str, int] = {}
         self._stamp_ns = 0
-        self._ways: dict[str, int] = {}
-        self._last_ways: dict[str, int] = {}
+        self._directions: dict[str, int] = {}
+        self._last_directions: dict[str, int] = {}
         self._failures = 0
         self._cycles = 0
         self._may_turn = False
@@ -130,10 +130,10 @@ class Drive(AsyncioDrive[DrivePlan]):
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
-        ways = self.plan.directions(wanted, raw) if armed else {}
-        for register, way in ways.items():
-            # never a new magnitude the old way, also when the next frame is lost
-            if way not in (self._ways.get(register), self.plan.rests[register]):
+        directions = self.plan.directions(wanted, raw) if armed else {}
+        for register, direction in directions.items():
+            # never a new magnitude in the old direction, also when the next frame is lost
+            if direction not in (self._directions.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
         exchanges = self.plan.cyclic(raw)
         last_write = max(n for n, one in enumerate(exchanges) if one.request.values)
@@ -142,16 +142,16 @@ class Drive(AsyncioDrive[DrivePlan]):
             if number == last_write:
                 self.sent_motion = motion
                 if self.state is DriveState.ARMED:  # and not disarmed meanwhile
-                    await self._turn(ways)
+                    await self._turn(directions)
 
-    async def _turn(self, ways: Mapping[str, int]) -> None:
+    async def _turn(self, directions: Mapping[str, int]) -> None:
         """Tell the directions that are not known to have been told."""
-        for register, way in ways.items():
-            if self._ways.pop(register, None) != way:
-                await self._write({register: way})
-            self._ways[register] = way
-            if way != self.plan.rests[register]:
-                self._last_ways[register] = way
+        for register, direction in directions.items():
+            if self._directions.pop(register, None) != direction:
+                await self._write({register: direction})
+            self._directions[register] = direction
+            if direction != self.plan.rests[register]:
+                self._last_directions[register] = direction
 
     def _check_setup(self) -> None:
         """A drive whose power failed for a moment answers as before, without its watchdog."""
@@ -165,9 +165,11 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     def _due_extra(self) -> ReadRange | None:
         """One range that may wait; first of all the one that says whether the drive is enabled."""
-        extra, said = self.plan.extra, self.plan.profile.enabled
-        if said is not None and said.register not in self._values:
-            telling = (r for r in extra if any(x.name == said.register for x in r.registers))
+        extra, enabled_place = self.plan.extra, self.plan.profile.enabled
+        if enabled_place is not None and enabled_place.register not in self._values:
+            telling = (
+                r for r in extra if any(x.name == enabled_place.register for x in r.registers)
+            )
             return next(telling, None)  # None: the next cycle reads it
         if not extra or self._cycles % EXTRA_EVERY_CYCLES:
             return None
@@ -176,7 +178,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     def _publish(self) -> None:
         enabled, moving = None, False
         for joint in self.plan.joints:
-            reading = self.plan.reading(joint, self._values, self._last_ways)
+            reading = self.plan.reading(joint, self._values, self._last_directions)
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity or ""
             self._put_feedback(joint, reading, self._stamps_ns.get(measured, self._stamp_ns))
@@ -197,7 +199,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     def _forget(self, error: HalError) -> None:
         super()._forget(error)
         self._stamps_ns.clear()
-        self._ways.clear()
+        self._directions.clear()
         self._failures = 0
 
     async def slot(self) -> None:
@@ -234,7 +236,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             await self._write({step.register: step.value}, urgent=job.urgent)
             if job.name != "write":
                 self._forget_enabled()
-            self._ways.pop(step.register, None)
+            self._directions.pop(step.register, None)
             job.advance()
             return
         register = self.plan.profile.registers[step.register]
@@ -318,7 +320,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     def _disarmed(self) -> None:
         super()._disarmed()
-        self._ways.clear()
+        self._directions.clear()
         self._forget_enabled()
 
     async def tell_power_off(self) -> bool:

@@ -90,9 +90,9 @@ class DrivePlan(Plan):
         names = {register.name for register in fast}
         self.fast = tuple(r for r in ranges if any(x.name in names for x in r.registers))
         self.extra = tuple(r for r in ranges if r not in self.fast)
-        ways = (self.channel(joint).direction for joint in self.joints)
-        self.rests = {way.register: way.rest for way in ways if way is not None}
-        """Direction register → the value that means neither way."""
+        directions = (self.channel(joint).direction for joint in self.joints)
+        self.rests = {each.register: each.rest for each in directions if each is not None}
+        """Direction register → the value that means neither direction."""
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
         """Few requests: a hole of known registers is read along where that is faster."""
@@ -179,28 +179,28 @@ class DrivePlan(Plan):
 
     def directions(self, wanted: Wanted, raw: Mapping[str, int]) -> dict[str, int]:
         """Direction register → raw for the same set-points; rest where the magnitude is zero."""
-        ways = {}
+        found = {}
         for joint in self.joints:
             channel = self.channel(joint)
             if channel.direction is None:
                 continue
             name = channel.setpoint
             forward = (of_kind(channel, wanted.get(joint.index, REST)) > 0) != joint.inverted
-            way = channel.direction.forward if forward else channel.direction.reverse
-            ways[channel.direction.register] = way if raw[name] else channel.direction.rest
-        return ways
+            direction = channel.direction.forward if forward else channel.direction.reverse
+            found[channel.direction.register] = direction if raw[name] else channel.direction.rest
+        return found
 
     def reading(
-        self, joint: JointSpec, values: Mapping[str, int], last_ways: Mapping[str, int]
+        self, joint: JointSpec, values: Mapping[str, int], last_directions: Mapping[str, int]
     ) -> Reading:
-        """What the raw values say of a joint; `last_ways` signs a velocity that has no sign."""
+        """A joint by its raw values; `last_directions` signs a velocity that has no sign."""
         channel = self.channel(joint)
         sign = -1.0 if joint.inverted else 1.0
         velocity = self._si(channel.velocity, values) / joint.gear_ratio * sign
-        way = channel.direction
-        if way is not None and channel.velocity is not None:
+        direction = channel.direction
+        if direction is not None and channel.velocity is not None:
             signed = self.profile.registers[channel.velocity].type.signed
-            if not signed and last_ways.get(way.register) == way.reverse:
+            if not signed and last_directions.get(direction.register) == direction.reverse:
                 velocity = -velocity
         mask = (1 << self.profile.counter_bits) - 1
         return Reading(

@@ -18,8 +18,8 @@ from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.thread import (
     LineLife,
+    LineThreadHandle,
     Plain,
-    ThreadDoor,
     check_code,
     check_plain,
     config_of,
@@ -41,7 +41,7 @@ class BoardClock:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardSays:
+class BoardDriveReport:
     """The board, as its thread sees it."""
 
     mode: Mode
@@ -56,11 +56,11 @@ class BoardSays:
     orders_sent: int
     orders_dropped: int
     knows: bool
-    """What it said last, it said when it had heard all that was written to it."""
+    """Its newest report is from after it had received all that was written to it."""
     received_ns: int
     """0: never."""
-    said: bytes
-    """Its newest word; empty: it has not spoken since it was unresponsive, or ever."""
+    payload: bytes
+    """Of its newest report; empty: none has come since it was unresponsive, or ever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class BoardReport(LineLife):
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
-    drives: tuple[BoardSays]
+    drives: tuple[BoardDriveReport]
 
 
 def check_table(name: str, table: Plain) -> None:
@@ -89,7 +89,7 @@ def check_table(name: str, table: Plain) -> None:
     check_plain(name, first_bad)
 
 
-class BoardThread(ThreadDoor):
+class BoardThread(LineThreadHandle):
     """One board's thread in C, from `start` to `stop`. One caller's thread at a time. Its drive has
     the number 0."""
 
@@ -143,7 +143,7 @@ class BoardThread(ThreadDoor):
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),
-            drives=(_says(raw),),
+            drives=(_drive_report(raw),),
         )
 
     def round_trips(self) -> RoundTrips:
@@ -153,8 +153,8 @@ class BoardThread(ThreadDoor):
         return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
 
 
-def _says(raw: Any) -> BoardSays:
-    return BoardSays(
+def _drive_report(raw: Any) -> BoardDriveReport:
+    return BoardDriveReport(
         mode=Mode(raw.mode),
         fault_reasons=FaultReason(raw.fault_reasons),
         request_seen=raw.request_seen,
@@ -167,5 +167,5 @@ def _says(raw: Any) -> BoardSays:
         orders_dropped=raw.orders_dropped,
         knows=raw.knows_ns >= raw.written_ns,
         received_ns=raw.received_ns,
-        said=bytes(ffi.buffer(raw.said, raw.said_bytes)),
+        payload=bytes(ffi.buffer(raw.said, raw.said_bytes)),
     )

@@ -17,8 +17,8 @@ from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.thread import (
     LineLife,
+    LineThreadHandle,
     Plain,
-    ThreadDoor,
     check_code,
     check_plain,
     config_of,
@@ -87,7 +87,7 @@ def check_table(name: str, table: Plain) -> None:
     check_plain(name, first_bad)
 
 
-class CanThread(ThreadDoor):
+class CanThread(LineThreadHandle):
     """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:

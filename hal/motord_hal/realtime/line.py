@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the lines that run in C: one thread a line, its table, its asks, its report.
+"""The interface to the lines that run in C: one thread a line, its table, its requests, its report.
 
 The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
 is done when a person, a fault or a parameter asks for it.
@@ -21,7 +21,7 @@ from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.table import LineFrame, LineTable
 from motord_hal.realtime.thread import (
     LineLife,
-    ThreadDoor,
+    LineThreadHandle,
     check_code,
     check_plain,
     config_of,
@@ -79,7 +79,7 @@ class ThreadSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ask:
+class LineRequest:
     id: int
     drive: int
     frame: LineFrame
@@ -149,14 +149,14 @@ def check_table(name: str, table: LineTable) -> None:
     check_plain(name, first_bad)
 
 
-class LineThread(ThreadDoor):
+class LineThread(LineThreadHandle):
     """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
         super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
         self._exchange = exchange
         self._drives = 0
-        self._ask = ffi.new("line_ask *")
+        self._raw_request = ffi.new("line_ask *")
         self._answer = ffi.new("line_answer *")
         self._report = ffi.new("line_report *")
         self._histogram = ffi.new("histogram *")
@@ -169,12 +169,12 @@ class LineThread(ThreadDoor):
         check_code(lib.line_start(self._line, config, raw), "the line cannot be started")
         self._drives = len(table.drive)
 
-    def put_ask(self, ask: Ask) -> bool:
+    def put_request(self, request: LineRequest) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
-        raw = self._ask
-        raw.id, raw.drive, raw.urgent = ask.id, ask.drive, ask.urgent
-        raw.expires_ns, raw.turnaround_ns = ask.expires_ns, ask.turnaround_ns
-        raw.frame = _frame(ask.frame)
+        raw = self._raw_request
+        raw.id, raw.drive, raw.urgent = request.id, request.drive, request.urgent
+        raw.expires_ns, raw.turnaround_ns = request.expires_ns, request.turnaround_ns
+        raw.frame = _frame(request.frame)
         code = lib.line_put_ask(self._line, raw)
         if code == -errno.EAGAIN:
             return False

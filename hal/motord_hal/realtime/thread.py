@@ -73,7 +73,7 @@ def check_code(code: int, what: str) -> None:
         raise HalError(f"{what}: {os.strerror(-code)}")
 
 
-class ThreadDoor:
+class LineThreadHandle:
     """What asyncio wants of one line's thread. One caller's thread at a time."""
 
     def __init__(

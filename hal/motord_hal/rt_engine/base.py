@@ -18,13 +18,13 @@ from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
 from motord_hal.rt_engine.notifier import Notifier
-from motord_hal.rt_engine.rs485.drive import DriveSays, RtDrive
+from motord_hal.rt_engine.rs485.drive import AnyDriveReport, RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
 """The thread itself needs 0.5 s, and 3 s at most where drives do not answer."""
 
 
-class LineSays(Protocol):
+class AnyLineReport(Protocol):
     """What every line's thread reports."""
 
     @property
@@ -36,26 +36,26 @@ class LineSays(Protocol):
     @property
     def fault_words(self) -> tuple[int, ...]: ...
     @property
-    def drives(self) -> Sequence[DriveSays]: ...
+    def drives(self) -> Sequence[AnyDriveReport]: ...
 
 
-Report = TypeVar("Report", bound=LineSays)
-Said = TypeVar("Said", bound=LineSays, covariant=True)
+Report = TypeVar("Report", bound=AnyLineReport)
+ReportOut = TypeVar("ReportOut", bound=AnyLineReport, covariant=True)
 AnyDrive = TypeVar("AnyDrive", bound=RtDrive)
 
 
-class LineThreadDoor(Protocol[Said]):
+class ReportingThread(Protocol[ReportOut]):
     """A line's thread."""
 
     def stop(self) -> None: ...
     def shut_down(self) -> None: ...
-    def report(self) -> Said: ...
+    def report(self) -> ReportOut: ...
 
 
 class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     """What lines of engine "rt" have in common, whatever their medium."""
 
-    _thread: LineThreadDoor[Report]
+    _thread: ReportingThread[Report]
 
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         super().__init__(spec, listener)
@@ -125,8 +125,8 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     def _take_report(self) -> Report:
         """The newest one, to its drives."""
         report = self._report = self._thread.report()
-        for drive, said in zip(self._drives, report.drives, strict=True):
-            drive.update(said, report.fault_words)
+        for drive, drive_report in zip(self._drives, report.drives, strict=True):
+            drive.update(drive_report, report.fault_words)
         return report
 
     async def _shut_down(self) -> None:
@@ -139,7 +139,9 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
                     await self._notifier.wait()
         done = report.shut_down
         pairs = zip(self._drives, report.drives, strict=True)
-        self._say_left_on([drive for drive, said in pairs if said.stop_waits or not done])
+        self._say_left_on(
+            [drive for drive, drive_report in pairs if drive_report.stop_waits or not done]
+        )
 
     # ---------------------------------------------------------------------------------- its orders
     def _setpoints_ns(self) -> int:

@@ -10,7 +10,7 @@ from motord_hal.realtime.line import LineReport, LineThread
 _ERRORS = ("no_reply", "bad_reply", "refused")
 
 
-class Books:
+class LineCounters:
     """What earlier threads counted, and what the present one does."""
 
     def __init__(self, wire_limit_hz: float) -> None:

@@ -65,7 +65,7 @@ class CommandGate:
         self._stamped = section.stamped
         self._joints = {name: place for place, name in enumerate(runtime.robot.joint)}
         self._calls: Counter[str] = Counter()
-        self._said_s = -SAY_AGAIN_S
+        self._reported_s = -SAY_AGAIN_S
         self._voice = RateLimitedLog(_log)
         self.source: Source = runtime.source(name)
         self._gap: Gap = runtime.gap(section.lease_s)
@@ -138,7 +138,7 @@ class CommandGate:
             if not isinstance(message, Mapping):
                 raise TypeError("a command is an object")
             names, speeds = list(message["name"]), list(map(_number, message["velocity"]))
-            said_s = _stamp_s(message)
+            stamp_s = _stamp_s(message)
             known = [self._joints.get(name, -1) for name in names]
         except (KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no JointState: {error}") from None
@@ -149,7 +149,7 @@ class CommandGate:
         velocity_rad_s = [0.0] * len(self._joints)
         for place, speed in zip(known, speeds, strict=True):
             velocity_rad_s[place] = speed
-        return velocity_rad_s, self._age_s(said_s)
+        return velocity_rad_s, self._age_s(stamp_s)
 
     def _twist(self, message: object) -> tuple[float, float, float]:
         """m/s, rad/s, and the command's age in s."""
@@ -159,20 +159,20 @@ class CommandGate:
             twist = message.get("twist", message)
             linear_m_s = _number(twist["linear"]["x"])
             angular_rad_s = _number(twist["angular"]["z"])
-            said_s = _stamp_s(message)
+            stamp_s = _stamp_s(message)
         except (KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
-        return linear_m_s, angular_rad_s, self._age_s(said_s)
+        return linear_m_s, angular_rad_s, self._age_s(stamp_s)
 
-    def _age_s(self, said_s: float | None) -> float:
+    def _age_s(self, stamp_s: float | None) -> float:
         """Of what was given at that wall time. None: it did not say."""
-        if not self._stamped and not said_s:
+        if not self._stamped and not stamp_s:
             return 0.0
-        if said_s is None:
+        if stamp_s is None:
             raise self._no("it has no stamp (header.stamp, or stamped = false)")
-        if said_s == 0.0:
+        if stamp_s == 0.0:
             raise self._no(ZERO_STAMP)
-        age_s = time.time() - said_s
+        age_s = time.time() - stamp_s
         if not age_s >= -FUTURE_S:
             raise self._no(AHEAD)
         return min(max(age_s, 0.0), OLD_S)
@@ -221,8 +221,8 @@ class CommandGate:
         """Counted, and said from time to time."""
         self.source.refused += 1
         now_s = time.monotonic()
-        if now_s - self._said_s >= SAY_AGAIN_S:
-            self._said_s = now_s
+        if now_s - self._reported_s >= SAY_AGAIN_S:
+            self._reported_s = now_s
             _log.warning("input.%s: refused (%d so far): %s", self._name, self.source.refused, why)
         return NotTaken(why)
 

@@ -44,7 +44,7 @@ def reason(text: str) -> dict[str, str]:
     return {"why": text[:REASON_CHARS_MAX]}
 
 
-Ask = Callable[[str, dict[str, Any]], Awaitable[Any]]
+Call = Callable[[str, dict[str, Any]], Awaitable[Any]]
 """A method of the daemon with its parameters, on one connection. Raises Refused, ClientError."""
 NO_LEASE = "there is no lease: the daemon does not take commands now"
 SOCKET_FULL = (
@@ -193,9 +193,9 @@ class Source:
                 self._say(str(error) or "no answer")
             await asyncio.sleep(LEASE_AGAIN_S)
 
-    async def _grant(self, ask: Ask) -> dict[str, Any]:
-        """A lease on the connection that `ask` has. Raises ClientError."""
-        grant: dict[str, Any] = await ask("lease", {"owner": self.owner})
+    async def _grant(self, call_daemon: Call) -> dict[str, Any]:
+        """A lease on the connection that `call_daemon` has. Raises ClientError."""
+        grant: dict[str, Any] = await call_daemon("lease", {"owner": self.owner})
         return grant
 
     async def _hold(self, grant: dict[str, Any], reader: asyncio.StreamReader) -> None:

@@ -18,8 +18,8 @@ from motord.api.motion import (
     End,
     Goal,
     Motion,
+    MotionStep,
     Plan,
-    Wish,
     bounds_of,
     limit_names,
     obstacle,
@@ -44,7 +44,7 @@ class NotNow(Exception):
 
 
 class Mover:
-    """Of one input. A command by that input itself ends the motion: the newest wish counts."""
+    """Of one input. A command by that input itself ends the motion: the newest command counts."""
 
     def __init__(self, runtime: Runtime, source: Source, gap: Gap, lease_s: float) -> None:
         """`gap`: a goal says no time; none begins where it may have waited here."""
@@ -101,7 +101,7 @@ class Mover:
 
     async def move(
         self, plan: Plan, tell: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
-    ) -> tuple[Wish, Motion | None]:
+    ) -> tuple[MotionStep, Motion | None]:
         """Until its end; `tell` is called at each look. Motion None: it did not begin."""
         try:
             stops = await self._stops()
@@ -109,7 +109,7 @@ class Mover:
                 start = page.read()
                 why = self._why_not(start)
                 if start is None or why is not None:
-                    return Wish(end=End.ABORTED, why=why or ""), None
+                    return MotionStep(end=End.ABORTED, why=why or ""), None
                 self._interrupted, self._direct = False, self._source.direct
                 motion = Motion(
                     plan,
@@ -121,11 +121,11 @@ class Mover:
                 )
                 async with asyncio.TaskGroup() as tasks:
                     counting = tasks.create_task(self._count_stops(motion))
-                    wish = await self._follow(motion, start, page, tell, cancel)
+                    step = await self._follow(motion, start, page, tell, cancel)
                     counting.cancel()
-                return wish, motion
+                return step, motion
         except (NoPage, ClientError) as error:
-            return Wish(end=End.ABORTED, why=str(error)), None
+            return MotionStep(end=End.ABORTED, why=str(error)), None
 
     async def _stops(self) -> int:
         """Counted by the daemon until now. Raises ClientError."""
@@ -146,18 +146,18 @@ class Mover:
         page: StatePage,
         tell: Callable[[Motion, Snapshot], None],
         cancel: asyncio.Event,
-    ) -> Wish:
+    ) -> MotionStep:
         try:
             while True:
                 newest = page.read() or newest
                 if cancel.is_set():
                     motion.cancel(time.monotonic_ns())
-                wish = motion.step(newest, time.monotonic_ns())
+                step = motion.step(newest, time.monotonic_ns())
                 if self._interrupted or self._source.direct != self._direct:
-                    return Wish(end=End.ABORTED, why="cmd_vel commands")
-                if wish.end is not None:
-                    return wish
-                self._source.drive(wish.linear_m_s, wish.angular_rad_s, seen=self._direct)
+                    return MotionStep(end=End.ABORTED, why="cmd_vel commands")
+                if step.end is not None:
+                    return step
+                self._source.drive(step.linear_m_s, step.angular_rad_s, seen=self._direct)
                 tell(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:

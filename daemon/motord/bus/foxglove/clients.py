@@ -60,7 +60,7 @@ _TRIGGER = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _Message:
     """A message of a client's. `came_s`: CLOCK_MONOTONIC."""
 
     client: int
@@ -106,8 +106,8 @@ class Commands(Looks):
         self._topics: dict[tuple[int, int], str] = {}
         """By connection and its channel."""
         self._advertising = threading.Lock()
-        self._friends: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
-        self._strangers: Inbox[_Said] = Inbox(WAITING_MAX, self._take)
+        self._friends: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
+        self._strangers: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
         """Two, so that nobody pushes out the commands of who is let in."""
         self._complained_s: dict[str, float] = {}
         self.server: WebSocketServer | None = None
@@ -171,17 +171,17 @@ class Commands(Looks):
                 return
             self._topics[key] = topic  # used last, forgotten last
         inbox = self._friends if client.id in self._admitted else self._strangers
-        inbox.put(_Said(client.id, topic, data, time.monotonic()))
+        inbox.put(_Message(client.id, topic, data, time.monotonic()))
 
-    def _take(self, said: _Said) -> None:
+    def _take(self, message: _Message) -> None:
         try:
-            request = request_of(json_form.decode, said.raw, REQUEST_BYTES_MAX)
-            self._admit(said.client, request)
-            self._gate.take(said.topic, request, time.monotonic() - said.came_s)
+            request = request_of(json_form.decode, message.raw, REQUEST_BYTES_MAX)
+            self._admit(message.client, request)
+            self._gate.take(message.topic, request, time.monotonic() - message.came_s)
         except NotTaken as error:
-            self._complain(said.topic, error)
+            self._complain(message.topic, error)
         else:
-            self._content(said.topic)
+            self._content(message.topic)
 
     # ----------------------------------------------------------------------------------- services
     def services(self) -> list[Service]:

@@ -115,7 +115,7 @@ class McapRecorder:
             except OSError as error:
                 self._fail(error, len(batch))
             else:
-                self._said_well()
+                self._recovered()
 
     def _write(self, batch: list[Entry]) -> None:
         """In the thread. Raises OSError."""
@@ -164,7 +164,7 @@ class McapRecorder:
         except OSError as error:
             self._fail(error, len(batch))
         else:
-            self._said_well()
+            self._recovered()
             _log.info("publish.%s: what led to the fault is in %s", self._name, path)
 
     def _write_whole(self, batch: list[Entry], what: str) -> str:
@@ -219,7 +219,7 @@ class McapRecorder:
             self._failing = True
             _log.warning("publish.%s: nothing is recorded: %s", self._name, error)
 
-    def _said_well(self) -> None:
+    def _recovered(self) -> None:
         if self._failing:
             self._failing = False
             _log.info("publish.%s: records again", self._name)

@@ -96,16 +96,16 @@ class MqttCommands:
 
     async def _act(self, client: aiomqtt.Client, request: Mapping[str, Any]) -> None:
         try:
-            said = {"result": await self._gate.act(tag(request.get("method")))}
+            reply = {"result": await self._gate.act(tag(request.get("method")))}
         except NotTaken as error:
-            said = {"error": str(error)}
+            reply = {"error": str(error)}
         if len(self._calls) <= ANSWERS_MAX:
-            await self._answer(client, request, **said)
+            await self._answer(client, request, **reply)
 
     async def _answer(
-        self, client: aiomqtt.Client, request: Mapping[str, Any], **said: object
+        self, client: aiomqtt.Client, request: Mapping[str, Any], **reply: object
     ) -> None:
-        answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | said
+        answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | reply
         with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
             await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
 

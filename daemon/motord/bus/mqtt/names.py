@@ -92,8 +92,8 @@ class Sparkplug:
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
         """As Names; `bdSeq` tells which death belongs to them."""
-        said = {"timestamp": _now_ms(), "bdSeq": self._session_ms}
-        yield f"{self._head}/NBIRTH/{self._robot}", self._encode({**said, **description})
+        session = {"timestamp": _now_ms(), "bdSeq": self._session_ms}
+        yield f"{self._head}/NBIRTH/{self._robot}", self._encode({**session, **description})
         for topic, about in description["topics"].items():
             birth = {"timestamp": _now_ms(), **about}
             yield f"{self._head}/DBIRTH/{self._robot}/{topic}", self._encode(birth)

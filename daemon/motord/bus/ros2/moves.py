@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from motord.api.motion import End, Goal, Motion, Plan, Wish
+from motord.api.motion import End, Goal, Motion, MotionStep, Plan
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.commands.mover import Mover, NotNow
@@ -96,10 +96,10 @@ class Moves:
     ) -> Work:
         async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
             begin_s = time.monotonic()
-            wish, motion = await self._mover.move(
+            step, motion = await self._mover.move(
                 plan, lambda motion, newest: tell(feedback(motion, newest)), cancel
             )
-            return _ended(wish), result(motion, time.monotonic() - begin_s, wish.why)
+            return _ended(step), result(motion, time.monotonic() - begin_s, step.why)
 
         return work
 
@@ -162,9 +162,9 @@ class Moves:
         )
 
 
-def _ended(wish: Wish) -> Status:
-    assert wish.end is not None
-    return _ENDS[wish.end]
+def _ended(step: MotionStep) -> Status:
+    assert step.end is not None
+    return _ENDS[step.end]
 
 
 def _distance_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:

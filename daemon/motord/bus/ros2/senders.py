@@ -81,7 +81,7 @@ class Contest:
         """`alive_s`: how long a command is in force."""
         self._where, self._alive_s = where, alive_s
         self._senders: OrderedDict[str, _Sender] = OrderedDict()
-        self._said: set[frozenset[str]] = set()
+        self._reported: set[frozenset[str]] = set()
 
     def received(self, name: str, command: tuple[float, ...], now_s: float | None = None) -> None:
         """A command that was taken."""
@@ -118,11 +118,11 @@ class Contest:
     def _say(self, names: frozenset[str], now_s: float) -> None:
         """Once for two."""
         both = [row for row in self.report(now_s) if row["from"] in names]
-        if names in self._said or not all(row["rate_hz"] for row in both):
+        if names in self._reported or not all(row["rate_hz"] for row in both):
             return
-        if len(self._said) == SENDERS_MAX:
-            self._said.clear()
-        self._said.add(names)
+        if len(self._reported) == SENDERS_MAX:
+            self._reported.clear()
+        self._reported.add(names)
         _log.warning(
             "%s: %s command against each other, and the newest command counts: end one of them, or "
             "put twist_mux before it",

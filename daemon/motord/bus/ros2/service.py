@@ -65,7 +65,7 @@ class Service:
         raw_id = participant.gid[:12] + number.to_bytes(4, "big")
         service_id = ".".join(f"{byte:x}" for byte in raw_id)
 
-        def said(of: str) -> str:
+        def type_of(of: str) -> str:
             return f"serviceid={service_id};typehash={type_hash(of)};"
 
         # The reader last: nobody finds it with one writer.
@@ -73,10 +73,10 @@ class Service:
             names.reply(name), self._reply, quality, f"typehash={type_hash(self._reply)};"
         )
         self.writer = participant.writer(
-            names.reply(name), self._reply, quality, said(self._reply), name
+            names.reply(name), self._reply, quality, type_of(self._reply), name
         )
         self.reader = participant.reader(
-            names.request(name), self._request, quality, said(self._request), self._take, name
+            names.request(name), self._request, quality, type_of(self._request), self._take, name
         )
 
     def _take(self, raw: bytes, info: Any) -> None:

@@ -38,7 +38,7 @@ class RosbridgeClient:
         """By topic that is subscribed to: the shortest time between two messages."""
         self._sent_s: dict[str, float] = {}
         self._newest: dict[str, str] = {}
-        self._news = asyncio.Event()
+        self._arrived = asyncio.Event()
         self._calls = 0
 
     # ------------------------------------------------------------------------------------- telling
@@ -54,7 +54,7 @@ class RosbridgeClient:
         lost = topic in self._newest
         self._sent_s[topic] = time.monotonic()
         self._newest[topic] = text
-        self._news.set()
+        self._arrived.set()
         return lost
 
     async def run(self) -> None:
@@ -70,8 +70,8 @@ class RosbridgeClient:
 
     async def _tell(self) -> None:
         while True:
-            await self._news.wait()
-            self._news.clear()
+            await self._arrived.wait()
+            self._arrived.clear()
             newest, self._newest = self._newest, {}
             for text in newest.values():
                 await self._connection.send_str(text)

@@ -11,7 +11,7 @@ from motord_hal.base.clock import now_s
 from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.modbus.plan import DrivePlan
-from motord_hal.realtime.board import BoardSays, BoardThread
+from motord_hal.realtime.board import BoardDriveReport, BoardThread
 from motord_hal.rt_engine.boards.table import Layout, write
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
@@ -47,7 +47,7 @@ class BoardJobs:
 
     def value(self, register: str) -> int | None:
         """The newest raw value; None: it is not heard."""
-        return self._layout.raw(register, self._says().said)
+        return self._layout.raw(register, self._drive_report().payload)
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
@@ -68,12 +68,12 @@ class BoardJobs:
             else:
                 await self._write(name, step.register, step.value, stops)
 
-    def _says(self) -> BoardSays:
+    def _drive_report(self) -> BoardDriveReport:
         return self._thread.report().drives[0]
 
     async def _write(self, name: str, register: str, raw: int, stops: int | None) -> None:
         """Until a frame with it has gone out."""
-        dropped = self._says().orders_dropped
+        dropped = self._drive_report().orders_dropped
         order = {
             "write": write(self._layout, register, raw),
             "guarded": int(stops is not None),
@@ -84,10 +84,10 @@ class BoardJobs:
         until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._period_s)
-            said = self._says()
-            if said.orders_dropped != dropped:
+            report = self._drive_report()
+            if report.orders_dropped != dropped:
                 break
-            if said.orders_sent + said.orders_dropped == self._thread.ordered:
+            if report.orders_sent + report.orders_dropped == self._thread.ordered:
                 return
         raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
@@ -95,9 +95,9 @@ class BoardJobs:
         """Until a word that was said after it had heard all that was written says so."""
         until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
         while True:
-            said = self._says()
-            raw = self._layout.raw(step.register, said.said)
-            if said.knows and raw is not None and raw & step.mask == step.equals:
+            report = self._drive_report()
+            raw = self._layout.raw(step.register, report.payload)
+            if report.knows and raw is not None and raw & step.mask == step.equals:
                 return
             if now_s() > until_s:
                 raise DriveFault(
@@ -112,8 +112,8 @@ class BoardJobs:
         requested = self._thread.requested(0)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:
-            said = self._says()
-            if said.request_seen == requested:
-                return said.stops
+            report = self._drive_report()
+            if report.request_seen == requested:
+                return report.stops
             await asyncio.sleep(self._period_s)
         raise HalError(f"{self._name}: the line's thread does not answer")

@@ -76,7 +76,7 @@ class CanJobs:
 
     async def _work(self, job: Job, check: Check) -> None:
         stops = await self._stops() if job.name == ARM else None
-        dropped = self._said().orders_dropped
+        dropped = self._drive_report().orders_dropped
         runner = StepRunner(
             self.plan,
             lambda frame, raw: self._write(frame, raw, stops),
@@ -94,7 +94,7 @@ class CanJobs:
             self._runners.remove(runner)
             self._thread.listen(self._index, wanted=bool(self._runners))
 
-    def _said(self) -> CanDriveReport:
+    def _drive_report(self) -> CanDriveReport:
         return self._thread.report().drives[self._index]
 
     async def _sent(self, name: str, dropped_before: int) -> None:
@@ -103,10 +103,10 @@ class CanJobs:
         until_s = now_s() + ORDER_WITHIN_S + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._cycle_s)
-            said = self._said()
-            if said.orders_dropped != dropped_before:
+            report = self._drive_report()
+            if report.orders_dropped != dropped_before:
                 break
-            if said.orders_sent + said.orders_dropped == self._thread.ordered(self._index):
+            if report.orders_sent + report.orders_dropped == self._thread.ordered(self._index):
                 return
         raise NoReply(f"{self._name}: {name}: a frame was not sent: stopped, or the bus is full")
 
@@ -115,9 +115,9 @@ class CanJobs:
         requested = self._thread.requested(self._index)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:
-            said = self._said()
-            if said.request_seen == requested:
-                return said.stops
+            report = self._drive_report()
+            if report.request_seen == requested:
+                return report.stops
             await asyncio.sleep(self._cycle_s)
         raise HalError(f"{self._name}: the bus's thread does not answer")
 

@@ -243,14 +243,14 @@ def _joint_field(plan: CanPlan, joint: JointSpec, kind: FieldKind, signal: Signa
 
 
 def _enabled_field(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
-    said = plan.profile.enabled
-    if said is not None and plan.read_frame_of(said.register) is frame:
+    enabled_place = plan.profile.enabled
+    if enabled_place is not None and plan.read_frame_of(enabled_place.register) is frame:
         yield {
-            "place": _place(plan.signal(said.register)),
+            "place": _place(plan.signal(enabled_place.register)),
             "meaning": {
                 "kind": int(FieldKind.ENABLED),
                 "si_per_raw": 1.0,
-                "equals_mask": said.mask & _U32,
-                "equals": said.equals & _U32,
+                "equals_mask": enabled_place.mask & _U32,
+                "equals": enabled_place.equals & _U32,
             },
         }

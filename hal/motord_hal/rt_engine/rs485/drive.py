@@ -49,7 +49,7 @@ _WARNINGS = MappingProxyType(
 )
 
 
-class DriveSays(Protocol):
+class AnyDriveReport(Protocol):
     """What a thread reports of one drive, whatever its medium."""
 
     @property
@@ -112,10 +112,10 @@ class RtDrive(abc.ABC):
         self._thread = thread
         self._notifier = notifier
         self._say = say
-        self._report: DriveSays | None = None
+        self._report: AnyDriveReport | None = None
         self._backoff = Backoff(RETRY_FIRST_S, RETRY_LIMIT_S)
         self._failed_setup = False
-        self._said_unresponsive = False
+        self._reported_unresponsive = False
         self.stops = 0
         """How often it was told to stand down: an arming that began before is over."""
         self._standing_down = 0
@@ -168,10 +168,10 @@ class RtDrive(abc.ABC):
         self.stops += 1
         self._powered_off(error)
 
-    def update(self, report: DriveSays, fault_words: Sequence[int]) -> None:
+    def update(self, report: AnyDriveReport, fault_words: Sequence[int]) -> None:
         """Note what C reports, and say what is new."""
         before = self.mode
-        said = FaultReason(0) if self._report is None else self._report.fault_reasons
+        before_reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
         self._report = report
         if report.cycles:  # else its fault words have not been read
             for joint in self._jobs.joints:
@@ -180,21 +180,21 @@ class RtDrive(abc.ABC):
             self._is_ready()
         elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
             self._is_unresponsive(self._why_unresponsive(report))
-        for bit in report.fault_reasons & ~said:
+        for bit in report.fault_reasons & ~before_reasons:
             if bit in _WARNINGS:
                 self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
 
     def _is_ready(self) -> None:
         self._backoff.reset()
-        if self._said_unresponsive:
+        if self._reported_unresponsive:
             self._say(EventKind.DRIVE_BACK, self.names, f"{self} is back, configured and disarmed")
         else:
             self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
-        self._said_unresponsive = False
+        self._reported_unresponsive = False
 
     def _is_unresponsive(self, why: str) -> None:
-        if not self._said_unresponsive:
-            self._said_unresponsive = True
+        if not self._reported_unresponsive:
+            self._reported_unresponsive = True
             cause = "; ".join(filter(None, (why, self._hint())))
             self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {cause}")
 
@@ -325,14 +325,14 @@ class SerialDrive(RtDrive):
 
     def _arming_steps(self) -> tuple[Step, ...]:
         profile = self.jobs.profile
-        said = profile.enabled
+        enabled_place = profile.enabled
         enabled: tuple[Step, ...] = ()
-        if said is not None:
+        if enabled_place is not None:
             enabled = (
                 Step(
-                    register=said.register,
-                    mask=said.mask,
-                    equals=said.equals,
+                    register=enabled_place.register,
+                    mask=enabled_place.mask,
+                    equals=enabled_place.equals,
                     within_s=VERIFY_WITHIN_S,
                 ),
             )

@@ -10,26 +10,26 @@ from motord_hal.base.errors import BadReply, DriveFault, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.realtime.table import LineFrame
 from motord_hal.rt_engine.rs485.frames import DriveFrames
-from motord_hal.rt_engine.rs485.request_queue import Asks, Check, always
+from motord_hal.rt_engine.rs485.request_queue import Check, RequestQueue, always
 
 
 class DriveJobs:
     """What can be done with drive number `index` of the line's table, one request at a time."""
 
-    def __init__(self, index: int, frames: DriveFrames, asks: Asks) -> None:
+    def __init__(self, index: int, frames: DriveFrames, queue: RequestQueue) -> None:
         self.frames = frames
         self.profile = frames.profile
         self.joints = frames.joints
         self.unit = frames.unit
         self.tries = max(joint.tries for joint in frames.joints)
         self._index = index
-        self._asks = asks
+        self._queue = queue
         self._name = ", ".join(joint.name for joint in frames.joints)
 
     @property
     def request_limit_s(self) -> float:
         """Longest time until a request is on the wire, or will never be."""
-        return self._asks.limit_s
+        return self._queue.limit_s
 
     async def run(
         self,
@@ -45,7 +45,7 @@ class DriveJobs:
                 await self._wait_for(name, step, check)
                 continue
             for frame in self.frames.writes({step.register: step.value}):
-                await self.ask(frame, urgent=urgent, check=check)
+                await self.send(frame, urgent=urgent, check=check)
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
         give_up_s = None
@@ -62,16 +62,16 @@ class DriveJobs:
 
     async def read(self, register: str, *, check: Check = always) -> int:
         """A register's raw value, now. Raises HalError."""
-        reply = await self.ask(self.frames.read(register), check=check)
+        reply = await self.send(self.frames.read(register), check=check)
         return self.frames.raw(register, reply)
 
-    async def ask(self, frame: LineFrame, *, urgent: bool = False, check: Check = always) -> bytes:
+    async def send(self, frame: LineFrame, *, urgent: bool = False, check: Check = always) -> bytes:
         """One request, tried again when it was lost. Raises HalError."""
         turnaround_s = self.frames.profile.turnaround_s
         tries = 1
         while True:
             try:
-                return await self._asks.ask(
+                return await self._queue.send(
                     self._index, frame, turnaround_s, urgent=urgent, check=check
                 )
             except (NoReply, BadReply):

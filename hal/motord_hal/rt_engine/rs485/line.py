@@ -11,11 +11,11 @@ from motord_hal.fieldbus.ports import LineSpec, LineStats, Listener
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.line import DRIVES_MAX, LineReport, LineThread, ThreadSpec, check_table
 from motord_hal.rt_engine.base import RtLineBase
-from motord_hal.rt_engine.counters import Books
+from motord_hal.rt_engine.counters import LineCounters
 from motord_hal.rt_engine.rs485.drive import SerialDrive
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.protocols import frames_of
-from motord_hal.rt_engine.rs485.request_queue import Asks
+from motord_hal.rt_engine.rs485.request_queue import RequestQueue
 from motord_hal.rt_engine.rs485.table import line_table
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
@@ -40,11 +40,13 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         check_table(spec.name, self._table)
         self._witness = Witness()
         cycle_s = max(1.0 / spec.cycle_hz, sum(drive.slowest_cycle_s() for drive in frames))
-        self._asks = Asks(spec.name, self._thread, len(frames) * (cycle_s + SLOT_ALLOWANCE_S))
+        self._queue = RequestQueue(
+            spec.name, self._thread, len(frames) * (cycle_s + SLOT_ALLOWANCE_S)
+        )
         self._drives = [
             SerialDrive(
                 index,
-                DriveJobs(index, drive, self._asks),
+                DriveJobs(index, drive, self._queue),
                 spec.watchdog_s,
                 self._thread,
                 self._notifier,
@@ -53,7 +55,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             )
             for index, drive in enumerate(frames)
         ]
-        self._books = Books(1.0 / sum(drive.cycle_time_s() for drive in frames))
+        self._counters = LineCounters(1.0 / sum(drive.cycle_time_s() for drive in frames))
         self._port: OpenPort | None = None
         self._may_turn = 0
         """Bit n: drive n was armed when the port was lost."""
@@ -61,7 +63,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment."""
         report = None if self._report is None else self._thread.report()
-        stats = self._books.stats(report, self._thread)
+        stats = self._counters.stats(report, self._thread)
         stats.reopened = self._reopened
         if self._losses:
             stats.errors["port"] = self._losses
@@ -91,14 +93,14 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         if self._report is not None:
             drives = self._thread.report().drives
             self._may_turn = sum(one.may_turn << n for n, one in enumerate(drives))
-            self._books.close(self._thread)
+            self._counters.close(self._thread)
         if self._port is not None:
             self._port.close()
             self._port = None
 
     def _close(self, error: HalError) -> None:
         super()._close(error)
-        self._asks.lose(error)
+        self._queue.lose(error)
 
     def _ended(self, report: LineReport) -> PortError | None:
         if not report.running:
@@ -109,7 +111,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
 
     def _look(self) -> LineReport:
         """Take in what the thread says."""
-        self._asks.take_answers()
+        self._queue.take_answers()
         report = self._take_report()
         if self._port is not None:
             self._witness.look(self._port.fd, _traffic(report))

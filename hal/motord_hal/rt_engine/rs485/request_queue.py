@@ -11,7 +11,7 @@ from collections.abc import Callable
 from motord_hal.base.clock import NS_PER_S, now_ns
 from motord_hal.base.errors import BadReply, HalError, NoReply, PortError, Refused
 from motord_hal.modbus.codec import EXCEPTION_TEXT
-from motord_hal.realtime.line import Answer, AnswerKind, Ask, LineThread
+from motord_hal.realtime.line import Answer, AnswerKind, LineRequest, LineThread
 from motord_hal.realtime.table import LineFrame
 
 ANSWER_ALLOWANCE_S = 1.0
@@ -63,7 +63,7 @@ class _Turn:
         self._taken = False
 
 
-class Asks:
+class RequestQueue:
     """The queue of one line's thread, seen from asyncio."""
 
     def __init__(self, name: str, thread: LineThread, within_s: float) -> None:
@@ -81,7 +81,7 @@ class Asks:
         """Longest time from the request to its sending."""
         return self._within_s
 
-    async def ask(
+    async def send(
         self,
         drive: int,
         frame: LineFrame,
@@ -113,9 +113,9 @@ class Asks:
 
     def _hand_over(
         self, drive: int, frame: LineFrame, turnaround_s: float, *, urgent: bool
-    ) -> tuple[Ask, asyncio.Future[Answer]]:
+    ) -> tuple[LineRequest, asyncio.Future[Answer]]:
         """To the thread. Raises NoReply where it takes no more."""
-        request = Ask(
+        request = LineRequest(
             id=next(self._ids),
             drive=drive,
             frame=frame,
@@ -123,7 +123,7 @@ class Asks:
             turnaround_ns=round(turnaround_s * NS_PER_S),
             urgent=urgent,
         )
-        if not self._thread.put_ask(request):
+        if not self._thread.put_request(request):
             raise NoReply(f"{self._name}: too many requests wait for the wire")
         future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting[request.id] = future
@@ -144,7 +144,7 @@ class Asks:
         self._waiting.clear()
 
 
-def _reply(name: str, request: Ask, answer: Answer) -> bytes:
+def _reply(name: str, request: LineRequest, answer: Answer) -> bytes:
     what = f"{name} {request.frame.request.hex(' ')}"
     took_ms = (answer.done_ns - answer.sent_ns) / 1e6
     match answer.kind:

@@ -106,8 +106,8 @@ def _probe(cyclic: Sequence[PlannedFrame]) -> int:
 
 def _extra(frames: DriveFrames) -> list[PlannedFrame]:
     """What says whether the drive is enabled comes first."""
-    said = frames.profile.enabled
-    return sorted(frames.extra(), key=lambda p: said is None or said.register not in p.reads)
+    place = frames.profile.enabled
+    return sorted(frames.extra(), key=lambda p: place is None or place.register not in p.reads)
 
 
 def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]) -> LineExchange:
@@ -234,10 +234,10 @@ def _counter(register: Register, bits: int) -> tuple[Form, int]:
 def _drive_fields(
     profile: DriveProfile, places: Mapping[str, int], kept: tuple[Step, ...]
 ) -> Iterable[LineField]:
-    said = profile.enabled
+    place = profile.enabled
     wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in kept]
-    if said is not None:
-        wanted.append((FieldKind.ENABLED, said.register, said.mask, said.equals))
+    if place is not None:
+        wanted.append((FieldKind.ENABLED, place.register, place.mask, place.equals))
     for kind, name, mask, equals in wanted:
         if name in places:
             register = profile.registers[name]

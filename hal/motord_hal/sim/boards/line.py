@@ -168,8 +168,8 @@ class SimulatedBoard:
         content = self._drive.registers
         if not connected or not self._awake() or silent or not isinstance(content, NamedContent):
             return
-        said = self._talk.feedback(content, now_s)
-        spoiled = self._script.spoil(self._drive.unit, said, Unaddressed(), now_s)
+        sent = self._talk.feedback(content, now_s)
+        spoiled = self._script.spoil(self._drive.unit, sent, Unaddressed(), now_s)
         if spoiled.frame:
             self.counters.replies += 1
             held_s = self._talk.feedback_s if spoiled.held else 0.0

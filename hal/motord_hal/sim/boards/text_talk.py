@@ -20,7 +20,7 @@ class TextTalk:
     def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
         """`gyro`: a sensor on the board."""
         self._gyro = gyro
-        self._spec, self._said, self._received = texts_of(spec)
+        self._spec, self._feedback_text, self._received = texts_of(spec)
         self._joints = spec.joints
         self._profile = spec.joints[0].profile
         self._feedback_s = 1.0 / spec.cycle_hz if self._received else math.inf
@@ -33,7 +33,7 @@ class TextTalk:
     def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
         del now_s
         for line in self._lines.feed(data):
-            numbers = self._said.read(line)
+            numbers = self._feedback_text.read(line)
             yield None if numbers is None else self._written(numbers)
 
     def _written(self, numbers: dict[str, float]) -> dict[str, int]:

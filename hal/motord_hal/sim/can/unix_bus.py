@@ -36,12 +36,12 @@ class UnixBus(can.BusABC):
         self._sending = threading.Lock()
         """Of the clients' sockets."""
         self._clients: dict[int, socket.socket] = {}
-        self._door = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        self._door.bind(path)
-        self._door.listen(_LATEST)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._listener.bind(path)
+        self._listener.listen(_LATEST)
         self._closing = os.eventfd(0)
         self._ready = select.epoll()
-        self._ready.register(self._door, select.EPOLLIN)
+        self._ready.register(self._listener, select.EPOLLIN)
         self._ready.register(self._closing, select.EPOLLIN)
         super().__init__(channel=path)
 
@@ -61,7 +61,7 @@ class UnixBus(can.BusABC):
                 client.close()
             self._clients.clear()
             self._ready.close()
-            self._door.close()
+            self._listener.close()
             os.close(self._closing)
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._path)
@@ -85,7 +85,7 @@ class UnixBus(can.BusABC):
             self._check_open()
             for fd, _ in self._ready.poll(-1.0 if timeout is None else timeout):
                 self._check_open()
-                if fd == self._door.fileno():
+                if fd == self._listener.fileno():
                     self._accept()
                 elif (message := self._take(self._clients[fd])) is not None:
                     return message, False
@@ -96,7 +96,7 @@ class UnixBus(can.BusABC):
             raise can.CanOperationError(f"the bus at {self._path} is closed")
 
     def _accept(self) -> None:
-        client, _ = self._door.accept()
+        client, _ = self._listener.accept()
         client.settimeout(0.0)
         with self._sending:
             self._clients[client.fileno()] = client

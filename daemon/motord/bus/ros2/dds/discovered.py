@@ -19,7 +19,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 
 from motord.base.rate_limited_log import RateLimitedLog
-from motord.bus.ros2.dds.other_types import Side, other_type_said
+from motord.bus.ros2.dds.other_types import Side, type_conflict
 from motord.bus.ros2.dds.unanswered import Unanswered, answered
 
 _LOOK_AT_MOST = 64
@@ -79,8 +79,10 @@ class Discovered:
             return False
         for one in found:
             topic = one.topic_name
-            if topic in ours and (said := other_type_said(topic, side, ours[topic], one.type_name)):
-                self._voices[topic].say(said)
+            if topic in ours and (
+                conflict := type_conflict(topic, side, ours[topic], one.type_name)
+            ):
+                self._voices[topic].say(conflict)
             elif side == "writer" and topic in self._services:
                 gid = one.key.bytes
                 if client_of(one.qos) is None and not answered(gid):

@@ -16,7 +16,7 @@ CURES = {
 Side = Literal["writer", "reader"]
 
 
-def other_type_said(topic: str, side: Side, ours: str, theirs: str) -> str | None:
+def type_conflict(topic: str, side: Side, ours: str, theirs: str) -> str | None:
     """`ours` is a type of `table.TYPES`, `theirs` a name as the middleware has it. None: it is the
     same one."""
     if theirs == dds_type(ours):

@@ -114,7 +114,7 @@ class Writer:
         self._handle = entity._ref  # noqa: SLF001  the binding's write would encode once more
         self.lost = 0
         """Samples that DDS did not take."""
-        self._said = 0
+        self._reported = 0
 
     def write(self, raw: bytearray) -> bool:
         """Whole CDR with its header. False: DDS did not take it."""
@@ -127,8 +127,8 @@ class Writer:
         """A reader that asks for more than this writer offers hears nothing: said once for each."""
         entity: Any = self.entity
         status = entity.get_offered_incompatible_qos_status()
-        if status is not None and status.total_count > self._said:
-            self._said = status.total_count
+        if status is not None and status.total_count > self._reported:
+            self._reported = status.total_count
             _log.warning(_MISMATCH, self.name, "reader", _policy(status.last_policy_id), "offer")
 
 
@@ -147,7 +147,7 @@ class Reader:
         self._handle = entity._ref  # noqa: SLF001  the binding's take would decode, too
         self._quality = quality
         self._take = take
-        self._said = 0
+        self._reported = 0
         self._writers: dict[int, bytes] = {}
 
     @property
@@ -186,8 +186,8 @@ class Reader:
             return
         entity: Any = self.entity
         status = entity.get_requested_incompatible_qos_status()
-        if status is not None and status.total_count > self._said:
-            self._said = status.total_count
+        if status is not None and status.total_count > self._reported:
+            self._reported = status.total_count
             _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "ask for")
 
 

@@ -90,7 +90,7 @@ class Receiver:
         return code
 
     # ------------------------------------------------------------------------------ what came
-    def news(self) -> Any:
+    def newest_report(self) -> Any:
         """Its receiver_report; what woke is taken back before."""
         with suppress(BlockingIOError):
             os.eventfd_read(self._event_fd)
@@ -150,19 +150,19 @@ class Twists:
     async def run(self) -> None:
         """Until cancelled. Raises OSError when DDS fails."""
         loop = asyncio.get_running_loop()
-        news = asyncio.Event()
+        arrived = asyncio.Event()
         source = self._gate.source
         self._counts = {}
         with self._receiver.open() as fd:
-            loop.add_reader(fd, news.set)
+            loop.add_reader(fd, arrived.set)
             source.lend(self._receiver)
             try:
                 while True:
                     self._receiver.alive()
                     with suppress(TimeoutError):
                         async with within(ALIVE_EVERY_S):
-                            await news.wait()
-                    news.clear()
+                            await arrived.wait()
+                    arrived.clear()
                     self.look()
             finally:
                 source.lend(None)
@@ -170,7 +170,7 @@ class Twists:
 
     def look(self) -> None:
         """Tell what has come since. Raises OSError when DDS fails."""
-        report = self._receiver.news()
+        report = self._receiver.newest_report()
         for one in self._receiver.received():
             command = (one.linear_m_s, one.angular_rad_s)
             self._taken(one.writer, command, one.taken_ns * 1e-9)

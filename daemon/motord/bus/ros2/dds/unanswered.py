@@ -14,7 +14,7 @@ from motord.bus.ros2.senders import unnamed
 NAMED_WITHIN_S = 6.0
 """A node is told in the graph after its endpoints; then it is said without its name."""
 _WAITING_MAX = 64
-_SAID_MAX = 256
+_REPORTED_MAX = 256
 _IN_A_LINE = 4
 _CYCLONE = b"\x01\x10"
 _VENDORS = {b"\x01\x01": "RTI Connext", b"\x01\x0f": "Fast DDS"}
@@ -39,7 +39,7 @@ class Unanswered:
         self._node_of = node_of
         self._waiting: dict[tuple[bytes, str], float] = {}
         """Endpoints and services that nothing is said of yet, and when they came."""
-        self._said: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self._due_s = 0.0
         self._more = 0
 
@@ -61,7 +61,7 @@ class Unanswered:
             if node is None and now_s - came_s < NAMED_WITHIN_S:
                 continue
             client = f"{node or unnamed(gid)} ({middleware(gid)})"
-            if (client, service) not in self._said:
+            if (client, service) not in self._reported:
                 if client not in found and len(found) == _IN_A_LINE:
                     continue
                 found.setdefault(client, []).append(service)
@@ -72,9 +72,9 @@ class Unanswered:
             self._tell(found)
 
     def _remember(self, client: str, service: str) -> None:
-        if len(self._said) == _SAID_MAX:
-            self._said.clear()
-        self._said.add((client, service))
+        if len(self._reported) == _REPORTED_MAX:
+            self._reported.clear()
+        self._reported.add((client, service))
 
     def _tell(self, found: dict[str, list[str]]) -> None:
         clients = "; ".join(f"{client} asks {_few(names)}" for client, names in found.items())

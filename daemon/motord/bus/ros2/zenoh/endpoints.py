@@ -19,7 +19,7 @@ import zenoh.ext
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.inbox import Inbox
 from motord.bus.messages.cdr import decode, encode
-from motord.bus.ros2.dds.other_types import other_type_said
+from motord.bus.ros2.dds.other_types import type_conflict
 from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import SENDERS_MAX, asker, unnamed
@@ -31,7 +31,7 @@ from motord.bus.ros2.zenoh.names import (
     NodeNames,
     gid,
     node_of,
-    quality_said,
+    quality_text,
     type_of,
 )
 
@@ -48,10 +48,10 @@ class Endpoint(Protocol):
 
 
 def _token(
-    session: zenoh.Session, names: NodeNames, number: int, said: tuple[str, str, str, Quality]
+    session: zenoh.Session, names: NodeNames, number: int, endpoint: tuple[str, str, str, Quality]
 ) -> tuple[str, zenoh.LivelinessToken]:
-    what, topic, kind, quality = said
-    words = quality_said(depth=quality.depth, reliable=quality.reliable, latched=quality.latched)
+    what, topic, kind, quality = endpoint
+    words = quality_text(depth=quality.depth, reliable=quality.reliable, latched=quality.latched)
     token = names.endpoint_token(number, what, topic, kind, words)
     return token, session.liveliness().declare_token(token)
 
@@ -81,8 +81,8 @@ class Publisher:
             self._entity = session.declare_publisher(
                 key, congestion_control=zenoh.CongestionControl.DROP
             )
-        said = (PUBLISHER, self._topic, self._kind, self._quality)
-        token, self._token = _token(session, names, number, said)
+        endpoint = (PUBLISHER, self._topic, self._kind, self._quality)
+        token, self._token = _token(session, names, number, endpoint)
         self._gid = gid(token)
         if self._latched is not None:
             self._put(self._latched)
@@ -137,18 +137,18 @@ class Subscription:
         """As Endpoint.declare."""
         self._inbox.open()
         key = names.key(self._topic, self._kind)
-        said = (SUBSCRIPTION, self._topic, self._kind, self._quality)
+        endpoint = (SUBSCRIPTION, self._topic, self._kind, self._quality)
         subscriber = session.declare_subscriber(key, self._arrived)
         self._publishers.open()
         others = session.liveliness().declare_subscriber(
             names.any_publisher(self._topic), self._announced, history=True
         )
-        self._kept = (subscriber, others, *_token(session, names, number, said))
+        self._kept = (subscriber, others, *_token(session, names, number, endpoint))
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
-            said = b"" if sample.attachment is None else sample.attachment.to_bytes()
-            self._inbox.put((sample.payload.to_bytes(), said))
+            attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
+            self._inbox.put((sample.payload.to_bytes(), attachment))
 
     def _announced(self, token: zenoh.Sample) -> None:
         if token.kind == zenoh.SampleKind.PUT:
@@ -158,19 +158,19 @@ class Subscription:
         self._names[gid(token)] = node_of(token)
         if len(self._names) > SENDERS_MAX:
             self._names.popitem(last=False)
-        said = other_type_said(self._topic, "writer", self._kind, type_of(token))
-        if said is not None:
-            self._voice.say(said)
+        conflict = type_conflict(self._topic, "writer", self._kind, type_of(token))
+        if conflict is not None:
+            self._voice.say(conflict)
 
     def _take(self, arrived: tuple[bytes, bytes]) -> None:
-        raw, said = arrived
+        raw, attachment = arrived
         try:
             message = decode(self._kind, raw)
         except ValueError as error:
             self._voice.say(f"{self._topic}: not understood: {error}")
             return
         try:
-            sent = Attachment.decode(said)
+            sent = Attachment.decode(attachment)
         except ValueError:  # ROS 2 did not send it; it is heard all the same
             self._tell(message, 0.0, "a program that is no ROS 2 node")
             return
@@ -203,8 +203,8 @@ class Service:
         self._inbox.open()
         self._key = names.key(self._name, self._kind)
         queryable = session.declare_queryable(self._key, self._inbox.put, complete=True)
-        said = (SERVER, self._name, self._kind, self._quality)
-        self._kept = (queryable, *_token(session, names, number, said))
+        endpoint = (SERVER, self._name, self._kind, self._quality)
+        self._kept = (queryable, *_token(session, names, number, endpoint))
 
     def _take(self, query: zenoh.Query) -> None:
         try:

@@ -39,8 +39,8 @@ class NodeNames:
 
     def endpoint_token(self, number: int, what: str, topic: str, kind: str, quality: str) -> str:
         """Of a topic or service by its full name; `number` is the endpoint's in its node."""
-        said = f"{_mangled(topic)}/{dds_type(kind)}/{self._hash(kind)}/{quality}"
-        return f"{self._token(number, what)}/{said}"
+        topic_text = f"{_mangled(topic)}/{dds_type(kind)}/{self._hash(kind)}/{quality}"
+        return f"{self._token(number, what)}/{topic_text}"
 
     def any_publisher(self, topic: str) -> str:
         """The tokens of whoever publishes a topic, of whatever type, as a key expression."""
@@ -62,11 +62,11 @@ def _mangled(name: str) -> str:
     return name.replace("/", "%")
 
 
-def quality_said(*, depth: int, reliable: bool, latched: bool) -> str:
+def quality_text(*, depth: int, reliable: bool, latched: bool) -> str:
     """Reliability, durability, history, deadline, lifespan and liveliness; what is rmw_zenoh's
     default is left out. Numbers are those of rmw/types.h."""
-    depth_said = "" if depth == _DEPTH_DEFAULT else str(depth)
-    return f"{'' if reliable else 2}:{1 if latched else ''}:,{depth_said}:,:,:,,"
+    depth_text = "" if depth == _DEPTH_DEFAULT else str(depth)
+    return f"{'' if reliable else 2}:{1 if latched else ''}:,{depth_text}:,:,:,,"
 
 
 def type_of(token: str) -> str:

@@ -44,12 +44,14 @@ class Router:
     def configuration(self) -> str:
         """Of the session, in JSON. It looks for nobody by itself, and stamps messages as those who
         ask for latched ones need it."""
-        said = {
+        tls_options = {
             "root_ca_certificate": self.ca_file,
             "connect_certificate": self.cert_file,
             "connect_private_key": self.key_file,
         }
-        tls: dict[str, Any] = {key: value for key, value in said.items() if value is not None}
+        tls: dict[str, Any] = {
+            key: value for key, value in tls_options.items() if value is not None
+        }
         if self.cert_file is not None:
             tls["enable_mtls"] = True
         return json.dumps(
@@ -96,7 +98,7 @@ class ZenohNode:
             raise ValueError(f"{router.endpoint}: {error}") from error
         self._endpoints: list[Endpoint] = []
         self._services: list[Service] = []
-        self._said = False
+        self._reported = False
         self._running = asyncio.Lock()
         self._ending = False
 
@@ -186,13 +188,13 @@ class ZenohNode:
             for number, endpoint in enumerate(self._endpoints, start=1):
                 endpoint.declare(session, names, number)
             _log.info("ROS 2 on Zenoh: at %s as %s", self._router.endpoint, self.full(self.name))
-            self._said = False
+            self._reported = False
             while not session.is_closed():  # noqa: ASYNC110  Zenoh has no event for it
                 await asyncio.sleep(_LOOK_EVERY_S)
 
     def _say(self, text: str) -> None:
-        if not self._said:
-            self._said = True
+        if not self._reported:
+            self._reported = True
             _log.warning("ROS 2 on Zenoh: no router at %s: %s", self._router.endpoint, text)
 
 
