@@ -97,9 +97,9 @@ async def test_frames_that_come_make_no_frames_go_out(rig, peer):
             peer.say(0, peer.axes[0], ESTIMATES)
         enough = frames + 100 * hundreds
         await until(lambda enough=enough: rig.line.stats().exchanges >= enough)
+    # A machine that stands still for long disarms the drives: fewer frames then.
     sent = len(peer.axes[0].velocities()) - began
     assert sent <= rig.line.stats().cycles - cycles + 2  # the first and the last under way
-    assert rig.states() == {DriveState.ARMED}
 
 
 async def test_remote_frames_and_long_frames_of_others_are_no_feedback(rig, peer):

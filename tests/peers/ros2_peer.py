@@ -5,7 +5,8 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S [NODE]]   20 TwistStamped a second; age "zero": the
                                                  stamp 0; NODE: says in the graph whose they are
-    ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin
+    ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin;
+                                                 for `old`, one that is a minute old
     ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with so long a frame
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
@@ -139,8 +140,8 @@ def drive(participant, name, linear_m_s, angular_rad_s, age_s="0", node=""):
     _publish(participant, name, TwistStamped, make, node=node)
 
 
-def _stamped(linear_m_s, frame=""):
-    stamp = Time(*divmod(time.time_ns(), 1_000_000_000))
+def _stamped(linear_m_s, frame="", age_s=0):
+    stamp = Time(*divmod(time.time_ns() - age_s * 1_000_000_000, 1_000_000_000))
     return TwistStamped(Header(stamp, frame), _twist(linear_m_s, 0.0))
 
 
@@ -149,7 +150,10 @@ def bursts(participant, name, linear_m_s, count):
     while not writer.get_matched_subscriptions():
         time.sleep(0.01)
     say("heard")
-    while sys.stdin.readline():
+    for line in sys.stdin:
+        if line.strip() == "old":
+            writer.write(_stamped(linear_m_s, age_s=60))
+            continue
         for _ in range(int(count)):
             writer.write(_stamped(linear_m_s))
 
