@@ -166,6 +166,32 @@ static void an_order_to_a_board_that_was_stopped_is_dropped_and_sent(void)
     CHECK(!w.machine.has_order && w.machine.orders_dropped == 1 && w.machine.notify);
 }
 
+/* What may move is looked at often: its set-points may become old, or its wheels come to rest, between two cycles. */
+static void what_may_move_is_looked_at_more_often_than_what_rests(void)
+{
+    board_table table = frames_table();
+    table.period_ns = 100 * MS;
+    for (uint32_t moving = 0; moving < 5; moving++) {
+        begin_with(table);
+        w.enabled = 2; /* the set-points are the test's */
+        (void)send_one();
+        w.now_ns += MS;
+        w.machine.state.mode = DRIVE_READY;
+        w.machine.received_ns = w.machine.last_sent_ns = w.now_ns;
+        w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2};
+        w.machine.state.was_enabled = true;
+        w.machine.state.mode = moving == 1 || moving == 2 ? DRIVE_ARMED : DRIVE_READY;
+        w.machine.newest.joint[0].velocity_rad_s = moving == 2 ? 1.0 : 0.0;
+        w.machine.state.sent_motion = moving == 2;
+        w.machine.state.stopping = moving == 3;
+        w.machine.state.off_by_ns = w.now_ns + 1000 * MS;
+        w.machine.joint[0].feedback.velocity_rad_s = w.machine.joint[1].feedback.velocity_rad_s = 5.0;
+        w.machine.end.stage = moving == 4 ? END_SILENT : END_NOT;
+        step();
+        CHECK(w.wake_ns == w.now_ns + (moving == 0 ? LOOK_RESTING_NS : LOOK_MOVING_NS));
+    }
+}
+
 int main(void)
 {
     a_machine_begins_with_nothing_but_what_it_is_sent();
@@ -176,5 +202,6 @@ int main(void)
     a_word_is_of_the_board_s_time();
     a_frame_carries_our_time_and_what_the_port_refuses_is_counted();
     an_order_to_a_board_that_was_stopped_is_dropped_and_sent();
+    what_may_move_is_looked_at_more_often_than_what_rests();
     return checks_report("test_board_machine");
 }

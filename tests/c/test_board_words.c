@@ -69,6 +69,28 @@ static void noise_is_counted_and_changes_nothing(void)
     CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
 }
 
+static uint64_t received_of(uint32_t payload_bytes, const char *behind)
+{
+    static uint8_t payload[BOARD_PAYLOAD_MAX];
+    uint8_t frame[BOARD_WIRE_MAX];
+    memset(payload, 0x55, sizeof payload);
+    payload[STATUS] = 0;
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, payload_bytes, frame);
+    memcpy(frame + count - 1, behind, strlen(behind) + 1);
+    uint64_t before = w.machine.received;
+    board_machine_hear(&w.machine, frame, count + (uint32_t)strlen(behind), w.now_ns);
+    return w.machine.received - before;
+}
+
+static void the_longest_frame_is_read_and_one_with_a_byte_more_is_not(void)
+{
+    begin();
+    CHECK(received_of(BOARD_PAYLOAD_MAX, "") == 1 && w.machine.bad_frames == 0);
+    CHECK(received_of(BOARD_PAYLOAD_MAX, "x") == 0 && received_of(BOARD_PAYLOAD_MAX, "xx") == 0);
+    CHECK(w.machine.bad_frames == 2);
+    CHECK(received_of(BOARD_PAYLOAD_MAX, "") == 1);
+}
+
 static void what_was_said_before_a_write_was_received_is_not_believed(void)
 {
     begin();
@@ -167,6 +189,53 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
 }
 
+static void hear_padded(uint32_t line_bytes)
+{
+    char line[BOARD_TEXT_MAX + 8];
+    memset(line, '0', sizeof line);
+    line[0] = 'v', line[1] = ' ', line[line_bytes - 1] = '7', line[line_bytes] = 0;
+    hear(line);
+    hear("\n");
+}
+
+static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
+{
+    begin_with(text_table(true));
+    hear("\n");
+    hear_padded(BOARD_TEXT_MAX);
+    CHECK(w.machine.received == 1 && w.machine.joint[0].feedback.velocity_rad_s == 7.0);
+    hear_padded(BOARD_TEXT_MAX + 1);
+    CHECK(w.machine.received == 1 && w.machine.bad_frames == 0);
+    hear_padded(BOARD_TEXT_MAX);
+    CHECK(w.machine.received == 2);
+}
+
+static void a_line_is_of_its_own_time_and_of_nothing_but_itself(void)
+{
+    board_table table = text_table(true);
+    table.said_bytes = 8;
+    table.read.part[0].place = at(2, 6, 1); /* the first two bytes are in no line */
+    table.field[0].place = at(2, 6, 1);
+    table.field[table.field_count++] = field_of(1, FIELD_FAULT, at(0, 2, 0), 1.0);
+    begin_with(table);
+    memset(w.machine.said, 0xFF, sizeof w.machine.said);
+    w.now_ns += 3 * MS;
+    hear("\nv 1.5\n");
+    CHECK(w.machine.stamp_ns == w.now_ns && w.machine.knows_ns == w.now_ns);
+    CHECK(w.machine.joint[1].fault_word == 0 && w.machine.joint[0].feedback.velocity_rad_s == 1.5);
+    board_report report;
+    board_machine_report(&w.machine, &report);
+    CHECK(report.said_bytes == 8 && report.said[0] == 0);
+}
+
+static void a_line_that_cannot_be_written_is_not_sent(void)
+{
+    begin_with(text_table(false));
+    w.machine.table.written.part[1].width = BOARD_TEXT_MAX; /* with the other number it is too long */
+    go_on(50 * MS);
+    CHECK(w.sent_count == 0 && w.machine.sent == 0 && w.machine.no_room >= 2);
+}
+
 /* -------------------------------------------------------------------------------------------------- its sensor */
 static bool is_near(double is, double wanted)
 {
@@ -240,9 +309,13 @@ int main(void)
     feedback_is_counts_and_si_in_the_board_s_time();
     the_stream_may_come_in_any_pieces();
     noise_is_counted_and_changes_nothing();
+    the_longest_frame_is_read_and_one_with_a_byte_more_is_not();
     what_was_said_before_a_write_was_received_is_not_believed();
     text_without_feedback_lives_on_its_port();
     half_a_line_is_not_read_and_one_without_end_is_thrown_away();
+    the_longest_line_is_read_and_one_with_a_byte_more_is_not();
+    a_line_is_of_its_own_time_and_of_nothing_but_itself();
+    a_line_that_cannot_be_written_is_not_sent();
     a_sensor_speaks_in_the_base_s_axes();
     a_text_has_its_rate_about_z();
     return checks_report("board words");

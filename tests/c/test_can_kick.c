@@ -151,6 +151,25 @@ static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
     CHECK(w.sent_count == 0);
 }
 
+static void a_kick_is_for_the_drives_of_the_table(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    forget_sent();
+    w.machine.drive[1] = w.machine.drive[0]; /* there is no second drive */
+    w.machine.table.drive[1] = can_drive_of(1);
+    kick_apart(1.0, 2.0);
+    step();
+    CHECK(w.sent_count == 0);
+    kick_apart(3.0, 2.0);
+    (void)can_machine_step(&w.machine, w.now_ns);
+    CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
+}
+
 int main(void)
 {
     a_new_set_point_goes_out_at_once_to_all_that_are_armed();
@@ -160,5 +179,6 @@ int main(void)
     a_stop_goes_out_at_once_however_much_was_said_before();
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
     a_kick_tells_a_drive_that_is_not_armed_nothing();
+    a_kick_is_for_the_drives_of_the_table();
     return checks_report("can_kick");
 }

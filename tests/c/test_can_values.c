@@ -279,6 +279,17 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
     }
 }
 
+static void only_a_counted_field_says_that_a_drive_has_power(void)
+{
+    begin_with(1);
+    w.table.drive[0].input[1].field[2].meaning.kind = FIELD_ENABLED; /* of two fields the third */
+    restart();
+    CHECK(w.machine.drive[0].powers == 1);
+    w.table.drive[0].input[1].field_count = 3;
+    restart();
+    CHECK(w.machine.drive[0].powers == 3);
+}
+
 int main(void)
 {
     a_range_that_the_place_cannot_hold_is_refused();
@@ -293,5 +304,6 @@ int main(void)
     a_fault_that_is_a_number_stops_unless_it_is_listed();
     a_joint_that_the_core_says_nothing_of_stands_still();
     each_kind_of_set_point_is_sent_to_whom_it_is_for();
+    only_a_counted_field_says_that_a_drive_has_power();
     return checks_report("can values");
 }

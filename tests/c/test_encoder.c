@@ -202,6 +202,9 @@ static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(vo
     say(config.fd, "1234567890123456789012345678901234567890");
     CHECK(encoder_read(&state, &config, START_NS) == -EIO);
     CHECK(ftruncate(config.fd, 0) == 0);
+    say(config.fd, "54321");
+    CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 54321);
+    CHECK(ftruncate(config.fd, 0) == 0);
     say(config.fd, "7"); /* without a line's end, and nothing of the one before */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 7);
     CHECK(close(config.fd) == 0);

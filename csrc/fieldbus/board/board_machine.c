@@ -53,7 +53,7 @@ static void note_what_it_knows(board_machine *m, int64_t now_ns)
 static bool take_frame(board_machine *m, int64_t now_ns)
 {
     uint8_t raw[BOARD_FRAME_MAX];
-    uint32_t count = m->tail.too_long ? 0 : board_frame_parse(m->tail.bytes, m->tail.count, raw);
+    uint32_t count = board_frame_parse(m->tail.bytes, m->tail.count, raw);
     if (count < BOARD_HEAD_BYTES + m->table.said_bytes || raw[1] != BOARD_TYPE_FEEDBACK ||
         !board_imu_fits(raw + BOARD_HEAD_BYTES, count - BOARD_HEAD_BYTES)) {
         return false;
@@ -80,8 +80,7 @@ static bool take_line(board_machine *m, int64_t now_ns)
 static void take_piece(board_machine *m, int64_t now_ns)
 {
     bool text = m->table.dialect == BOARD_TEXT;
-    bool empty = m->tail.count == 0 && !m->tail.too_long;
-    if (empty || (text && (!m->tail.whole || m->table.answers == 0))) {
+    if (m->tail.count == 0 || (text && (!m->tail.whole || m->table.answers == 0))) {
         return;
     }
     if (text ? take_line(m, now_ns) : take_frame(m, now_ns)) {
@@ -99,7 +98,8 @@ static bool ends(const board_machine *m, uint8_t byte)
     return m->table.dialect == BOARD_TEXT ? line_end : byte == 0;
 }
 
-/* What never ends is thrown away: of text also what comes until the next end, for it is half a line. */
+/* Of a line of text that does not end in time, nothing is read until the next one begins. A frame that fills its room is one
+ * byte too long for any. */
 void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
@@ -108,12 +108,10 @@ void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, 
         if (ends(m, bytes[i])) {
             take_piece(m, now_ns);
             tail->count = 0;
-            tail->too_long = false;
             tail->whole = true;
         } else if (tail->count < room) {
             tail->bytes[tail->count++] = bytes[i];
         } else {
-            tail->too_long = true;
             tail->whole = false;
         }
     }

@@ -34,7 +34,6 @@ typedef struct {
 /* The piece of the stream that has not ended yet. */
 typedef struct {
     uint32_t count;
-    bool too_long;
     bool whole; /* text: its beginning was heard */
     uint8_t bytes[BOARD_WIRE_MAX];
 } board_tail;
