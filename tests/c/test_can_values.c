@@ -282,7 +282,7 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
 static void only_a_counted_field_says_that_a_drive_has_power(void)
 {
     begin_with(1);
-    w.table.drive[0].input[1].field[2].meaning.kind = FIELD_ENABLED; /* of two fields the third */
+    w.table.drive[0].input[1].field[2] = w.table.drive[0].input[0].field[0]; /* the third of two */
     restart();
     CHECK(w.machine.drive[0].powers == 1);
     w.table.drive[0].input[1].field_count = 3;
