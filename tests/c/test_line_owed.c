@@ -49,8 +49,9 @@ static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
         {1999999999, 4000000, 1000000, true},
         {2000000000, 4000000, 1000000, false},
         {1000000000, 0, 0, false},
+        {4999999999, 4000000, 0, false},
     };
-    for (uint32_t i = 0; i < 5; i++) {
+    for (uint32_t i = 0; i < 6; i++) {
         begin_asking();
         w.machine.start_ns = w.machine.end_ns = w.now_ns = 5000 * MS;
         drive->failed_ns = w.now_ns - CASES[i].failed_ago_ns;
@@ -61,6 +62,48 @@ static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
     }
 }
 
+/* Soon after the machine has started, its clock is near 0, and 0 is: it never failed. */
+static void a_drive_that_never_failed_may_answer_as_soon_as_it_likes(void)
+{
+    for (int64_t failed_ns = 0; failed_ns <= 1; failed_ns++) {
+        begin_asking();
+        w.machine.start_ns = w.machine.end_ns = 1000 * MS;
+        drive->failed_ns = failed_ns, drive->least_ns = 4 * MS;
+        CHECK(line_is_doubtful(&w.machine, 0, reply_after(0)) == (failed_ns != 0));
+    }
+}
+
+static void only_the_reply_to_a_known_request_is_doubted(void)
+{
+    for (uint32_t against = 0; against < 5; against++) {
+        begin_asking();
+        w.machine.start_ns = w.machine.end_ns = 1000 * MS;
+        drive->failed_ns = 999 * MS, drive->least_ns = 4 * MS;
+        w.machine.transaction.frame.reply_bytes = against == 1 ? 0 : against == 2 ? 1 : 7;
+        w.machine.transaction.frame.exact = against == 3;
+        w.machine.work = against == 4 ? WORK_PROBE : WORK_CYCLE;
+        CHECK(line_is_doubtful(&w.machine, 0, reply_after(0)) == (against == 0 || against == 2));
+    }
+}
+
+/* What repeats its request says the same whichever it answers, while no other write may have come between. */
+static void a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write(void)
+{
+    line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1), read = frame_of(1, READ, STATUS, 1);
+    write.echo_bytes = 1, write.reply_bytes = 9; /* the shortest that there is */
+    for (uint32_t between = 0; between < 3; between++) {
+        begin_asking();
+        w.machine.transaction.frame = write;
+        line_owe(&w.machine, 0);
+        CHECK(drive->owed[0].look.repeats && drive->owed[0].look.head_bytes == 1);
+        w.machine.transaction.frame = between == 2 ? other : read;
+        if (between > 0) {
+            line_owe(&w.machine, 0);
+        }
+        CHECK(line_may_be_late(&w.machine, 0, &write, w.now_ns) == (between == 2));
+    }
+}
+
 static void a_turn_around_is_learned_with_its_spread(void)
 {
     static const struct {
@@ -68,9 +111,10 @@ static void a_turn_around_is_learned_with_its_spread(void)
     } KNOWN[] = {
         {20000000, 0, 20500000}, {20000000, 125000, 20500000}, {20000000, 1000000, 24000000},
         {1000000, 0, 10000000},  {9500000, 0, 10000000},       {9500001, 0, 10000001},
-        {0, 0, 100000000},       {99900000, 0, 100000000},
+        {0, 0, 100000000},       {99900000, 0, 100000000},     {20000000, 110000, 20500000},
+        {1, 0, 10000000},        {20000000, 150000, 20600000},
     };
-    for (uint32_t i = 0; i < 8; i++) {
+    for (uint32_t i = 0; i < 11; i++) {
         begin_asking();
         drive->smoothed_ns = KNOWN[i].smoothed_ns;
         drive->variation_ns = KNOWN[i].variation_ns;
@@ -79,6 +123,8 @@ static void a_turn_around_is_learned_with_its_spread(void)
     begin_asking();
     w.machine.table.drive[0].reply_timeout_ns = 7 * MS;
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 7 * MS);
+    w.machine.table.drive[0].reply_timeout_ns = 1;
+    CHECK(line_expected_turnaround_ns(&w.machine, 0) == 1);
     for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) { /* on a pseudo-terminal bytes take no time at all */
         begin_asking();
         drive->smoothed_ns = 0;
@@ -120,6 +166,9 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
         CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were, and one has come */
         CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));
     }
+    begin_asking();
+    line_doubt(&w.machine, 0, w.now_ns + MS); /* nothing else was owed: it may come yet */
+    CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
 /* More than can be told apart: a silence sorts them out. */
@@ -130,6 +179,7 @@ static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_tim
         w.machine.transaction.frame = frame_of(1, READ, STATUS, 1);
         w.machine.transaction.frame.match[2] = (uint8_t)(2 + i);
         CHECK(drive->held_until_ns == 0);
+        w.machine.end_ns += MS;
         line_owe(&w.machine, 0);
         CHECK(drive->owed_count == (i < OWED_MAX ? i + 1U : OWED_MAX));
     }
@@ -169,6 +219,9 @@ static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
 
 int main(void)
 {
+    a_drive_that_never_failed_may_answer_as_soon_as_it_likes();
+    only_the_reply_to_a_known_request_is_doubted();
+    a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write();
     a_doubtful_reply_ends_the_cycle_and_holds_the_drive();
     one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time();
     the_shortest_turn_around_is_that_of_a_certain_reply();
