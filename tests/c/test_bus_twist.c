@@ -75,7 +75,10 @@ static void another_encoding_or_length_is_no_twist(void)
     CHECK(twist_parse(raw, 15, &found) == 1 + TWIST_NOT_ONE);
     raw[1] = 7; /* version 2 of the encoding */
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
-    raw[1] = LITTLE;
+    CHECK(twist_parse(raw, encoded(raw, 0, LITTLE, twist), &found) == 0);
+    raw[1] = 2; /* with no frame_id it would be read in either order */
+    CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
+    bytes = encoded(raw, 5, LITTLE, twist);
     raw[0] = 1;
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
     for (uint64_t frame_bytes = 1000; frame_bytes <= UINT32_MAX; frame_bytes = 2 * frame_bytes + 1) {
@@ -86,6 +89,7 @@ static void another_encoding_or_length_is_no_twist(void)
     put(raw + 12, UINT32_MAX, 4, LITTLE);
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
     CHECK(twist_parse(raw, encoded(raw, TWIST_RAW_MAX - 68, LITTLE, twist), &found) == 0);
+    CHECK(twist_parse(raw, TWIST_RAW_MAX, &found) == 0);
     CHECK(twist_parse(raw, TWIST_RAW_MAX + 1, &found) == 1 + TWIST_NOT_ONE);
 }
 
@@ -98,6 +102,8 @@ static void an_age_is_that_of_the_stamp(void)
     CHECK(stamp_age(-1e9, 1e9, &age_s) == 0 && age_s == 3600.0);
     CHECK(stamp_age(0.0, 1e9, &age_s) == 1 + TWIST_STAMP_ZERO);
     CHECK(stamp_age(-0.0, 1e9, &age_s) == 1 + TWIST_STAMP_ZERO);
+    CHECK(stamp_age(1e9, 1e9 + 0.0625, &age_s) == 0 && age_s == 0.0625);
+    CHECK(stamp_age(1e9 + 0.5625, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
     CHECK(stamp_age(1e9 + 0.75, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
     CHECK(stamp_age((double)NAN, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
     CHECK(stamp_age((double)INFINITY, 1e9, &age_s) == 1 + TWIST_STAMP_AHEAD);
@@ -118,7 +124,9 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     const stamped_twist twist = {.linear_m_s = 0.5, .angular_rad_s = -0.25};
     command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 && socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
+    memset(&o, 0xFF, sizeof o);
     outlet_init(&o);
+    CHECK(outlet_let_go(&o) == 0);
     CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
     CHECK(outlet_direct(&o) == 0);
     outlet_hold(&o, first[0], a, 41);

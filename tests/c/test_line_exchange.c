@@ -153,6 +153,18 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
     CHECK(m->until_ns == 77); /* it has not left yet */
 }
 
+/* What comes behind the drives is not looked at, and not changed. */
+static void an_answer_to_a_request_to_nobody_is_an_answer(void)
+{
+    static line_joint_state before[JOINTS_MAX];
+    begin_with(LINE_DRIVES_MAX, 0);
+    memset(m->joint, 0x7F, sizeof m->joint);
+    memcpy(before, m->joint, sizeof before);
+    send_ask(LINE_DRIVES_MAX, read_frame(9));
+    answer();
+    CHECK(m->answered && m->answer.kind == ANSWER_OK && memcmp(before, m->joint, sizeof before) == 0);
+}
+
 static void a_request_to_nobody_is_waited_for_as_long_as_it_says(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
@@ -237,7 +249,9 @@ static void a_broadcast_is_over_in_silence(void)
     m->table.broadcast_stop[0] = m->table.broadcast_stop[1] = frame;
     m->table.broadcast_stop[1].request[5] = DISABLE;
     m->broadcasts = 2;
+    m->drive[0].state.mode = DRIVE_READY; /* its turn has come, and waits */
     send();
+    m->drive[0].state.mode = DRIVE_OFF;
     CHECK(m->work == WORK_BROADCAST && m->broadcasts == 2 && m->transaction.frame.request[5] == QUICK_STOP);
     fail(); /* nobody answers, and the next one goes out */
     CHECK(w.out.send != NULL && m->work == WORK_BROADCAST && m->broadcasts == 1 && m->transaction.frame.request[5] == DISABLE);
@@ -361,6 +375,7 @@ int main(void)
     each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take();
     a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped();
     a_request_to_nobody_is_waited_for_as_long_as_it_says();
+    an_answer_to_a_request_to_nobody_is_an_answer();
     an_answer_is_handed_on_with_its_time_and_nothing_beside_it();
     a_refusal_is_handed_on_with_its_number();
     what_is_no_answer_is_counted_once();

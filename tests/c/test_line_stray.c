@@ -168,6 +168,7 @@ static void what_stands_before_and_behind_an_answer_is_noise(void)
     CHECK(noise_of(ECHO_NONE, bytes, 10, answer) == 3);
     CHECK(m->stray_bytes == 3 && m->stray[0] == 1 && m->stray[2] == 3);
     CHECK(noise_of(ECHO_NONE, bytes, 12, answer) == 5);
+    CHECK(noise_of(ECHO_NONE, bytes, 6, (received){.kind = RECEIVED_ANSWER, .offset = 3, .bytes = 1}) == 5);
     answer.offset = 0;
     CHECK(noise_of(ECHO_NONE, bytes + 3, 7, answer) == 0);
     bytes[10] = 0xAB, bytes[11] = 0xCD;

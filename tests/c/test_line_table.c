@@ -44,7 +44,7 @@ static void the_numbers_of_a_line(void)
     BAD(t.drive_count, LINE_DRIVES_MAX + 1, "drive_count");
     GOOD(t.echo, 2);
     BAD(t.echo, 3, "echo");
-    GOOD(t.character_ns, 0.5);
+    GOOD(t.character_ns, 1e-3);
     BAD(t.character_ns, 0.0, "character_ns");
     GOOD(t.character_ns, 1e8);
     BAD(t.character_ns, 1e8 + 1.0, "character_ns");
@@ -95,6 +95,10 @@ static void the_numbers_of_a_drive(void)
     GOOD(d->probe, d->cyclic_count);
     BAD(d->probe, d->cyclic_count + 1, "drive[0].probe");
     BAD(d->idle_count, 2, "drive[0].idle_count");
+    t = good;
+    d->cyclic_count = d->idle_count = 1, d->probe = 0;
+    d->idle[0] = d->cyclic[0].frame;
+    CHECK(is_good());
 }
 
 static void a_request_and_its_reply(void)
@@ -191,10 +195,10 @@ static void a_set_point_lies_in_its_request(void)
     BAD(setpoint->raw_per_si, 0.0, "drive[0].setpoint.raw_per_si");
     BAD(setpoint->raw_per_si, INFINITE, "drive[0].setpoint.raw_per_si");
     GOOD(setpoint->raw_min, 0.0);
-    BAD(setpoint->raw_min, 0.5, "drive[0].setpoint.raw_min"); /* it could not rest */
+    BAD(setpoint->raw_min, 1e-3, "drive[0].setpoint.raw_min"); /* it could not rest */
     BAD(setpoint->raw_min, NO_NUMBER, "drive[0].setpoint.raw_min");
     GOOD(setpoint->raw_max, 0.0);
-    BAD(setpoint->raw_max, -0.5, "drive[0].setpoint.raw_max");
+    BAD(setpoint->raw_max, -1e-3, "drive[0].setpoint.raw_max");
     BAD(setpoint->raw_max, NO_NUMBER, "drive[0].setpoint.raw_max");
     BAD(d->cyclic[0].setpoint_count, EXCHANGE_SETPOINTS_MAX + 1, "drive[0].setpoint_count");
 }
@@ -278,6 +282,8 @@ static void full_lists_are_looked_at_to_their_last_entry(void)
                 {&last_direction->rest.request_bytes, "drive[0].request_bytes"},
                 {&last_direction->forward.request_bytes, "drive[0].request_bytes"},
                 {&last_direction->reverse.request_bytes, "drive[0].request_bytes"},
+                {&d->quick_stop[0].request_bytes, "drive[0].request_bytes"},
+                {&d->disarm[0].request_bytes, "drive[0].request_bytes"},
                 {&d->quick_stop[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
                 {&d->disarm[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
                 {&d->idle[0].request_bytes, "drive[0].request_bytes"},

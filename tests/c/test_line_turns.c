@@ -328,6 +328,7 @@ static void a_new_set_point_makes_the_drives_due_that_it_is_for(void)
         m->drive[0].state.mode = m->drive[1].state.mode = m->drive[2].state.mode = DRIVE_ARMED;
         m->newest.joint[1].velocity_rad_s = against == 1 ? 0.0 : 1.0;
         m->newest.joint[2].velocity_rad_s = 1.0;
+        m->table.drive[2] = drive_of(2); /* there is no third drive */
         m->drive[1].state.mode = against == 2 ? DRIVE_READY : DRIVE_ARMED;
         m->drive[1].due_ns = against == 3 ? w.now_ns - MS : due_ns;
         m->table.drive[1].direction_count = against == 4 ? 1 : 0; /* its cycle's set-point is kept */

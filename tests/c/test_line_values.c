@@ -146,6 +146,8 @@ static void where_directions_are_sent_a_cycle_keeps_its_set_point(void)
     CHECK(line_direction_wanted(m, JOINT, 0) == DIRECTION_REVERSE);
     table->direction[0].inverted = 0;
     CHECK(line_direction_wanted(m, JOINT, 0) == DIRECTION_FORWARD);
+    drive->frozen.joint[JOINT].velocity_rad_s = 1e-3;
+    CHECK(line_direction_wanted(m, JOINT, 0) == DIRECTION_FORWARD);
     drive->frozen.joint[JOINT].velocity_rad_s = 0.0;
     CHECK(line_direction_wanted(m, JOINT, 0) == DIRECTION_REST);
     drive->frozen.joint[JOINT].velocity_rad_s = 1.0, m->newest.joint[JOINT].velocity_rad_s = 0.0;
@@ -238,6 +240,8 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_c
     rtu_write(reply, FORM_U16, 0x6);
     read_at(6);
     CHECK(m->notify && joint->fault_word == 0x6 && joint->feedback.drive_faults == 0x2 && m->joint[0].fault_word == 0);
+    read_at(7); /* what else is to be reported stays so */
+    CHECK(m->notify);
     m->notify = false;
     read_at(7);
     CHECK(!m->notify && joint->feedback.drive_faults == 0x2);
