@@ -83,7 +83,7 @@ typedef struct {
     uint32_t answers; /* 0: it says nothing, and is taken to be there while the port takes its bytes */
     uint32_t tries;   /* so often enabled without being armed, and it is said: 1.. */
     uint32_t payload_bytes;
-    uint32_t said_bytes; /* of its own payload, at least; TEXT: all of it */
+    uint32_t feedback_bytes; /* of its own payload, at least; TEXT: all of it */
     uint32_t setpoint_count;
     uint32_t field_count;
     uint32_t quick_stop_count;
@@ -132,7 +132,7 @@ typedef struct {
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
-    uint32_t said_bytes;     /* of said[]; 0: nothing since it was unresponsive, or ever */
+    uint32_t feedback_bytes; /* of feedback_payload[]; 0: nothing since it was unresponsive, or ever */
     uint32_t stop_waits;     /* the port has not taken its newest stop */
     uint32_t reserved;
     uint64_t cycles;
@@ -148,7 +148,7 @@ typedef struct {
     int64_t knows_ns;                /* when what it had received by then was sent; TEXT has no such number: received_ns */
     int64_t written_ns;              /* what stays in its payload was changed last */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
-    uint8_t said[BOARD_PAYLOAD_MAX]; /* the newest */
+    uint8_t feedback_payload[BOARD_PAYLOAD_MAX]; /* the newest */
 } board_report;
 
 typedef struct {
@@ -193,5 +193,5 @@ uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out)
 
 /* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too long. */
 uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint8_t *out);
-/* A line without its end into the places of said[]; 0: it is another text. */
-uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *said);
+/* A line without its end into the places of feedback_payload[]; 0: it is another text. */
+uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload);

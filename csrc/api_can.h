@@ -12,7 +12,7 @@ enum {
     CAN_DRIVES_MAX = 8,
     CAN_OUTPUTS_MAX = 4,
     CAN_SETPOINTS_MAX = 4,
-    CAN_ASKS_MAX = 8,
+    CAN_POLLS_MAX = 8,
     CAN_INPUTS_MAX = 16,
     CAN_MATCHES_MAX = 96,
     CAN_FIELDS_MAX = 8,
@@ -94,14 +94,14 @@ typedef struct {
 } can_match;
 
 typedef struct {
-    uint32_t tries;          /* so often enabled without being armed, and it is said: 1.. */
-    uint32_t slow_every;     /* cycles between two of what may wait: 1.. */
-    uint32_t idle_setpoints; /* 1: zero is told in READY, too */
-    uint32_t says_enabled;   /* 0: it cannot say, so it is told to disarm again now and then in READY */
-    uint32_t hello;          /* 1 + number of the input that alone says whether an unresponsive drive is back; 0: all that are
+    uint32_t tries;           /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t slow_every;      /* cycles between two of what may wait: 1.. */
+    uint32_t idle_setpoints;  /* 1: zero is told in READY, too */
+    uint32_t reports_enabled; /* 0: it cannot say, so it is told to disarm again now and then in READY */
+    uint32_t hello;           /* 1 + number of the input that alone says whether an unresponsive drive is back; 0: all that are
                                    waited for */
     uint32_t output_count;
-    uint32_t ask_count;   /* asked in each cycle */
+    uint32_t poll_count;  /* asked in each cycle */
     uint32_t slow_count;  /* by turns */
     uint32_t probe_count; /* asked of an unresponsive drive */
     uint32_t match_count;
@@ -111,9 +111,9 @@ typedef struct {
     uint32_t reserved;
     int64_t watchdog_ns; /* told nothing for so long while armed: it may have stopped; 0: never */
     can_output output[CAN_OUTPUTS_MAX];
-    can_packet ask[CAN_ASKS_MAX];
-    can_packet slow[CAN_ASKS_MAX];
-    can_packet probe[CAN_ASKS_MAX];
+    can_packet poll[CAN_POLLS_MAX];
+    can_packet slow[CAN_POLLS_MAX];
+    can_packet probe[CAN_POLLS_MAX];
     can_match match[CAN_MATCHES_MAX];
     can_input input[CAN_INPUTS_MAX];
     can_write quick_stop[CAN_STOP_MAX];
@@ -186,7 +186,7 @@ typedef struct {
     uint64_t sent;
     uint64_t tx_full;                /* frames that the bus did not take: the next one is newer */
     uint64_t bad_frames;             /* a drive's identifier, and nothing that it says */
-    uint64_t unheard;                /* frames for which Python's queue had no place */
+    uint64_t dropped;                /* frames for which Python's queue had no place */
     int64_t cycle_ns;                /* smoothed time between two cycles */
     int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */

@@ -20,10 +20,10 @@ enum {
     FIELD_HARMLESS_MAX = 8,
     FRAME_BYTES_MAX = 256,
     FRAME_MATCH_MAX = 8,
-    LINE_ASKS_MAX = 8
+    LINE_REQUESTS_MAX = 8
 };
 
-typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SEAL_ASKED = 4 } frame_seal;
+typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SEAL_WITH_REQUEST = 4 } frame_seal;
 /* CRC16  Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first
  * CRC8   CRC-8/MAXIM (reflected 0x31): last byte
  * XMODEM CRC-16/XMODEM (0x1021, not reflected, start 0): last two bytes, high one first
@@ -228,7 +228,7 @@ typedef struct {
     uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: nobody's */
     uint32_t urgent; /* 1: before the other asks */
     line_frame frame;
-} line_ask;
+} line_request;
 
 typedef enum {
     ANSWER_OK = 0,
@@ -327,7 +327,7 @@ const char *line_table_check(const line_table *table, char *name);
 int line_start(uint32_t line, const line_config *config, const line_table *table);
 int line_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void line_put_control(uint32_t line, const line_control *control);
-int line_put_ask(uint32_t line, const line_ask *ask);     /* 0; -EAGAIN: full; -ESRCH: no thread */
-int line_take_answer(uint32_t line, line_answer *answer); /* 1: one; 0: none */
-int line_read_report(uint32_t line, line_report *report); /* 0 or -ESRCH: never started */
-int line_histogram_read(uint32_t line, histogram *out);   /* round trips */
+int line_put_request(uint32_t line, const line_request *request); /* 0; -EAGAIN: full; -ESRCH: no thread */
+int line_take_answer(uint32_t line, line_answer *answer);         /* 1: one; 0: none */
+int line_read_report(uint32_t line, line_report *report);         /* 0 or -ESRCH: never started */
+int line_histogram_read(uint32_t line, histogram *out);           /* round trips */

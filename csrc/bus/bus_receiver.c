@@ -64,7 +64,7 @@ typedef struct {
     int event_fd;
     bool joinable;
     _Atomic bool claimed;
-    _Atomic bool stop_asked;
+    _Atomic bool stop_requested;
     _Atomic bool running;
     _Atomic int32_t error;
     _Atomic uint64_t taken;
@@ -165,7 +165,7 @@ static void take_sample(receiver *r, const struct ddsi_serdata *data, uint64_t w
     take_twist(r, r->raw, bytes, writer);
 }
 
-static void tell(const receiver *r)
+static void notify(const receiver *r)
 {
     const uint64_t one = 1;
     if (write(r->event_fd, &one, sizeof one) < 0) {
@@ -178,7 +178,7 @@ static int32_t take_all(receiver *r)
     struct ddsi_serdata *data[TAKEN_AT_ONCE];
     dds_sample_info info[TAKEN_AT_ONCE];
     int32_t count = TAKEN_AT_ONCE;
-    while (count == TAKEN_AT_ONCE && !r->stop_asked) {
+    while (count == TAKEN_AT_ONCE && !r->stop_requested) {
         count = dds.takecdr(r->reader, data, TAKEN_AT_ONCE, info, ANY_STATE);
         for (int32_t i = 0; i < count; i++) {
             if (info[i].valid_data) {
@@ -187,7 +187,7 @@ static int32_t take_all(receiver *r)
             dds.serdata_unref(data[i]);
         }
         if (count > 0) {
-            tell(r);
+            notify(r);
         }
     }
     return count;
@@ -198,13 +198,13 @@ static void *run(void *arg)
     receiver *r = arg;
     int32_t error = 0;
     (void)pthread_setname_np(pthread_self(), "motord-cmd_vel");
-    while (!r->stop_asked && error >= 0) {
+    while (!r->stop_requested && error >= 0) {
         error = dds.waitset_wait(r->waitset, NULL, 0, WAIT_NS);
         error = error > 0 ? take_all(r) : error;
     }
     r->error = error < 0 ? error : 0;
     r->running = false;
-    tell(r);
+    notify(r);
     return NULL;
 }
 
@@ -271,7 +271,7 @@ int receiver_start(int number, int32_t reader, int event_fd)
     }
     r->reader = reader;
     r->event_fd = event_fd;
-    r->stop_asked = false;
+    r->stop_requested = false;
     r->error = 0;
     r->running = true;
     int error = make_entities(r);
@@ -290,7 +290,7 @@ int receiver_stop(int number)
     if (r == NULL || !r->joinable) {
         return -ESRCH;
     }
-    r->stop_asked = true;
+    r->stop_requested = true;
     (void)dds.set_guardcondition(r->guard, true);
     int64_t now_ns = clock_now_ns();
     struct timespec until = {.tv_sec = now_ns / NS_PER_S + JOIN_WITHIN_S, .tv_nsec = now_ns % NS_PER_S};

@@ -233,7 +233,7 @@ bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 static void measure(core_state *state, tick *t)
 {
     take_gyro(state, t);
-    if (!t->news) {
+    if (!t->is_new) {
         return;
     }
     odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, state->wheels.joint);

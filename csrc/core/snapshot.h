@@ -23,7 +23,7 @@ typedef struct {
     bool command_fresh;
     bool command_zero;
     bool heartbeat_fresh;
-    bool news; /* feedback is new, or missing: there is something to measure */
+    bool is_new; /* feedback is new, or missing: there is something to measure */
     bool any_stale;
     bool drive_fault;
     bool drive_disabled;

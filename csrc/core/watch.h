@@ -87,14 +87,14 @@ static inline void read_feedback(core_state *state, tick *t)
     int64_t now_ns = t->input->now_ns;
     int64_t oldest_ns = INT64_MAX, newest_ns = 0;
     uint32_t faults = 0, enabled = ~0U;
-    uint64_t news = state->silent;
+    uint64_t is_new = state->silent;
     const joint_feedback *feedback = t->input->feedback;
     const joint_odometry *used = state->odometry.joint;
     joint_state *shown = state->snapshot.joint, *end = shown + state->config.joint_count;
     for (; shown != end; shown++, feedback++, used++) {
         int64_t stamp_ns = feedback->stamp_ns;
         shown->feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
-        news |= (uint64_t)stamp_ns ^ (uint64_t)used->stamp_ns;
+        is_new |= (uint64_t)stamp_ns ^ (uint64_t)used->stamp_ns;
         oldest_ns = stamp_ns < oldest_ns ? stamp_ns : oldest_ns;
         newest_ns = stamp_ns > newest_ns ? stamp_ns : newest_ns;
         faults |= feedback->drive_faults;
@@ -105,7 +105,7 @@ static inline void read_feedback(core_state *state, tick *t)
     if (!received) {
         judge_feedback(state, t);
     }
-    t->news = news != 0 || !received;
+    t->is_new = is_new != 0 || !received;
     t->any_stale = state->silent != 0;
     t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
     t->drive_fault = faults != 0;
@@ -251,11 +251,12 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
 static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    uint32_t asked = control->estop | control->fault | control->stop | t->input->suspended |
-                     (control->reset_count ^ state->reset_seen) | (control->odometry_reset_count ^ state->odometry_reset_seen);
-    asked |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled;
+    uint32_t attention = control->estop | control->fault | control->stop | t->input->suspended |
+                         (control->reset_count ^ state->reset_seen) |
+                         (control->odometry_reset_count ^ state->odometry_reset_seen);
+    attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled;
     uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
-    return asked == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
+    return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
 }
 
 /* Reads the input and decides who may move: control, faults, arming. */

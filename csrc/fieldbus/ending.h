@@ -17,9 +17,9 @@ typedef struct {
 } line_ending;
 
 /* True: it begins, and each drive is to be stopped by end_stop(). */
-static inline bool end_begins(line_ending *end, bool asked, int64_t now_ns)
+static inline bool end_begins(line_ending *end, bool requested, int64_t now_ns)
 {
-    if (!asked || end->stage != END_NOT) {
+    if (!requested || end->stage != END_NOT) {
         return false;
     }
     *end = (line_ending){.stage = END_RESTING, .rest_by_ns = now_ns + END_REST_NS, .off_by_ns = now_ns + END_OFF_NS};

@@ -36,7 +36,7 @@ static void clear(line_thread *t, uint32_t line, const line_place *at, const lin
     histogram_clear(&t->round_trips);
     t->page_faults = 0;
     t->reported_ns = 0;
-    t->stop_asked = false;
+    t->stop_requested = false;
 }
 
 int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots)
@@ -77,7 +77,7 @@ int line_thread_stop(line_thread *t)
         return -ESRCH;
     }
     (void)exchange_set_line_wake(t->at.exchange, t->line, -1);
-    t->stop_asked = true;
+    t->stop_requested = true;
     add_one(t->wake_fd);
     int error = pthread_join(t->thread, NULL);
     t->joinable = false;
@@ -129,7 +129,7 @@ void line_thread_begin(line_thread *t, const char *name)
 void line_thread_end(line_thread *t)
 {
     t->running = false;
-    line_thread_tell(t);
+    line_thread_notify(t);
 }
 
 void line_thread_take_control(line_thread *t, void *out)
@@ -164,7 +164,7 @@ void line_thread_put_report(line_thread *t, line_life *report, bool running, int
     mailbox_put(&t->report, t->slots.report, report, t->slots.report_bytes);
 }
 
-void line_thread_tell(const line_thread *t)
+void line_thread_notify(const line_thread *t)
 {
     if (t->at.event_fd >= 0) {
         add_one(t->at.event_fd);

@@ -36,7 +36,7 @@ typedef struct {
     uint64_t page_faults;
     int64_t reported_ns;
     _Atomic bool running;
-    _Atomic bool stop_asked;
+    _Atomic bool stop_requested;
 } line_thread;
 
 /* -------------------------------------------------------------- from the caller's thread; NULL: no such line */
@@ -63,7 +63,7 @@ void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *j
 /* A report: its life is filled in here. */
 void line_thread_put_report(line_thread *t, line_life *report, bool running, int error);
 /* There is something that asyncio wants to hear. */
-void line_thread_tell(const line_thread *t);
+void line_thread_notify(const line_thread *t);
 /* Page faults count from when it has `worked`: its memory has been touched by then. */
 void line_thread_count_page_faults(line_thread *t, bool worked);
 /* Now and then a report is due, whatever happens: true, and page_faults is counted for it. */

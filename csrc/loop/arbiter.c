@@ -92,11 +92,11 @@ static int refuse(arbiter *a, command_refusal why)
 /* How long it lives, 0: it cannot. */
 static int64_t lifetime_ns(const lease_permission *grant, const command_datagram *command)
 {
-    int64_t asked_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
-    if (asked_ns == 0) {
+    int64_t requested_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
+    if (requested_ns == 0) {
         return grant->lifetime_ns;
     }
-    return asked_ns >= LIFETIME_LEAST_NS && asked_ns <= grant->lifetime_ns ? asked_ns : 0;
+    return requested_ns >= LIFETIME_LEAST_NS && requested_ns <= grant->lifetime_ns ? requested_ns : 0;
 }
 
 /* 0 is never a command's: in a lease it means that none came. */

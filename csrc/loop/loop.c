@@ -20,7 +20,7 @@ static pthread_t thread;
 static sem_t ticking; /* posted after the first tick */
 static int dma_latency_fd = -1;
 static _Atomic int life = LIFE_STOPPED;
-static _Atomic bool stop_asked;
+static _Atomic bool stop_requested;
 static pthread_once_t exchange_made = PTHREAD_ONCE_INIT;
 
 static const int64_t NS_PER_S = 1000000000;
@@ -53,7 +53,7 @@ static void *run(void *unused)
     loop_thread_prepare(&config, &grant);
     loop_rehearse(&work, &rehearsal);
     int64_t deadline_ns = clock_now_ns();
-    while (!stop_asked) {
+    while (!stop_requested) {
         loop_tick(&work, clock_now_ns(), deadline_ns);
         if (work.ticks == 1) {
             (void)sem_post(&ticking);
@@ -135,7 +135,7 @@ static int start(const loop_config *loop, const core_config *core)
         return error;
     }
     config = *loop;
-    stop_asked = false;
+    stop_requested = false;
     if (sem_init(&ticking, 0, 0) != 0) {
         return -errno;
     }
@@ -174,7 +174,7 @@ int loop_stop(void)
     if (!atomic_compare_exchange_strong(&life, &running, LIFE_STOPPING)) {
         return -ESRCH;
     }
-    stop_asked = true;
+    stop_requested = true;
     int error = pthread_join(thread, NULL);
     release_machine();
     life = LIFE_STOPPED;

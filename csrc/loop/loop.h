@@ -21,8 +21,8 @@ typedef struct {
     uint32_t notify_every_ticks;
     ingress ingress;
     stop_requests stops;
-    bool disarmed;  /* a request to disarm has brought the base to rest and is not acknowledged yet */
-    bool stop_news; /* a stop request came in this tick */
+    bool disarmed;     /* a request to disarm has brought the base to rest and is not acknowledged yet */
+    bool stop_arrived; /* a stop request came in this tick */
     guard guard;
     arbiter arbiter;
     lease_permissions permissions;

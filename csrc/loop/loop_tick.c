@@ -38,7 +38,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     work->ingress = (ingress){.epoll_fd = loop->command_fd, .stop_fd = loop->stop_fd};
     memset(&work->stops, 0, sizeof work->stops);
     work->disarmed = false;
-    work->stop_news = false;
+    work->stop_arrived = false;
     guard_init(&work->guard, &loop->guard);
     arbiter_init(&work->arbiter, &work->core.config, &work->core.limits);
     work->used_stamp_ns = 0;
@@ -100,7 +100,7 @@ static void count_page_faults(loop_work *work)
     work->page_faults = (uint64_t)(faults - work->page_fault_base);
 }
 
-static void clear_histograms_if_asked(loop_work *work)
+static void clear_histograms_on_request(loop_work *work)
 {
     if (!work->clear_histograms) {
         return;
@@ -152,7 +152,7 @@ static void take_control(loop_work *work)
         acknowledged[kind] = work->stops.acknowledged[kind];
     }
     exchange_take_control(&work->exchange, control);
-    work->stop_news = ingress_take_stops(&work->ingress, &work->stops) > 0;
+    work->stop_arrived = ingress_take_stops(&work->ingress, &work->stops) > 0;
     for (uint32_t kind = 0; kind < STOP_REQUEST_KINDS; kind++) {
         pending[kind] = work->stops.count[kind] != acknowledged[kind];
     }
@@ -264,7 +264,7 @@ static void work_once(loop_work *work, int64_t now_ns)
         return;
     }
     twist_command before = work->input.command;
-    clear_histograms_if_asked(work);
+    clear_histograms_on_request(work);
     take_inputs(work, now_ns);
     int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
     double dt_s = (double)dt_ns * 1e-9;
@@ -288,7 +288,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     work->last_ns = now_ns;
     work->ticks++;
     work->tick_stamp_ns = now_ns;
-    notify(work, work->ticks == 1 || work->stop_news);
+    notify(work, work->ticks == 1 || work->stop_arrived);
 }
 
 /* Once a period, so that its pin moves at an even rate. */

@@ -53,7 +53,7 @@ typedef struct {
     int64_t reported_ns;
     uint32_t number;
     bool made, joinable;
-    _Atomic bool stop_asked;
+    _Atomic bool stop_requested;
 } pwm_thread;
 
 static pwm_thread threads[LINES_MAX];
@@ -118,8 +118,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        bool says_direction = output->joint == joint && output->fd < 0 && output->pumps == 0;
-        if (says_direction && ((bits ^ t->bits) >> output->bit & 1) != 0) {
+        bool is_direction = output->joint == joint && output->fd < 0 && output->pumps == 0;
+        if (is_direction && ((bits ^ t->bits) >> output->bit & 1) != 0) {
             return true;
         }
     }
@@ -164,7 +164,7 @@ static bool is_high(const bridge_pin *output, uint32_t mode)
 }
 
 /* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they take no power, the duty alone does. */
-static uint64_t lines_without_a_say(const pwm_thread *t, uint32_t joint)
+static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
 {
     uint64_t bits = 0;
     bool as_forward = true, as_reverse = true;
@@ -194,7 +194,7 @@ static int rest(pwm_thread *t)
     int error = bring_down(t, level, bits, mask);
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_a_say(t, output->joint) : UINT64_MAX;
+        mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_power(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
     int left = bring_down(t, level, bits, mask); /* once more what failed */
@@ -317,7 +317,7 @@ static void *run(void *arg)
     (void)pthread_setname_np(pthread_self(), "motord-pwm");
     int error = rest(t);
     int64_t due_ns = clock_now_ns();
-    while (!t->stop_asked && error == 0) {
+    while (!t->stop_requested && error == 0) {
         struct timespec until = {.tv_sec = due_ns / NS_PER_S, .tv_nsec = due_ns % NS_PER_S};
         (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
         int64_t now_ns = clock_now_ns();
@@ -372,7 +372,7 @@ int pwm_line_stop(uint32_t line)
     if (line >= LINES_MAX || !threads[line].joinable) {
         return -ESRCH;
     }
-    threads[line].stop_asked = true;
+    threads[line].stop_requested = true;
     int error = pthread_join(threads[line].thread, NULL);
     threads[line].joinable = false;
     return -error;

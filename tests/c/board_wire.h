@@ -83,7 +83,7 @@ static inline board_table frames_table(void)
                          .answers = 1,
                          .tries = 3,
                          .payload_bytes = 18,
-                         .said_bytes = 36,
+                         .feedback_bytes = 36,
                          .quick_stop_count = 1,
                          .disarm_count = 1,
                          .period_ns = 10 * MS,
@@ -156,7 +156,7 @@ static inline void speak(void)
     }
     size_t count = motord_board_feedback(&w.peer, (uint32_t)(w.now_ns / 1000), w.measured, &w.health, bytes);
     if (!w.mute && count > 0) {
-        board_machine_hear(&w.machine, bytes, (uint32_t)count, w.now_ns);
+        board_machine_receive(&w.machine, bytes, (uint32_t)count, w.now_ns);
     }
 }
 

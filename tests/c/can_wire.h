@@ -53,7 +53,7 @@ static inline can_drive can_drive_of(uint32_t n)
     can_drive drive = {.tries = 3,
                        .slow_every = 8,
                        .idle_setpoints = 1,
-                       .says_enabled = 1,
+                       .reports_enabled = 1,
                        .output_count = 1,
                        .match_count = 3,
                        .input_count = 2,

@@ -51,7 +51,7 @@ static void say_something(void)
     board_place received = at(6, 2, 0);
     board_put(payload, &received, w.machine.sequence - next_byte() % 4);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 0, (uint32_t)(w.now_ns / 1000), payload, size, frame);
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
 }
 
 static void say_bytes(void)
@@ -61,9 +61,9 @@ static void say_bytes(void)
         uint8_t byte = next_byte();
         const char *word = words[byte % 10];
         if (byte < 128) {
-            board_machine_hear(&w.machine, &byte, 1, w.now_ns);
+            board_machine_receive(&w.machine, &byte, 1, w.now_ns);
         } else {
-            board_machine_hear(&w.machine, (const uint8_t *)word, (uint32_t)strlen(word), w.now_ns);
+            board_machine_receive(&w.machine, (const uint8_t *)word, (uint32_t)strlen(word), w.now_ns);
         }
     }
 }
@@ -100,7 +100,7 @@ static void look(void)
     uint32_t mode = w.machine.state.mode;
     judge_mode(mode_before, mode, &w.machine.control.request);
     mode_before = mode;
-    CHECK(w.machine.said_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
+    CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
 }
 
 /* The mode that was there before the step, too, after whatever was said. */
@@ -121,7 +121,7 @@ static board_table text(void)
                          .tries = 3,
                          .payload_bytes = 12,
                          .setpoint_count = 2,
-                         .said_bytes = 6,
+                         .feedback_bytes = 6,
                          .period_ns = 20 * MS,
                          .silence_ns = 150 * MS,
                          .setpoint_timeout_ns = 100 * MS,

@@ -68,10 +68,10 @@ static void begin(void)
 {
     begin_with(DRIVES);
     can_drive *second = &w.table.drive[1], *third = &w.table.drive[2];
-    second->idle_setpoints = second->says_enabled = 0;
+    second->idle_setpoints = second->reports_enabled = 0;
     second->input[0].field_count = 0;
-    second->ask_count = second->slow_count = second->probe_count = 1;
-    second->ask[0] = second->probe[0] = packet_of(CAN_ID_REMOTE | (MOTION + 1), 8);
+    second->poll_count = second->slow_count = second->probe_count = 1;
+    second->poll[0] = second->probe[0] = packet_of(CAN_ID_REMOTE | (MOTION + 1), 8);
     second->slow[0] = packet_of(SLOW, 1);
     third->watchdog_ns = 50 * MS;
     third->hello = 1;
@@ -133,7 +133,7 @@ static void asyncio_side(uint8_t choice)
     } else if (what < 80) {
         to->arming_until_ns = w.now_ns + 20 * MS;
     } else if (what < 82) {
-        w.machine.hears_own = !w.machine.hears_own;
+        w.machine.receives_own = !w.machine.receives_own;
     } else if (what < 84) {
         can_machine_left(&w.machine);
     } else if (what == 84) {

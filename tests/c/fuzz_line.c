@@ -34,12 +34,12 @@ static void requests(uint8_t choice)
     if (what < DRIVE_UNRESPONSIVE || what == DRIVE_STAND_DOWN) {
         request(drive, what);
     } else if (what == 8) {
-        line_ask ask = {.id = choice,
-                        .expires_ns = w.now_ns + 40 * MS,
-                        .turnaround_ns = 5 * MS,
-                        .drive = drive,
-                        .frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1)};
-        (void)line_machine_ask(&w.machine, &ask);
+        line_request request = {.id = choice,
+                                .expires_ns = w.now_ns + 40 * MS,
+                                .turnaround_ns = 5 * MS,
+                                .drive = drive,
+                                .frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1)};
+        (void)line_machine_request(&w.machine, &request);
     } else if (what == 9) {
         w.machine.control.shut_down = 1;
     } else if (what == 10) {

@@ -47,7 +47,7 @@ CHECKS = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=a
 SANITIZED = ["-O1", *CHECKS]
 CHECKED = ["-O0", *CHECKS, "-fPIC", "-shared"]  # of a mutant: three times as soon compiled
 IMPURE = re.compile(r"(bus_receiver|clock|loop.*|line_(thread|rtu|can|board)|output_.*|ingress)\.c")
-"""Files with a clock, a thread or a descriptor: tests/contract, tests/rt and tests/peers run them."""
+"""Files with a clock, a thread or a descriptor: contract, rt and peers tests run them."""
 FUZZ = ["fuzz_line 2000", "fuzz_can 2000", "fuzz_board 3000", "fuzz_command 20000"]
 BLOCKED_AFTER_S = 20.0
 CPU_LEAST_S = 0.1

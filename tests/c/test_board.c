@@ -355,7 +355,7 @@ static void a_board_that_is_enabled_though_nobody_armed_it_is_sent_off(void)
         board_place received = at(6, 2, 0);
         board_put(payload, &received, w.machine.sequence);
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
-        board_machine_hear(&w.machine, frame, count, w.now_ns);
+        board_machine_receive(&w.machine, frame, count, w.now_ns);
     }
     CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
 }
@@ -368,7 +368,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     w.mute = true;
     go_on(180 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE && w.peer.braking == 1 && w.peer.enabled == 0);
-    CHECK(w.machine.said_bytes == 0 && received_news());
+    CHECK(w.machine.feedback_bytes == 0 && received_news());
     go_on(1200 * MS);
     CHECK(w.peer.braking == 1);
     uint32_t before = w.sent_count;

@@ -73,12 +73,12 @@ static void it_is_at_rest_by_a_word_of_after_its_stop(void)
 /* `said` is what the board says of itself; it has heard what is in its payload by then. */
 static void says(uint32_t status, int64_t watchdog_ms)
 {
-    memset(m->said, 0, sizeof m->said);
-    m->said_bytes = w.table.said_bytes;
+    memset(m->feedback_payload, 0, sizeof m->feedback_payload);
+    m->feedback_bytes = w.table.feedback_bytes;
     board_place place = at(STATUS, 1, 0);
-    board_put(m->said, &place, status);
+    board_put(m->feedback_payload, &place, status);
     place = at(WATCHDOG, 2, 0);
-    board_put(m->said, &place, watchdog_ms);
+    board_put(m->feedback_payload, &place, watchdog_ms);
     board_received(m, w.now_ns);
 }
 

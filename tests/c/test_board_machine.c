@@ -17,7 +17,7 @@ static void hear_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
     board_put(payload, &(board_place){.byte = 8, .bytes = 2}, ago);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, SAID_BYTES, frame);
     uint64_t before = w.machine.received;
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.received == before + 1);
 }
 

@@ -42,8 +42,8 @@ static void the_numbers_of_a_board(void)
     BAD(t.payload_bytes, 0, "payload_bytes");
     GOOD(t.payload_bytes, BOARD_PAYLOAD_MAX);
     BAD(t.payload_bytes, BOARD_PAYLOAD_MAX + 1, "payload_bytes");
-    GOOD(t.said_bytes, BOARD_PAYLOAD_MAX);
-    BAD(t.said_bytes, BOARD_PAYLOAD_MAX + 1, "said_bytes");
+    GOOD(t.feedback_bytes, BOARD_PAYLOAD_MAX);
+    BAD(t.feedback_bytes, BOARD_PAYLOAD_MAX + 1, "feedback_bytes");
     BAD(t.setpoint_count, 0, "setpoint_count");
     GOOD(t.setpoint_count, 1);
     BAD(t.setpoint_count, BOARD_SETPOINTS_MAX + 1, "setpoint_count");
@@ -124,7 +124,7 @@ static void where_a_number_stands(void)
         *place = at(0, bytes, 1);
         CHECK(bytes >= 1 && bytes <= 6 ? is_good() : refused("place.bytes"));
     }
-    *place = at(t.said_bytes - 2, 2, 0);
+    *place = at(t.feedback_bytes - 2, 2, 0);
     CHECK(is_good());
     place->byte++;
     CHECK(refused("place.byte"));
@@ -132,7 +132,7 @@ static void where_a_number_stands(void)
     CHECK(refused("place.byte"));
     *place = at(0, 2, 2);
     CHECK(refused("place.is_signed"));
-    t.said_bytes = BOARD_PAYLOAD_MAX;
+    t.feedback_bytes = BOARD_PAYLOAD_MAX;
     *place = at(BOARD_PAYLOAD_MAX - 1, 1, 0);
     CHECK(is_good());
     BAD(t.setpoint[0].place, at(t.payload_bytes - 1, 2, 0), "place.byte");
@@ -182,13 +182,13 @@ static void frames_say_which_set_points_were_received_and_when(void)
 {
     t = frames_table();
     t.field_count = 0;
-    t.said_bytes = 10;
+    t.feedback_bytes = 10;
     CHECK(is_good());
-    t.said_bytes = 9;
-    CHECK(refused("said_bytes"));
-    t.said_bytes = 10;
+    t.feedback_bytes = 9;
+    CHECK(refused("feedback_bytes"));
+    t.feedback_bytes = 10;
     t.answers = 0;
-    CHECK(refused("said_bytes"));
+    CHECK(refused("feedback_bytes"));
 }
 
 static void the_axes_of_a_sensor(void)

@@ -96,7 +96,7 @@ static void field(uint32_t number, uint32_t joint, uint32_t kind, uint32_t byte)
 
 static void say(uint32_t byte, int64_t raw)
 {
-    board_put(m->said, &(board_place){.byte = byte, .bytes = 2}, raw);
+    board_put(m->feedback_payload, &(board_place){.byte = byte, .bytes = 2}, raw);
 }
 
 static void each_field_goes_where_its_meaning_says(void)

@@ -30,7 +30,7 @@ static void the_stream_may_come_in_any_pieces(void)
         count += i % 7 == 3;
     }
     begin();
-    board_machine_hear(&w.machine, stream, count, w.now_ns);
+    board_machine_receive(&w.machine, stream, count, w.now_ns);
     board_report whole, pieces;
     memset(&whole, 0, sizeof whole);
     memset(&pieces, 0, sizeof pieces);
@@ -42,7 +42,7 @@ static void the_stream_may_come_in_any_pieces(void)
             state = state * 1664525 + 1013904223;
             uint32_t size = 1 + (state >> 16) % (1 + round);
             size = size < count - at_byte ? size : count - at_byte;
-            board_machine_hear(&w.machine, stream + at_byte, size, w.now_ns);
+            board_machine_receive(&w.machine, stream + at_byte, size, w.now_ns);
             at_byte += size;
         }
         board_machine_report(&w.machine, &pieces);
@@ -57,13 +57,13 @@ static void noise_is_counted_and_changes_nothing(void)
     uint8_t noise[600];
     memset(noise, 0x55, sizeof noise);
     noise[sizeof noise - 1] = 0;
-    board_machine_hear(&w.machine, noise, sizeof noise, w.now_ns);
+    board_machine_receive(&w.machine, noise, sizeof noise, w.now_ns);
     CHECK(w.machine.bad_frames == 1);
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
     uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame); /* for a board, not for us */
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame); /* too short */
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
     go_on(50 * MS);
     CHECK(w.machine.bad_frames == 3 && w.machine.state.mode == DRIVE_ARMED);
@@ -78,7 +78,7 @@ static uint64_t received_of(uint32_t payload_bytes, const char *behind)
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, payload_bytes, frame);
     memcpy(frame + count - 1, behind, strlen(behind) + 1);
     uint64_t before = w.machine.received;
-    board_machine_hear(&w.machine, frame, count + (uint32_t)strlen(behind), w.now_ns);
+    board_machine_receive(&w.machine, frame, count + (uint32_t)strlen(behind), w.now_ns);
     return w.machine.received - before;
 }
 
@@ -100,17 +100,17 @@ static void what_was_said_before_a_write_was_received_is_not_believed(void)
     board_place received = at(6, 2, 0);
     board_put(payload, &received, w.machine.sequence + 1000);
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &received, w.machine.sequence);
     board_put(payload, &ago, 60000); /* heard six seconds ago: before it was sent, by an earlier program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0);
 }
 
@@ -122,7 +122,7 @@ static board_table text_table(bool answers)
                          .tries = 3,
                          .payload_bytes = 8,
                          .setpoint_count = 2,
-                         .said_bytes = answers ? 6 : 0,
+                         .feedback_bytes = answers ? 6 : 0,
                          .period_ns = 20 * MS,
                          .silence_ns = 150 * MS,
                          .setpoint_timeout_ns = 100 * MS,
@@ -171,7 +171,7 @@ static void text_without_feedback_lives_on_its_port(void)
 
 static void hear(const char *text)
 {
-    board_machine_hear(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
+    board_machine_receive(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
 }
 
 static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
@@ -213,19 +213,19 @@ static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
 static void a_line_is_of_its_own_time_and_of_nothing_but_itself(void)
 {
     board_table table = text_table(true);
-    table.said_bytes = 8;
+    table.feedback_bytes = 8;
     table.read.part[0].place = at(2, 6, 1); /* the first two bytes are in no line */
     table.field[0].place = at(2, 6, 1);
     table.field[table.field_count++] = field_of(1, FIELD_FAULT, at(0, 2, 0), 1.0);
     begin_with(table);
-    memset(w.machine.said, 0xFF, sizeof w.machine.said);
+    memset(w.machine.feedback_payload, 0xFF, sizeof w.machine.feedback_payload);
     w.now_ns += 3 * MS;
     hear("\nv 1.5\n");
     CHECK(w.machine.stamp_ns == w.now_ns && w.machine.knows_ns == w.now_ns);
     CHECK(w.machine.joint[1].fault_word == 0 && w.machine.joint[0].feedback.velocity_rad_s == 1.5);
     board_report report;
     board_machine_report(&w.machine, &report);
-    CHECK(report.said_bytes == 8 && report.said[0] == 0);
+    CHECK(report.feedback_bytes == 8 && report.feedback_payload[0] == 0);
 }
 
 static void a_line_that_cannot_be_written_is_not_sent(void)
@@ -262,7 +262,7 @@ static bool say_with_sensor(uint32_t size)
     }
     uint64_t before = w.machine.received;
     uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, size, frame);
-    board_machine_hear(&w.machine, frame, count, w.now_ns);
+    board_machine_receive(&w.machine, frame, count, w.now_ns);
     return w.machine.received > before;
 }
 

@@ -114,7 +114,7 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
     say_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 1);
     begin_with(1);
-    table_of(0)->says_enabled = 0;
+    table_of(0)->reports_enabled = 0;
     table_of(0)->slow_every = 1;
     table_of(0)->disarm[0] = (can_write){.packet = packet_of(OFF_WORD, 1)};
     restart();

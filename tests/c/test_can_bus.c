@@ -188,9 +188,9 @@ static void fill_drive(uint32_t n)
     drive->match[CAN_MATCHES_MAX - 1] = (can_match){.id = STATE + n, .bytes = 1, .input = CAN_INPUTS_MAX, .begins_bytes = 0};
     drive->match[0] = (can_match){.id = ANSWER + n, .bytes = CAN_BYTES_MAX, .begins_bytes = CAN_BEGINS_MAX};
     memset(drive->match[0].begins_mask, 0xFF, CAN_BEGINS_MAX);
-    drive->ask_count = drive->slow_count = drive->probe_count = CAN_ASKS_MAX;
-    for (uint32_t i = 0; i < CAN_ASKS_MAX; i++) {
-        drive->ask[i] = drive->slow[i] = drive->probe[i] = packet_of(0x600 + 8 * n + i, 0);
+    drive->poll_count = drive->slow_count = drive->probe_count = CAN_POLLS_MAX;
+    for (uint32_t i = 0; i < CAN_POLLS_MAX; i++) {
+        drive->poll[i] = drive->slow[i] = drive->probe[i] = packet_of(0x600 + 8 * n + i, 0);
     }
     drive->quick_stop_count = drive->disarm_count = CAN_STOP_MAX;
     for (uint32_t i = 0; i < CAN_STOP_MAX; i++) {
@@ -233,7 +233,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
         CHECK(count_sent(SYNC + i) >= 1);
     }
     uint32_t asked = 0x600 + 8 * last;
-    CHECK(count_sent(asked + CAN_ASKS_MAX - 1) >= 1 && count_sent(asked) >= 1);
+    CHECK(count_sent(asked + CAN_POLLS_MAX - 1) >= 1 && count_sent(asked) >= 1);
     const can_packet *moving = newest_of(last + 8 * (CAN_OUTPUTS_MAX - 1));
     CHECK(can_get(moving->data, &(can_place){.start_bit = 48, .length = 16, .form = CAN_SIGNED}) == 100);
     CHECK(state_of(last)->state.enabled == 1 && w.machine.joint[last].feedback.temperature_c == 8.0);
@@ -297,7 +297,7 @@ static void begin_with_one_that_turns(void)
     table_of(0)->idle_setpoints = 0;
     w.table.setpoint_timeout_ns = 1000 * MS;
     restart();
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
 }
 
 static void a_bus_that_had_nothing_to_take_is_given_motion_at_once(void)

@@ -160,7 +160,7 @@ static void begin_with_one_that_cannot_say(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
-    drive->idle_setpoints = drive->says_enabled = 0;
+    drive->idle_setpoints = drive->reports_enabled = 0;
     drive->input[0].field_count = 0;
     drive->disarm[0] = (can_write){.packet = packet_of(CONTROL, 1)};
     restart();

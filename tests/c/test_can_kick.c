@@ -123,7 +123,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     begin_with(1);
     arm(0);
     go_on(100 * MS);
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
     can_machine_left(&w.machine);
     w.now_ns = w.machine.cycle.due_ns;
     step(); /* a motion frame waits from now on: the cable is out */

@@ -138,7 +138,7 @@ static void turning(uint32_t drives)
 static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest(void)
 {
     turning(2);
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
     w.full = true;
     go_on(40 * MS);
     w.full = false;
@@ -155,7 +155,7 @@ static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the
 static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
 {
     turning(2);
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
     can_machine_left(&w.machine);
     w.not_taken = SPEED;
     for (uint32_t i = 0; i < 20; i++) {
@@ -169,7 +169,7 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
 {
     turning(2);
     can_machine_left(&w.machine);
-    w.machine.hears_own = true; /* and nothing more is heard to have left */
+    w.machine.receives_own = true; /* and nothing more is heard to have left */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->state.mode == DRIVE_ARMED);
@@ -184,7 +184,7 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
 static void what_leaves_in_its_cycle_goes_on(void)
 {
     turning(1);
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
     can_machine_left(&w.machine);
     for (uint32_t i = 0; i < 50; i++) {
         go_on(9 * MS);
@@ -199,7 +199,7 @@ static void what_is_said_to_have_left_some_milliseconds_late_goes_on(void)
 {
     turning(1);
     w.machine.table.period_ns = MS;
-    w.machine.hears_own = true;
+    w.machine.receives_own = true;
     go_on(10 * MS);
     can_machine_left(&w.machine);
     forget_sent();

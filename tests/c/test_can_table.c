@@ -86,12 +86,12 @@ static void the_numbers_of_a_drive(void)
     GOOD(DRIVE.slow_every, 1);
     BAD(DRIVE.output_count, 0, "drive[1].output_count");
     BAD(DRIVE.output_count, CAN_OUTPUTS_MAX + 1, "drive[1].output_count");
-    GOOD(DRIVE.ask_count, CAN_ASKS_MAX);
-    BAD(DRIVE.ask_count, CAN_ASKS_MAX + 1, "drive[1].ask_count");
-    GOOD(DRIVE.slow_count, CAN_ASKS_MAX);
-    BAD(DRIVE.slow_count, CAN_ASKS_MAX + 1, "drive[1].slow_count");
-    GOOD(DRIVE.probe_count, CAN_ASKS_MAX);
-    BAD(DRIVE.probe_count, CAN_ASKS_MAX + 1, "drive[1].probe_count");
+    GOOD(DRIVE.poll_count, CAN_POLLS_MAX);
+    BAD(DRIVE.poll_count, CAN_POLLS_MAX + 1, "drive[1].poll_count");
+    GOOD(DRIVE.slow_count, CAN_POLLS_MAX);
+    BAD(DRIVE.slow_count, CAN_POLLS_MAX + 1, "drive[1].slow_count");
+    GOOD(DRIVE.probe_count, CAN_POLLS_MAX);
+    BAD(DRIVE.probe_count, CAN_POLLS_MAX + 1, "drive[1].probe_count");
     GOOD(DRIVE.match_count, CAN_MATCHES_MAX);
     BAD(DRIVE.match_count, CAN_MATCHES_MAX + 1, "drive[1].match_count");
     GOOD(DRIVE.input_count, CAN_INPUTS_MAX);
@@ -109,12 +109,12 @@ static void the_numbers_of_a_drive(void)
 static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_can_have(void)
 {
     can_packet *const packets[] = {&DRIVE.output[0].packet,
-                                   &DRIVE.ask[0],
+                                   &DRIVE.poll[0],
                                    &DRIVE.slow[0],
                                    &DRIVE.probe[0],
-                                   &DRIVE.ask[CAN_ASKS_MAX - 1],
-                                   &DRIVE.slow[CAN_ASKS_MAX - 1],
-                                   &DRIVE.probe[CAN_ASKS_MAX - 1],
+                                   &DRIVE.poll[CAN_POLLS_MAX - 1],
+                                   &DRIVE.slow[CAN_POLLS_MAX - 1],
+                                   &DRIVE.probe[CAN_POLLS_MAX - 1],
                                    &DRIVE.quick_stop[0].packet,
                                    &DRIVE.quick_stop[1].packet,
                                    &DRIVE.disarm[0].packet,

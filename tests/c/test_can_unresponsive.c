@@ -8,11 +8,11 @@ static void begin_with_questions(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
-    drive->ask_count = 2;
+    drive->poll_count = 2;
     drive->probe_count = 1;
     drive->slow_count = 2;
-    drive->ask[0] = packet_of(ASK, 0);
-    drive->ask[1] = packet_of(ASK + 1, 0);
+    drive->poll[0] = packet_of(ASK, 0);
+    drive->poll[1] = packet_of(ASK + 1, 0);
     drive->slow[0] = packet_of(SLOW, 0);
     drive->slow[1] = packet_of(SLOW + 1, 0);
     drive->probe[0] = packet_of(PROBE, 0);

@@ -55,7 +55,7 @@ static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_o
 {
     line_drive_state *drive = begin_drive();
     w.machine.table.broadcast_stop_count = 2;
-    line_stop_unheard(&w.machine, 0, w.now_ns);
+    line_stop_before_setup(&w.machine, 0, w.now_ns);
     CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == 0 && drive->state.stopping);
     CHECK(drive->state.stop == STOP_QUICK && drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
     CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].state.stop == STOP_NOTHING);

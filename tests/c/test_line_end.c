@@ -2,7 +2,7 @@
  * How a line ends: rest, then power off, then silence, each at its time at the latest. */
 #include "line_wire.h"
 
-static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000, UNHEARD_END_NS = 2980LL * 1000000;
+static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000, POWER_OFF_END_NS = 2980LL * 1000000;
 
 static void look_at(int64_t now_ns)
 {
@@ -90,9 +90,9 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
         look_at(begun_ns + END_NS);
         CHECK(w.machine.end.stage == END_POWER_OFF);
         w.machine.drive[1].stop_sent |= last_sent ? 1U << (frames - 1) : 0;
-        look_at(begun_ns + UNHEARD_END_NS - 1);
+        look_at(begun_ns + POWER_OFF_END_NS - 1);
         CHECK(w.machine.end.stage == (last_sent ? 3 : 2));
-        look_at(begun_ns + UNHEARD_END_NS);
+        look_at(begun_ns + POWER_OFF_END_NS);
         CHECK(w.machine.end.stage == END_SILENT);
     }
 }

@@ -11,9 +11,9 @@ static line_frame read_frame(uint8_t unit)
     return frame_of(unit, READ, STATUS, 1);
 }
 
-static line_ask ask_of(uint32_t drive, line_frame frame)
+static line_request line_request_of(uint32_t drive, line_frame frame)
 {
-    return (line_ask){.id = 77, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .frame = frame};
+    return (line_request){.id = 77, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .frame = frame};
 }
 
 static void look(const uint8_t *bytes, uint32_t count)
@@ -30,12 +30,12 @@ static void send(void)
     line_machine_sent(m, w.now_ns);
 }
 
-static void send_ask(uint32_t drive, line_frame frame)
+static void send_request(uint32_t drive, line_frame frame)
 {
-    line_ask ask = ask_of(drive, frame);
-    CHECK(line_machine_ask(m, &ask));
+    line_request request = line_request_of(drive, frame);
+    CHECK(line_machine_request(m, &request));
     send();
-    CHECK(m->work == WORK_ASK && m->worker == drive);
+    CHECK(m->work == WORK_REQUEST && m->worker == drive);
 }
 
 static uint32_t reply_of(const line_frame *frame, uint8_t *reply)
@@ -74,18 +74,18 @@ static void a_request_takes_the_time_of_its_bytes_and_is_waited_for(void)
 {
     begin_with(2, 0);
     m->urgent_by_ns = 5;
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     CHECK(m->urgent_by_ns == 0 && m->sent && m->exchanges == 1 && m->start_ns == w.now_ns && m->end_ns == w.now_ns + SENT_NS);
     CHECK(m->bound_ns == 5 * MS + HOST_NS && m->until_ns == m->end_ns + m->bound_ns + line_reply_ns(m, &m->transaction.frame));
     CHECK(m->ours_ns == m->end_ns + GAP_NS && m->free_ns == m->ours_ns);
     int64_t until_ns = m->until_ns;
     w.now_ns = until_ns - 1;
     look(NULL, 0);
-    CHECK(m->work == WORK_ASK && !m->answered && w.out.wake_ns == until_ns);
+    CHECK(m->work == WORK_REQUEST && !m->answered && w.out.wake_ns == until_ns);
     fail();
     CHECK(m->work == WORK_NONE && m->worker == LINE_DRIVES_MAX && m->answered && m->answer.kind == ANSWER_NO_REPLY);
-    line_ask next = ask_of(1, read_frame(2));
-    CHECK(line_machine_ask(m, &next));
+    line_request next = line_request_of(1, read_frame(2));
+    CHECK(line_machine_request(m, &next));
     w.now_ns = m->free_ns;
     look(NULL, 0);
     CHECK(w.out.send != NULL && !m->sent); /* until the thread says so */
@@ -106,10 +106,10 @@ static void each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take(voi
     m->table.drive[0].turnaround_ns = 9 * MS + HOST_NS;
     m->drive[0].deadline_ns = 7 * MS, m->drive[1].deadline_ns = 6 * MS;
     m->table.drive[2].turnaround_ns = 99 * MS; /* there is no third drive */
-    m->transaction.ask_turnaround_ns = 3 * MS;
+    m->transaction.request_turnaround_ns = 3 * MS;
     CHECK(bound_of(WORK_CYCLE, 0) == 7 * MS && bound_of(WORK_CYCLE, 1) == 6 * MS);
     CHECK(bound_of(WORK_STOP, 0) == 9 * MS + HOST_NS && bound_of(WORK_STOP, 1) == 5 * MS + HOST_NS);
-    CHECK(bound_of(WORK_ASK, 0) == 3 * MS + HOST_NS);
+    CHECK(bound_of(WORK_REQUEST, 0) == 3 * MS + HOST_NS);
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS); /* nobody answers: the slowest has to have heard it */
     CHECK(bound_of(WORK_BROADCAST, 2) == 9 * MS);
     m->table.drive[1].turnaround_ns = 11 * MS + HOST_NS;
@@ -126,7 +126,7 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
     for (uint32_t waiting = 0; waiting < 5; waiting++) {
         begin_with(3, 0);
         m->drive[1].smoothed_ns = 12 * MS; /* usual: that and half a millisecond */
-        send_ask(1, read_frame(2));
+        send_request(1, read_frame(2));
         int64_t long_ns = m->until_ns, short_ns = m->end_ns + 12 * MS + MS / 2 + line_reply_ns(m, &m->transaction.frame);
         CHECK(short_ns < long_ns);
         m->drive[waiting].state.stop = waiting < 3 ? STOP_QUICK : STOP_NOTHING;
@@ -137,12 +137,12 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
         CHECK(m->until_ns == (waiting == 1 || waiting == 3 ? long_ns : short_ns));
     }
     begin_with(2, 0);
-    send_ask(1, read_frame(2));
+    send_request(1, read_frame(2));
     w.now_ns = m->until_ns - 5;
     m->drive[1].smoothed_ns = 10 * MS;
     m->drive[0].state.stop = STOP_QUICK;
     look(NULL, 0);
-    CHECK(m->until_ns == w.now_ns + 1 && m->work == WORK_ASK); /* it is over with the next look */
+    CHECK(m->until_ns == w.now_ns + 1 && m->work == WORK_REQUEST); /* it is over with the next look */
     begin_with(2, 0);
     m->drive[0].state.stop = m->drive[1].state.stop = STOP_POWER_OFF;
     m->until_ns = 77;
@@ -160,7 +160,7 @@ static void an_answer_to_a_request_to_nobody_is_an_answer(void)
     begin_with(LINE_DRIVES_MAX, 0);
     memset(m->joint, 0x7F, sizeof m->joint);
     memcpy(before, m->joint, sizeof before);
-    send_ask(LINE_DRIVES_MAX, read_frame(9));
+    send_request(LINE_DRIVES_MAX, read_frame(9));
     answer();
     CHECK(m->answered && m->answer.kind == ANSWER_OK && memcmp(before, m->joint, sizeof before) == 0);
 }
@@ -168,7 +168,7 @@ static void an_answer_to_a_request_to_nobody_is_an_answer(void)
 static void a_request_to_nobody_is_waited_for_as_long_as_it_says(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
-    send_ask(LINE_DRIVES_MAX, read_frame(9));
+    send_request(LINE_DRIVES_MAX, read_frame(9));
     int64_t until_ns = m->until_ns;
     m->drive[0].state.stop = STOP_QUICK;
     w.now_ns++;
@@ -183,7 +183,7 @@ static void an_answer_is_handed_on_with_its_time_and_nothing_beside_it(void)
 {
     uint8_t bytes[10] = {0x55, 0x66};
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     uint32_t count = reply_of(&m->transaction.frame, bytes + 2);
     int64_t sent_ns = w.now_ns;
     hear_after(3 * MS, bytes, count + 2);
@@ -203,7 +203,7 @@ static void a_refusal_is_handed_on_with_its_number(void)
     uint8_t refusal[5] = {1, READ | 0x80, 4};
     rtu_seal(refusal, 5, SEAL_CRC16);
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     hear_after(2 * MS, refusal, 5);
     CHECK(m->answered && m->answer.kind == ANSWER_REFUSED && m->answer.exception == 4 && m->answer.reply_bytes == 0);
     CHECK(m->answers == 1 && m->noise_bytes == 0 && m->round_trip_ns == 0);
@@ -212,7 +212,7 @@ static void a_refusal_is_handed_on_with_its_number(void)
 static void what_is_no_answer_is_counted_once(void)
 {
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     hear_after(MS, (const uint8_t[]){7, 8, 9}, 3);
     CHECK(!m->answered && m->noise_bytes == 0);
     fail();
@@ -228,14 +228,14 @@ static void an_answer_of_one_byte_is_an_answer(void)
     frame.exact = 1, frame.reply_bytes = frame.match_bytes = 1, frame.reply_seal = SEAL_NONE, frame.match[0] = 0xFF;
     begin_with(1, 0);
     m->echo = ECHO_NONE;
-    send_ask(0, frame);
+    send_request(0, frame);
     hear_after(MS, (const uint8_t[]){0xFF}, 1);
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->answers == 1 && m->round_trip_ns > 0);
-    send_ask(0, frame);
+    send_request(0, frame);
     fail();
     CHECK(m->ours_ns == w.now_ns + m->bound_ns && m->free_ns == m->ours_ns);
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     fail();
     CHECK(m->ours_ns == w.now_ns + GAP_NS && m->free_ns < w.now_ns);
 }
@@ -266,10 +266,10 @@ static void the_first_read_finds_out_whether_the_adapter_hears_itself(void)
     uint8_t bytes[16];
     for (uint32_t echoes = 0; echoes < 2; echoes++) {
         begin_with(1, ECHO_UNKNOWN);
-        send_ask(0, frame_of(1, WRITE, CONTROL, 1)); /* its answer looks like the request */
+        send_request(0, frame_of(1, WRITE, CONTROL, 1)); /* its answer looks like the request */
         answer();
         CHECK(m->echo == ECHO_UNKNOWN && m->answer.kind == ANSWER_OK);
-        send_ask(0, read_frame(1));
+        send_request(0, read_frame(1));
         memcpy(bytes, m->transaction.frame.request, 8);
         uint32_t from = echoes != 0 ? 0 : 8, count = 8 + reply_of(&m->transaction.frame, bytes + 8);
         m->notify = false;
@@ -277,7 +277,7 @@ static void the_first_read_finds_out_whether_the_adapter_hears_itself(void)
         CHECK(m->echo == (echoes != 0 ? (uint32_t)ECHO_FIRST : (uint32_t)ECHO_NONE) && m->notify);
         CHECK(m->answer.kind == ANSWER_OK && m->answer.echoed == echoes && m->noise_bytes == 0);
         CHECK(memcmp(m->answer.reply, bytes + 8, 7) == 0);
-        send_ask(0, read_frame(1));
+        send_request(0, read_frame(1));
         hear_after(2 * MS, bytes + from, count - from);
         CHECK(!m->notify && m->answer.kind == ANSWER_OK);
     }
@@ -293,7 +293,7 @@ static void when_nobody_is_understood_the_echo_is_not_known_any_more(void)
             m->drive[0].failures = first, m->drive[1].failures = second - 1;
             m->drive[2].failures = 0; /* there is no third drive */
             m->table.drive[2].tries = 3;
-            send_ask(1, read_frame(2));
+            send_request(1, read_frame(2));
             fail();
             CHECK(m->drive[1].failures == second);
             CHECK(m->echo == (first == 3 && second == 3 ? (uint32_t)ECHO_UNKNOWN : (uint32_t)ECHO_FIRST));
@@ -325,15 +325,15 @@ static void noise_without_end_ends_the_wait(void)
     static uint8_t noise[RECEIVED_BYTES_MAX];
     memset(noise, 0x55, sizeof noise);
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     hear_after(MS, noise, RECEIVED_BYTES_MAX - 3);
-    CHECK(m->work == WORK_ASK);
+    CHECK(m->work == WORK_REQUEST);
     hear_after(MS, noise, 2);
-    CHECK(m->work == WORK_ASK && !m->answered);
+    CHECK(m->work == WORK_REQUEST && !m->answered);
     hear_after(MS, noise, 1);
     CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == RECEIVED_BYTES_MAX);
     begin_with(1, 0);
-    send_ask(0, read_frame(1));
+    send_request(0, read_frame(1));
     (void)reply_of(&m->transaction.frame, noise + RECEIVED_BYTES_MAX - 7);
     hear_after(MS, noise, RECEIVED_BYTES_MAX); /* its answer just fits */
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->noise_bytes == RECEIVED_BYTES_MAX - 7);
@@ -345,12 +345,12 @@ static void what_comes_while_nobody_shall_answer_is_noise_but_for_an_echo(void)
         line_frame frame = frame_of(0, WRITE, CONTROL, QUICK_STOP);
         frame.reply_bytes = frame.echo_bytes = 0, frame.reply_seal = SEAL_NONE;
         begin_with(1, echo);
-        send_ask(0, frame);
+        send_request(0, frame);
         hear_after(MS, frame.request, 8);
-        CHECK(m->work == WORK_ASK && m->noise_bytes == (echo == ECHO_NONE ? 8 : 0));
+        CHECK(m->work == WORK_REQUEST && m->noise_bytes == (echo == ECHO_NONE ? 8 : 0));
         w.now_ns = m->until_ns - 1;
         look(NULL, 0);
-        CHECK(m->work == WORK_ASK);
+        CHECK(m->work == WORK_REQUEST);
         w.now_ns++;
         look(NULL, 0);
         CHECK(m->answered && m->answer.kind == ANSWER_OK && m->answer.reply_bytes == 0 && m->round_trip_ns == 0);

@@ -324,9 +324,9 @@ static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void
     CHECK(w.machine.drive[0].count.no_reply >= 1 && w.machine.drive[0].count.cycles > 40);
 }
 
-static line_ask read_of(uint64_t id, uint8_t address)
+static line_request read_of(uint64_t id, uint8_t address)
 {
-    return (line_ask){
+    return (line_request){
         .id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, address, 1)};
 }
 
@@ -335,10 +335,10 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
 {
     for (int64_t ms = 30; ms <= 100; ms += 5) {
         begin_late(1, false, 1);
-        line_ask first = read_of(1, STATUS), second = read_of(2, BOTH);
+        line_request first = read_of(1, STATUS), second = read_of(2, BOTH);
         late_ns = ms * MS;
         late_every = 1;
-        CHECK(line_machine_ask(&w.machine, &first) && line_machine_ask(&w.machine, &second));
+        CHECK(line_machine_request(&w.machine, &first) && line_machine_request(&w.machine, &second));
         while (!w.machine.answered) {
             look();
         }
@@ -358,21 +358,21 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);
-    line_ask off = {
+    line_request off = {
         .id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .urgent = 1, .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
-    line_ask on = off;
+    line_request on = off;
     on.id = 2;
     on.frame = frame_of(1, WRITE, CONTROL, 8);
     lose_every = 1;
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(line_machine_ask(&w.machine, i == 0 ? &off : &on));
+        CHECK(line_machine_request(&w.machine, i == 0 ? &off : &on));
         do {
             look();
         } while (!w.machine.answered);
     }
     off.id = 3;
-    CHECK(line_machine_ask(&w.machine, &off));
-    while (w.machine.work != WORK_ASK) {
+    CHECK(line_machine_request(&w.machine, &off));
+    while (w.machine.work != WORK_REQUEST) {
         look();
     }
     line_machine_step(&w.machine, w.machine.end_ns + 2 * MS, off.frame.request, 8, &w.out);

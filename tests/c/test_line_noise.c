@@ -76,16 +76,16 @@ static void an_urgent_request_goes_out_and_no_other(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
-    line_ask ask = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, STATUS, 1)};
-    CHECK(line_machine_ask(&w.machine, &ask));
+    line_request request = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, STATUS, 1)};
+    CHECK(line_machine_request(&w.machine, &request));
     uint64_t before = w.machine.exchanges;
     babble_for(100 * MS);
-    CHECK(w.machine.exchanges == before && w.machine.ask_count == 1);
-    ask.id = 2;
-    ask.urgent = 1;
-    CHECK(line_machine_ask(&w.machine, &ask));
+    CHECK(w.machine.exchanges == before && w.machine.request_count == 1);
+    request.id = 2;
+    request.urgent = 1;
+    CHECK(line_machine_request(&w.machine, &request));
     babble_for(FRAME_NS);
-    CHECK(w.machine.exchanges == before + 1 && w.machine.ask_count == 1 && w.machine.ask[0].id == 1);
+    CHECK(w.machine.exchanges == before + 1 && w.machine.request_count == 1 && w.machine.request[0].id == 1);
 }
 
 /* Nothing can be asked: nobody is known to be there. One that may turn is told to stop again and again. */

@@ -23,7 +23,8 @@ static line_frame sent_by(uint8_t unit, uint8_t command)
 
 static line_frame asked_by(uint8_t unit)
 {
-    return (line_frame){.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_ASKED, .exact = 1, .request = {unit, STATE_OF}};
+    return (line_frame){
+        .request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_WITH_REQUEST, .exact = 1, .request = {unit, STATE_OF}};
 }
 
 static void begin_packets(uint32_t drives)
@@ -139,7 +140,7 @@ static void a_packet_that_nothing_tells_from_another_is_refused(void)
     frame->reply_bytes = 2;
     CHECK(line_table_check(&w.table, name) != NULL);
     frame->reply_bytes = 1;
-    frame->request_seal = SEAL_ASKED;
+    frame->request_seal = SEAL_WITH_REQUEST;
     CHECK(line_table_check(&w.table, name) != NULL);
     frame->request_seal = SEAL_XMODEM;
     CHECK(line_table_check(&w.table, name) == NULL);

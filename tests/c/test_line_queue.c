@@ -4,14 +4,15 @@
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent, int64_t expires_ns)
 {
-    CHECK(line_machine_ask(&w.machine, &(line_ask){.id = id, .drive = drive, .urgent = urgent, .expires_ns = expires_ns}));
+    CHECK(
+        line_machine_request(&w.machine, &(line_request){.id = id, .drive = drive, .urgent = urgent, .expires_ns = expires_ns}));
 }
 
 static void holds(const uint64_t *ids, uint32_t count)
 {
-    CHECK(w.machine.ask_count == count);
+    CHECK(w.machine.request_count == count);
     for (uint32_t i = 0; i < count; i++) {
-        CHECK(w.machine.ask[i].id == ids[i]);
+        CHECK(w.machine.request[i].id == ids[i]);
     }
 }
 
@@ -25,8 +26,8 @@ static void urgent_requests_stand_before_the_others_and_each_kind_in_its_order(v
     put(3, 0, 0, INT64_MAX);
     put(11, 0, 1, INT64_MAX);
     holds(urgent_after_ordinary, 5);
-    while (w.machine.ask_count > 0) {
-        line_drop_ask(&w.machine, 0);
+    while (w.machine.request_count > 0) {
+        line_drop_request(&w.machine, 0);
     }
     put(12, 0, 1, INT64_MAX); /* urgent ones that were there before count no more */
     put(13, 0, 1, INT64_MAX);
@@ -36,22 +37,22 @@ static void urgent_requests_stand_before_the_others_and_each_kind_in_its_order(v
 static void a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed(void)
 {
     begin_with(2, 0);
-    for (uint32_t i = 0; i + 1 < LINE_ASKS_MAX; i++) {
-        put(i, 0, i < LINE_ASKS_MAX / 2, INT64_MAX);
+    for (uint32_t i = 0; i + 1 < LINE_REQUESTS_MAX; i++) {
+        put(i, 0, i < LINE_REQUESTS_MAX / 2, INT64_MAX);
     }
     static line_machine wanted;
     wanted = w.machine;
-    const line_ask urgent = {.id = 99, .urgent = 1, .expires_ns = INT64_MAX};
-    for (uint32_t i = LINE_ASKS_MAX - 1; i > LINE_ASKS_MAX / 2; i--) {
-        wanted.ask[i] = wanted.ask[i - 1];
+    const line_request urgent = {.id = 99, .urgent = 1, .expires_ns = INT64_MAX};
+    for (uint32_t i = LINE_REQUESTS_MAX - 1; i > LINE_REQUESTS_MAX / 2; i--) {
+        wanted.request[i] = wanted.request[i - 1];
     }
-    wanted.ask[LINE_ASKS_MAX / 2] = urgent;
-    wanted.ask_count = LINE_ASKS_MAX;
-    CHECK(line_machine_ask(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
-    CHECK(!line_machine_ask(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
-    wanted.ask_count--; /* the last but one goes, the last one moves up */
-    wanted.ask[LINE_ASKS_MAX - 2] = wanted.ask[LINE_ASKS_MAX - 1];
-    line_drop_ask(&w.machine, LINE_ASKS_MAX - 2);
+    wanted.request[LINE_REQUESTS_MAX / 2] = urgent;
+    wanted.request_count = LINE_REQUESTS_MAX;
+    CHECK(line_machine_request(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
+    CHECK(!line_machine_request(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
+    wanted.request_count--; /* the last but one goes, the last one moves up */
+    wanted.request[LINE_REQUESTS_MAX - 2] = wanted.request[LINE_REQUESTS_MAX - 1];
+    line_drop_request(&w.machine, LINE_REQUESTS_MAX - 2);
     CHECK(memcmp(&w.machine, &wanted, sizeof wanted) == 0);
 }
 
@@ -61,12 +62,12 @@ static void what_has_expired_is_answered_one_at_a_time_wherever_it_waits(void)
     put(1, 0, 0, w.now_ns + 1);
     put(2, 0, 0, w.now_ns);
     put(3, 0, 0, w.now_ns - 1);
-    line_expire_ask(&w.machine, w.now_ns);
+    line_expire_request(&w.machine, w.now_ns);
     CHECK(w.machine.answered && w.machine.answer.id == 2 && w.machine.answer.kind == ANSWER_EXPIRED);
-    line_expire_ask(&w.machine, w.now_ns);
+    line_expire_request(&w.machine, w.now_ns);
     holds((const uint64_t[]){1, 3}, 2);
     w.machine.answered = false;
-    line_expire_ask(&w.machine, w.now_ns);
+    line_expire_request(&w.machine, w.now_ns);
     CHECK(w.machine.answer.id == 3);
     holds((const uint64_t[]){1}, 1);
 }
@@ -77,12 +78,12 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
     put(1, 0, 0, INT64_MAX);
     put(2, 1, 0, INT64_MAX);
     w.machine.drive[0].silent_until_ns = w.now_ns + 1;
-    CHECK(line_pick_ask(&w.machine, w.now_ns) == 1);
-    CHECK(line_pick_ask(&w.machine, w.now_ns + 1) == 0);
+    CHECK(line_pick_request(&w.machine, w.now_ns) == 1);
+    CHECK(line_pick_request(&w.machine, w.now_ns + 1) == 0);
     w.machine.drive[1].silent_until_ns = w.now_ns + 1;
-    CHECK(line_pick_ask(&w.machine, w.now_ns) == LINE_ASKS_MAX);
+    CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX);
     put(3, 2, 0, INT64_MAX); /* to no drive of the table: it does not wait for any */
-    CHECK(line_pick_ask(&w.machine, w.now_ns) == 2);
+    CHECK(line_pick_request(&w.machine, w.now_ns) == 2);
 }
 
 int main(void)

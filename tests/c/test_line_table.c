@@ -104,10 +104,10 @@ static void the_numbers_of_a_drive(void)
 static void a_request_and_its_reply(void)
 {
     const char *const request = "drive[0].request_bytes";
-    BAD(write_frame->request_seal, SEAL_ASKED, "drive[0].request_seal");
+    BAD(write_frame->request_seal, SEAL_WITH_REQUEST, "drive[0].request_seal");
     GOOD(write_frame->request_seal, SEAL_XMODEM);
-    BAD(read_frame->reply_seal, SEAL_ASKED, "drive[0].reply_seal"); /* that is for replies that name no request */
-    BAD(read_frame->reply_seal, SEAL_ASKED + 1, "drive[0].reply_seal");
+    BAD(read_frame->reply_seal, SEAL_WITH_REQUEST, "drive[0].reply_seal"); /* that is for replies that name no request */
+    BAD(read_frame->reply_seal, SEAL_WITH_REQUEST + 1, "drive[0].reply_seal");
     GOOD(read_frame->reply_seal, SEAL_CRC8);
     BAD(read_frame->request_bytes, 2, request); /* its check sum alone */
     GOOD(read_frame->request_bytes, 3);
@@ -156,7 +156,7 @@ static void a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole(voi
     const char *const match = "drive[0].match";
     t = good;
     d->cyclic[1].field_count = 0;
-    *read_frame = (line_frame){.exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_ASKED};
+    *read_frame = (line_frame){.exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_WITH_REQUEST};
     CHECK(is_good()); /* its check sum is over the request as well */
     read_frame->request_bytes = 1;
     CHECK(refused(match));

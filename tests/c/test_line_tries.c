@@ -20,7 +20,7 @@ static void look(uint32_t times)
 }
 
 /* Three ranges are read besides the cycle; the first says whether the drive is enabled. */
-static void begin_with_extras(uint32_t says_enabled)
+static void begin_with_extras(uint32_t reports_enabled)
 {
     begin_with(1, 0);
     sent_count = 0;
@@ -30,7 +30,7 @@ static void begin_with_extras(uint32_t says_enabled)
     for (uint8_t i = 0; i < EXTRAS; i++) {
         drive->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
     }
-    drive->extra[0].field_count = says_enabled;
+    drive->extra[0].field_count = reports_enabled;
     drive->extra[0].field[0] =
         (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xFFFF, .equals = 1, .si_per_raw = 1.0};
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);

@@ -27,9 +27,9 @@ static void look(void)
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent)
 {
-    line_ask ask = {.id = id, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .urgent = urgent};
-    ask.frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1);
-    CHECK(line_machine_ask(m, &ask));
+    line_request request = {.id = id, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .urgent = urgent};
+    request.frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1);
+    CHECK(line_machine_request(m, &request));
 }
 
 /* Of this drive, as this work. */
@@ -100,14 +100,14 @@ static void a_request_goes_between_two_cycles_where_it_fits(void)
         begin_ready(1, takes_ns - short_ns);
         put(7, LINE_DRIVES_MAX, 0);
         look();
-        CHECK(short_ns == 0 ? is_sent(WORK_ASK, LINE_DRIVES_MAX) : w.out.send == NULL);
+        CHECK(short_ns == 0 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) : w.out.send == NULL);
         CHECK(short_ns == 0 || w.out.wake_ns == w.now_ns + takes_ns - 1); /* the drive's turn: the slot's is later */
     }
     begin_ready(1, 0);
     m->drive[0].state.mode = DRIVE_OFF; /* nobody has a turn */
     put(7, LINE_DRIVES_MAX, 0);
     look();
-    CHECK(is_sent(WORK_ASK, LINE_DRIVES_MAX));
+    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
 }
 
 static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
@@ -116,12 +116,12 @@ static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns;
     look();
-    CHECK(is_sent(WORK_ASK, LINE_DRIVES_MAX) && m->slot_turn == 1 && m->slot_due_ns == w.now_ns + 20 * MS);
+    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->slot_turn == 1 && m->slot_due_ns == w.now_ns + 20 * MS);
     begin_ready(1, 0);
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns; /* both are: the slot goes first, for it is asked once in a period */
     look();
-    CHECK(is_sent(WORK_ASK, LINE_DRIVES_MAX));
+    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
     begin_ready(1, -1);
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns;
@@ -131,7 +131,7 @@ static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns - 500 * MS; /* what was missed is not caught up */
     look();
-    CHECK(is_sent(WORK_ASK, LINE_DRIVES_MAX) && m->slot_due_ns == w.now_ns);
+    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->slot_due_ns == w.now_ns);
 }
 
 static void requests_and_probes_take_turns_but_for_urgent_ones(void)
@@ -143,7 +143,7 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
         look();
-        CHECK(turn % 2 == 0 ? is_sent(WORK_ASK, LINE_DRIVES_MAX) : is_sent(WORK_PROBE, 1));
+        CHECK(turn % 2 == 0 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) : is_sent(WORK_PROBE, 1));
         CHECK(m->slot_turn == turn + 1 && m->slot_due_ns == w.now_ns + 20 * MS);
         forget_request();
     }
@@ -153,10 +153,10 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         m->slot_due_ns = w.now_ns;
         m->slot_turn = 7;
         look();
-        CHECK(turn == 6 ? is_sent(WORK_ASK, LINE_DRIVES_MAX) && m->transaction.ask_id == 8 : is_sent(WORK_PROBE, 1));
+        CHECK(turn == 6 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->transaction.request_id == 8 : is_sent(WORK_PROBE, 1));
         forget_request();
     }
-    m->ask_count = 0;
+    m->request_count = 0;
     for (uint32_t turn = 0; turn < 2; turn++) {
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
@@ -312,7 +312,7 @@ static void what_a_step_reports_is_of_that_step(void)
     look();
     CHECK(w.out.notify && !w.out.answered && m->drive[1].state.mode == DRIVE_OFF);
     put(7, 0, 0);
-    m->ask[0].expires_ns = w.now_ns;
+    m->request[0].expires_ns = w.now_ns;
     look();
     CHECK(w.out.notify && w.out.answered && m->answer.kind == ANSWER_EXPIRED && w.out.wake_ns == w.now_ns);
     look();

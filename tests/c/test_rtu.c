@@ -337,7 +337,7 @@ static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
 /* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a write is 0xFF. */
 static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
 {
-    line_frame asked = {.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_ASKED, .exact = 1, .request = {0x80, 24}};
+    line_frame asked = {.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_WITH_REQUEST, .exact = 1, .request = {0x80, 24}};
     uint8_t reply[5] = {0x00, 0xF0, 0, 0, 0xFF}, sealed[4] = {0x80, 24, 0x00, 0xF0};
     rtu_write(reply + 2, FORM_U16, rtu_xmodem(0, sealed, 4));
     CHECK(is(find(&asked, 0, reply, 3), RECEIVED_MORE, 0, 0));

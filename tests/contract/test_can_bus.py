@@ -167,7 +167,7 @@ async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_
 )  # the rt engine: tests/c/test_can_stops.c
 async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer):
     await rig.arm()
-    rig.line._gate.hears_own = True  # and no frame of ours is ever seen to leave
+    rig.line._gate.receives_own = True  # and no frame of ours is ever seen to leave
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     await until(lambda: peer.axes[0].velocities()[-1] == peer.axes[3].velocities()[-1] == 0.0)

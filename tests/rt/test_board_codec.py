@@ -226,8 +226,9 @@ def test_a_table_that_reaches_out_of_its_payload_is_refused():
     for path, value in (
         ("payload_bytes", 191), ("payload_bytes", 0), ("setpoint_count", 9), ("field_count", 73),
         ("quick_stop_count", 9), ("period_ns", 0), ("silence_ns", 0), ("tries", 0), ("dialect", 2),
-        ("disarm_count", 9), ("setpoint_timeout_ns", 0), ("watchdog_ns", -1), ("said_bytes", 191),
-        ("answers", 1), ("rest_velocity_rad_s", 0.0), ("rest_velocity_rad_s", math.nan),
+        ("disarm_count", 9), ("setpoint_timeout_ns", 0), ("watchdog_ns", -1),
+        ("feedback_bytes", 191), ("answers", 1), ("rest_velocity_rad_s", 0.0),
+        ("rest_velocity_rad_s", math.nan),
     ):  # fmt: skip
         before = getattr(table, path)
         setattr(table, path, value)

@@ -10,7 +10,7 @@ CYCLE_S = 0.01
 
 @pytest.fixture
 def gate():
-    return MotionGate(CYCLE_S, hears_own=True)
+    return MotionGate(CYCLE_S, receives_own=True)
 
 
 def cycle(gate, at_s, handed, moving=True):
@@ -46,7 +46,7 @@ def test_zero_may_wait_as_long_as_it_likes(gate):
 
 
 def test_a_fast_line_waits_for_a_slow_adapter():
-    gate = MotionGate(0.001, hears_own=True)
+    gate = MotionGate(0.001, receives_own=True)
     cycle(gate, 1.0, "+")
     assert not gate.is_shut(1.004)
     assert gate.is_shut(1.006)
@@ -60,7 +60,7 @@ def test_a_bus_that_was_opened_again_begins_anew(gate):
 
 
 def test_where_nothing_says_what_has_left_it_is_open():
-    gate = MotionGate(CYCLE_S, hears_own=False)
+    gate = MotionGate(CYCLE_S, receives_own=False)
     cycle(gate, 1.0, "+")
     cycle(gate, 1.01, "-")
     assert not gate.is_shut(9.0)

@@ -39,7 +39,7 @@ static void becomes_unresponsive(board_machine *m, int64_t now_ns)
                      now_ns); /* it may hear us all the same: in every cycle from now on */
     drive_take_back(&m->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     m->state.stopping = m->state.back = false;
-    m->said_bytes = 0;
+    m->feedback_bytes = 0;
 }
 
 void board_sent(board_machine *m, int64_t now_ns)

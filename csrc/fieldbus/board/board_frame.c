@@ -85,6 +85,6 @@ uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out)
         return 0;
     }
     uint32_t body = raw - CRC_BYTES;
-    uint16_t said = (uint16_t)board_get(out, &(board_place){.byte = body, .bytes = CRC_BYTES});
-    return said == crc16(out, body) ? body : 0;
+    uint16_t stated = (uint16_t)board_get(out, &(board_place){.byte = body, .bytes = CRC_BYTES});
+    return stated == crc16(out, body) ? body : 0;
 }

@@ -9,21 +9,21 @@ enum { RATE_BYTES = 4, ACCELERATION_BYTES = 2, ACCELERATIONS_AT = 12, FLAGS_AT =
 
 static const double RATE_UNIT_RAD_S = 1e-6, ACCELERATION_UNIT_M_S2 = 1e-3;
 
-static uint32_t begin_of(const uint8_t *said)
+static uint32_t begin_of(const uint8_t *payload)
 {
-    return HEAD_BYTES + MOTOR_BYTES * (uint32_t)said[MOTORS_AT];
+    return HEAD_BYTES + MOTOR_BYTES * (uint32_t)payload[MOTORS_AT];
 }
 
-bool board_imu_fits(const uint8_t *said, uint32_t said_bytes)
+bool board_imu_fits(const uint8_t *payload, uint32_t feedback_bytes)
 {
-    return (said[STATUS_AT] & HAS_IMU) == 0 || said_bytes >= begin_of(said) + IMU_BYTES;
+    return (payload[STATUS_AT] & HAS_IMU) == 0 || feedback_bytes >= begin_of(payload) + IMU_BYTES;
 }
 
 /* The least number of its size says that nothing was measured. */
-static double si_at(const uint8_t *said, uint32_t byte, uint32_t bytes, double unit)
+static double si_at(const uint8_t *payload, uint32_t byte, uint32_t bytes, double unit)
 {
     board_place place = {.byte = byte, .bytes = bytes, .is_signed = 1};
-    int64_t raw = board_get(said, &place);
+    int64_t raw = board_get(payload, &place);
     return raw == board_raw_min(&place) ? (double)NAN : (double)raw * unit;
 }
 
@@ -46,14 +46,14 @@ static void note(board_machine *m, const double *rate, const double *acceleratio
 
 static void read_frame(board_machine *m)
 {
-    uint32_t begin = begin_of(m->said);
+    uint32_t begin = begin_of(m->feedback_payload);
     double rate[3], acceleration[3];
     for (uint32_t axis = 0; axis < 3; axis++) {
-        rate[axis] = si_at(m->said, begin + RATE_BYTES * axis, RATE_BYTES, RATE_UNIT_RAD_S);
-        acceleration[axis] =
-            si_at(m->said, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis, ACCELERATION_BYTES, ACCELERATION_UNIT_M_S2);
+        rate[axis] = si_at(m->feedback_payload, begin + RATE_BYTES * axis, RATE_BYTES, RATE_UNIT_RAD_S);
+        acceleration[axis] = si_at(m->feedback_payload, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis, ACCELERATION_BYTES,
+                                   ACCELERATION_UNIT_M_S2);
     }
-    note(m, rate, acceleration, (m->said[begin + FLAGS_AT] & SATURATED) != 0);
+    note(m, rate, acceleration, (m->feedback_payload[begin + FLAGS_AT] & SATURATED) != 0);
 }
 
 void board_imu_read(board_machine *m)
@@ -63,10 +63,10 @@ void board_imu_read(board_machine *m)
         return;
     }
     if (m->table.dialect == BOARD_TEXT) {
-        const double rate[3] = {NAN, NAN, (double)board_get(m->said, &imu->rate_z) * RATE_UNIT_RAD_S};
+        const double rate[3] = {NAN, NAN, (double)board_get(m->feedback_payload, &imu->rate_z) * RATE_UNIT_RAD_S};
         const double acceleration[3] = {NAN, NAN, NAN};
         note(m, rate, acceleration, false);
-    } else if ((m->said[STATUS_AT] & HAS_IMU) != 0) {
+    } else if ((m->feedback_payload[STATUS_AT] & HAS_IMU) != 0) {
         read_frame(m);
     }
 }

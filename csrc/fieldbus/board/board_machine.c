@@ -36,10 +36,10 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
  * newer than ours: the board would take none before we are ahead of it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
-    uint16_t sequence = (uint16_t)board_get(m->said, &RECEIVED_SEQUENCE);
+    uint16_t sequence = (uint16_t)board_get(m->feedback_payload, &RECEIVED_SEQUENCE);
     uint16_t behind = (uint16_t)(m->sequence - sequence);
     int64_t sent_ns = behind < BOARD_SEQUENCES_KEPT ? m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] : 0;
-    int64_t trip_ns = now_ns - sent_ns - board_get(m->said, &RECEIVED_AGO) * HELD_UNIT_NS;
+    int64_t trip_ns = now_ns - sent_ns - board_get(m->feedback_payload, &RECEIVED_AGO) * HELD_UNIT_NS;
     bool known = sent_ns > 0 && trip_ns >= -HELD_TOLERANCE_NS;
     m->knows_ns = known ? sent_ns : 0;
     if ((int16_t)(uint16_t)(m->next - sequence) <= 0) {
@@ -54,12 +54,12 @@ static bool take_frame(board_machine *m, int64_t now_ns)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     uint32_t count = board_frame_parse(m->tail.bytes, m->tail.count, raw);
-    if (count < BOARD_HEAD_BYTES + m->table.said_bytes || raw[1] != BOARD_TYPE_FEEDBACK ||
+    if (count < BOARD_HEAD_BYTES + m->table.feedback_bytes || raw[1] != BOARD_TYPE_FEEDBACK ||
         !board_imu_fits(raw + BOARD_HEAD_BYTES, count - BOARD_HEAD_BYTES)) {
         return false;
     }
-    m->said_bytes = count - BOARD_HEAD_BYTES;
-    memcpy(m->said, raw + BOARD_HEAD_BYTES, m->said_bytes);
+    m->feedback_bytes = count - BOARD_HEAD_BYTES;
+    memcpy(m->feedback_payload, raw + BOARD_HEAD_BYTES, m->feedback_bytes);
     m->stamp_ns = board_clock_stamp(&m->clock, (uint32_t)board_get(raw, &(board_place){.byte = 4, .bytes = 4}), now_ns);
     note_what_it_knows(m, now_ns);
     return true;
@@ -67,12 +67,12 @@ static bool take_frame(board_machine *m, int64_t now_ns)
 
 static bool take_line(board_machine *m, int64_t now_ns)
 {
-    uint8_t said[BOARD_PAYLOAD_MAX] = {0};
-    if (board_text_read(&m->table.read, m->tail.bytes, m->tail.count, said) == 0) {
+    uint8_t feedback_payload[BOARD_PAYLOAD_MAX] = {0};
+    if (board_text_read(&m->table.read, m->tail.bytes, m->tail.count, feedback_payload) == 0) {
         return false;
     }
-    m->said_bytes = m->table.said_bytes;
-    memcpy(m->said, said, sizeof said);
+    m->feedback_bytes = m->table.feedback_bytes;
+    memcpy(m->feedback_payload, feedback_payload, sizeof feedback_payload);
     m->stamp_ns = m->knows_ns = now_ns;
     return true;
 }
@@ -100,7 +100,7 @@ static bool ends(const board_machine *m, uint8_t byte)
 
 /* Of a line of text that does not end in time, nothing is read until the next one begins. A frame that fills its room is one
  * byte too long for any. */
-void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
+void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
     uint32_t room = m->table.dialect == BOARD_TEXT ? BOARD_TEXT_MAX : BOARD_FRAME_MAX + 2;
@@ -146,7 +146,7 @@ static void obey_order(board_machine *m, int64_t now_ns)
     m->order_written = true;
 }
 
-static void tell(board_machine *m, int64_t now_ns)
+static void send_payload(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX], out[BOARD_WIRE_MAX];
     bool motion = board_payload(m, payload);
@@ -175,7 +175,7 @@ static void cycle(board_machine *m, int64_t now_ns)
 {
     cycle_clock_begin(&m->cycle, m->table.period_ns, now_ns);
     obey_order(m, now_ns);
-    tell(m, now_ns);
+    send_payload(m, now_ns);
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
@@ -224,7 +224,7 @@ int64_t board_machine_step(board_machine *m, int64_t now_ns)
     if (m->end.stage < END_SILENT && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
     } else if (m->end.stage < END_SILENT && has_to_stop(m)) {
-        tell(m, now_ns); /* a stop does not wait for its cycle */
+        send_payload(m, now_ns); /* a stop does not wait for its cycle */
     }
     return next_look_ns(m, now_ns);
 }
@@ -243,7 +243,7 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->epoch = m->state.epoch;
     report->orders_sent = m->orders_sent;
     report->orders_dropped = m->orders_dropped;
-    report->said_bytes = m->said_bytes;
+    report->feedback_bytes = m->feedback_bytes;
     report->cycles = m->cycle.count;
     report->sent = m->sent;
     report->no_room = m->no_room;
@@ -259,5 +259,5 @@ void board_machine_report(const board_machine *m, board_report *report)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         report->fault_word[j] = m->joint[j].fault_word;
     }
-    memcpy(report->said, m->said, sizeof report->said);
+    memcpy(report->feedback_payload, m->feedback_payload, sizeof report->feedback_payload);
 }

@@ -61,8 +61,8 @@ typedef struct {
     uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
     bool notify;                          /* something that Python wants to hear */
     uint8_t held[BOARD_PAYLOAD_MAX];
-    uint8_t said[BOARD_PAYLOAD_MAX];
-    uint32_t said_bytes;
+    uint8_t feedback_payload[BOARD_PAYLOAD_MAX];
+    uint32_t feedback_bytes;
     uint16_t sequence;
     uint16_t next; /* sequence: newer than what the board has heard, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
@@ -86,7 +86,7 @@ typedef struct {
 /* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns);
 /* Bytes have come. Nothing is sent. */
-void board_machine_hear(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
+void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 /* false: the one before has not gone out */
 bool board_machine_order(board_machine *m, const board_order *order);
 /* The loop has woken the line: set-points that are not what it was told last do not wait for their cycle. */
@@ -113,7 +113,7 @@ bool board_at_rest(const board_machine *m);
 
 /* ------------------------------------------------------------------------- board_imu.c */
 /* Whether a payload is as long as it says that its inertial sensor needs. */
-bool board_imu_fits(const uint8_t *said, uint32_t said_bytes);
+bool board_imu_fits(const uint8_t *payload, uint32_t feedback_bytes);
 /* Its sample in the newest word, where there is one that is wanted. */
 void board_imu_read(board_machine *m);
 

@@ -87,7 +87,7 @@ static void check_text(finding *f, const board_table *table, const board_text *t
         need(f, part->form <= NUMBER_GENERAL && (part->form != NUMBER_NONE || i + 1 == text->part_count), "part.form");
         need(f, part->literal_bytes <= BOARD_TEXT_MAX && literal + part->literal_bytes <= BOARD_TEXT_MAX, "part.literal_bytes");
         if (!f->bad && text == &table->read) {
-            check_read(f, text, i, literal, table->said_bytes);
+            check_read(f, text, i, literal, table->feedback_bytes);
         } else if (!f->bad) {
             check_written(f, part, table);
         }
@@ -102,7 +102,7 @@ static void check_counts(finding *f, const board_table *table)
     need(f, table->answers == 1 || table->field_count == 0, "field_count");
     need(f, table->tries >= 1, "tries");
     need(f, table->payload_bytes >= 1 && table->payload_bytes <= BOARD_PAYLOAD_MAX, "payload_bytes");
-    need(f, table->said_bytes <= BOARD_PAYLOAD_MAX, "said_bytes");
+    need(f, table->feedback_bytes <= BOARD_PAYLOAD_MAX, "feedback_bytes");
     need(f, table->setpoint_count >= 1 && table->setpoint_count <= BOARD_SETPOINTS_MAX, "setpoint_count");
     need(f, table->field_count <= BOARD_FIELDS_MAX, "field_count");
     need(f, table->quick_stop_count <= BOARD_WRITES_MAX, "quick_stop_count");
@@ -127,7 +127,7 @@ static void check_imu(finding *f, const board_table *table)
     const board_imu *imu = &table->imu;
     need(f, imu->axis[0] < 3 && imu->axis[1] < 3 && imu->axis[2] < 3, "imu.axis");
     if (table->dialect == BOARD_TEXT && imu->used != 0) {
-        check_place(f, &imu->rate_z, table->said_bytes);
+        check_place(f, &imu->rate_z, table->feedback_bytes);
     }
 }
 
@@ -139,7 +139,7 @@ const char *board_table_check(const board_table *table, char *name)
         check_setpoint(&f, &table->setpoint[i], table->payload_bytes);
     }
     for (uint32_t i = 0; !f.bad && i < table->field_count; i++) {
-        check_field(&f, &table->field[i], table->said_bytes);
+        check_field(&f, &table->field[i], table->feedback_bytes);
     }
     if (!f.bad) {
         check_writes(&f, table->quick_stop, table->quick_stop_count, table->payload_bytes);
@@ -154,7 +154,8 @@ const char *board_table_check(const board_table *table, char *name)
         (void)snprintf(f.path, sizeof f.path, "read.");
         check_text(&f, table, &table->read);
     } else if (!f.bad) {
-        need(&f, table->answers == 1 && table->said_bytes >= 10, "said_bytes"); /* which set-points were heard, and when */
+        need(&f, table->answers == 1 && table->feedback_bytes >= 10,
+             "feedback_bytes"); /* which set-points were heard, and when */
     }
     return f.bad ? name : NULL;
 }

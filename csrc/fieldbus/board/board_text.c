@@ -165,7 +165,7 @@ static bool take_literal(reader *r, const uint8_t *literal, uint32_t count, bool
     return true;
 }
 
-uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *said)
+uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload)
 {
     const uint8_t *literal = text->literal;
     reader r = {.at = line, .end = line + count};
@@ -185,7 +185,7 @@ uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t c
             return 0;
         }
         double least = (double)board_raw_min(&part->place), most = (double)board_raw_max(&part->place);
-        board_put(said, &part->place, (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
+        board_put(payload, &part->place, (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
         end = part->place.byte + part->place.bytes > end ? part->place.byte + part->place.bytes : end;
     }
     skip_white(&r);

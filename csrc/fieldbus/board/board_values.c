@@ -68,7 +68,7 @@ bool board_read(board_machine *m)
     bool kept = true;
     for (uint32_t i = 0; i < m->table.field_count; i++) {
         const board_field *field = &m->table.field[i];
-        int64_t raw = board_get(m->said, &field->place);
+        int64_t raw = board_get(m->feedback_payload, &field->place);
         bool equals = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals;
         if (field->meaning.kind == FIELD_ENABLED) {
             m->state.enabled = equals ? 1 : 0;

@@ -97,7 +97,7 @@ static void hand_on(board_thread *t, int64_t now_ns)
         put_report(t, true, 0);
     }
     if (m->notify) {
-        line_thread_tell(&t->life);
+        line_thread_notify(&t->life);
     }
     m->notify = false;
 }
@@ -112,7 +112,7 @@ static void take_order(board_thread *t)
 
 /* -------------------------------------------------------------------------------------------------- the thread */
 /* Bytes, a wake or the time; the bytes' number or -errno. */
-static int wait_for_news(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
+static int wait_for_wakeup(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     int woken = line_thread_wait(&t->life, fds, 2, until_ns);
@@ -124,7 +124,7 @@ static int go_round(board_thread *t, const uint8_t *bytes, uint32_t count, int64
 {
     int64_t now_ns = clock_now_ns();
     line_thread_take_control(&t->life, &t->machine.control);
-    board_machine_hear(&t->machine, bytes, count, now_ns);
+    board_machine_receive(&t->machine, bytes, count, now_ns);
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     take_order(t);
     if (t->woken) {
@@ -145,9 +145,9 @@ static void *run(void *arg)
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-board");
     (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0)); /* text has a point, whatever the process has set */
-    while (!t->life.stop_asked && error == 0) {
+    while (!t->life.stop_requested && error == 0) {
         error = go_round(t, bytes, (uint32_t)count, &wake_ns);
-        count = error == 0 ? wait_for_news(t, wake_ns, bytes, sizeof bytes) : 0;
+        count = error == 0 ? wait_for_wakeup(t, wake_ns, bytes, sizeof bytes) : 0;
         error = count < 0 ? count : error;
     }
     line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);

@@ -47,10 +47,10 @@ static bool write_all(can_machine *m, uint32_t number, const can_write *write, u
     return all;
 }
 
-static void ask_all(can_machine *m, const can_packet *ask, uint32_t count)
+static void send_all(can_machine *m, const can_packet *poll, uint32_t count)
 {
     for (uint32_t i = 0; i < count; i++) {
-        (void)can_send(m, &ask[i]);
+        (void)can_send(m, &poll[i]);
     }
 }
 
@@ -90,7 +90,7 @@ bool can_differs(const can_machine *m, uint32_t number)
     return false;
 }
 
-void can_tell(can_machine *m, uint32_t number, int64_t now_ns)
+void can_send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
     bool moves = drive->state.sent_motion && drive->state.stop == STOP_NOTHING; /* it has power: zero does not switch it on */
@@ -203,7 +203,7 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         send_setpoints(m, number, now_ns);
         all_sent = all_sent && !drive->state.sent_motion;
     }
-    ask_all(m, table->probe, table->probe_count);
+    send_all(m, table->probe, table->probe_count);
     if (all_sent) { /* else again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
         drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
@@ -284,7 +284,7 @@ static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
         (void)can_send(m, &table->slow[turn % table->slow_count]);
     }
     bool resting = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
-    if (table->says_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
+    if (table->reports_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
         (void)write_all(m, number, table->disarm, table->disarm_count);
     }
 }
@@ -293,8 +293,8 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool unheard = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
-    if (drive->state.mode == DRIVE_UNRESPONSIVE || unheard) {
+    bool absent = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
+    if (drive->state.mode == DRIVE_UNRESPONSIVE || absent) {
         probe(m, number, now_ns);
         return;
     }
@@ -306,8 +306,8 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
         can_begin_stop(m, number, drive_power_off(&drive->state));
         can_send_stop(m, number);
     }
-    can_tell(m, number, now_ns);
-    ask_all(m, table->ask, table->ask_count);
+    can_send_setpoints(m, number, now_ns);
+    send_all(m, table->poll, table->poll_count);
     if (drive->slow_cycles % table->slow_every == 0) {
         now_and_then(m, number, now_ns);
     }

@@ -225,7 +225,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
         }
         bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
         if (cyclic && drive->state.sent_motion && !can_wants_motion(m, i)) {
-            can_tell(m, i, now_ns); /* a stop does not wait for its cycle */
+            can_send_setpoints(m, i, now_ns); /* a stop does not wait for its cycle */
         }
     }
 }
@@ -236,7 +236,7 @@ static void look_at_queue(can_machine *m, int64_t now_ns)
 {
     int64_t limit_ns = m->table.period_ns > LEAVES_WITHIN_NS ? m->table.period_ns : LEAVES_WITHIN_NS;
     bool waits = m->motion_since_ns != 0 && now_ns - m->motion_since_ns > limit_ns;
-    m->motion_stays = m->hears_own && (m->clogged || waits);
+    m->motion_stays = m->receives_own && (m->clogged || waits);
 }
 
 static void sync_all(can_machine *m)
@@ -277,11 +277,11 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
 }
 
 /* All that are armed, as in a cycle: one that lagged behind the others would turn the robot. Nothing is asked. */
-static void tell_early(can_machine *m, int64_t now_ns)
+static void send_early(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         if (m->drive[i].state.mode == DRIVE_ARMED) {
-            can_tell(m, i, now_ns);
+            can_send_setpoints(m, i, now_ns);
         }
     }
     sync_all(m);
@@ -293,7 +293,7 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].state.mode == DRIVE_ARMED && can_differs(m, i);
     }
-    bool queued = m->hears_own && m->motion_since_ns != 0; /* a pulled cable would keep more motion for later */
+    bool queued = m->receives_own && m->motion_since_ns != 0; /* a pulled cable would keep more motion for later */
     m->early = differs && !queued && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
 }
 
@@ -312,7 +312,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
     if (m->end.stage < END_POWER_OFF && now_ns >= m->cycle.due_ns) {
         cycle(m, now_ns);
     } else if (m->end.stage == END_NOT && m->early) {
-        tell_early(m, now_ns);
+        send_early(m, now_ns);
     }
     m->early = false;
     shut_down(m, now_ns); /* all are told: that was it */

@@ -83,7 +83,7 @@ typedef struct {
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
     uint32_t feedback_mask;  /* joints whose feedback is new since it was taken */
-    bool hears_own;          /* the bus says when a set-point frame of ours has left */
+    bool receives_own;       /* the bus says when a set-point frame of ours has left */
     bool clogged;            /* it has taken nothing in a whole cycle, nor since */
     bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
     int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
@@ -142,7 +142,7 @@ void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
-void can_tell(can_machine *m, uint32_t drive, int64_t now_ns);
+void can_send_setpoints(can_machine *m, uint32_t drive, int64_t now_ns);
 /* Its set-point frames would say something else than they said last. */
 bool can_differs(const can_machine *m, uint32_t drive);
 void can_cycle(can_machine *m, uint32_t drive, int64_t now_ns);

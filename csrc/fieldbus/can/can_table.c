@@ -100,9 +100,9 @@ static void check_counts(finding *f, const can_drive *drive)
     need(f, drive->tries >= 1, "tries");
     need(f, drive->slow_every >= 1, "slow_every");
     need(f, drive->output_count >= 1 && drive->output_count <= CAN_OUTPUTS_MAX, "output_count");
-    need(f, drive->ask_count <= CAN_ASKS_MAX, "ask_count");
-    need(f, drive->slow_count <= CAN_ASKS_MAX, "slow_count");
-    need(f, drive->probe_count <= CAN_ASKS_MAX, "probe_count");
+    need(f, drive->poll_count <= CAN_POLLS_MAX, "poll_count");
+    need(f, drive->slow_count <= CAN_POLLS_MAX, "slow_count");
+    need(f, drive->probe_count <= CAN_POLLS_MAX, "probe_count");
     need(f, drive->match_count <= CAN_MATCHES_MAX, "match_count");
     need(f, drive->input_count <= CAN_INPUTS_MAX, "input_count");
     need(f, drive->quick_stop_count <= CAN_STOP_MAX, "quick_stop_count");
@@ -117,8 +117,8 @@ static void check_drive(finding *f, const can_drive *drive)
     for (uint32_t i = 0; !f->bad && i < drive->output_count; i++) {
         check_output(f, &drive->output[i]);
     }
-    for (uint32_t i = 0; !f->bad && i < CAN_ASKS_MAX; i++) {
-        check_packet(f, &drive->ask[i]);
+    for (uint32_t i = 0; !f->bad && i < CAN_POLLS_MAX; i++) {
+        check_packet(f, &drive->poll[i]);
         check_packet(f, &drive->slow[i]);
         check_packet(f, &drive->probe[i]);
     }

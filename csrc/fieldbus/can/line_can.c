@@ -113,7 +113,7 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
     memcpy(one.packet.data, frame->data, frame->len);
     one.drive = can_machine_receive(&t->machine, &one.packet, stamp_ns, now_ns);
     if (one.drive != CAN_FOR_NOBODY && !ring_put(&t->received, t->received_place, CAN_RECEIVED_MAX, &one, sizeof one)) {
-        t->out.unheard++;
+        t->out.dropped++;
     }
 }
 
@@ -157,7 +157,7 @@ static int receive(can_thread *t)
 }
 
 /* The socket was opened to hear its own set-point frames when they have left; sockets of other kinds cannot. */
-static bool hears_own(int fd)
+static bool receives_own(int fd)
 {
     int own = 0;
     socklen_t size = sizeof own;
@@ -189,7 +189,7 @@ static void hand_on(can_thread *t, int64_t now_ns)
         put_report(t, true, 0);
     }
     if (m->notify) {
-        line_thread_tell(&t->life);
+        line_thread_notify(&t->life);
     }
     m->notify = false;
 }
@@ -205,7 +205,7 @@ static void take_orders(can_thread *t)
 
 /* -------------------------------------------------------------------------------------------------- the thread */
 /* Frames, a wake or the time. 0; -errno: the bus is gone. */
-static int wait_for_news(can_thread *t, int64_t until_ns)
+static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     bool soon = until_ns - clock_now_ns() <= FRAMES_WAIT_NS && t->machine.control.listen == 0;
@@ -241,9 +241,9 @@ static void *run(void *arg)
     int64_t wake_ns = 0;
     int error = 0;
     line_thread_begin(&t->life, "motord-can");
-    while (!t->life.stop_asked && error == 0) {
+    while (!t->life.stop_requested && error == 0) {
         error = go_round(t, &wake_ns);
-        error = error != 0 ? error : wait_for_news(t, wake_ns);
+        error = error != 0 ? error : wait_for_wakeup(t, wake_ns);
     }
     line_thread_count_page_faults(&t->life, t->machine.cycle.count > 0);
     put_report(t, false, -error);
@@ -260,7 +260,7 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
     if (error != 0) {
         return error;
     }
-    t->machine.hears_own = hears_own(config->at.fd);
+    t->machine.receives_own = receives_own(config->at.fd);
     t->emptied_ns = clock_now_ns();
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {
         t->outputs[i] = i < table->drive_count ? table->drive[i].output_count : 0;

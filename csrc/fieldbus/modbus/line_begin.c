@@ -58,7 +58,7 @@ int line_machine_init(line_machine *m, const line_table *table, uint32_t may_tur
     for (uint32_t i = 0; i < table->drive_count; i++) {
         init_drive(m, i, now_ns);
         if ((may_turn >> i & 1) != 0) {
-            line_stop_unheard(m, i, now_ns);
+            line_stop_before_setup(m, i, now_ns);
         }
     }
     return 0;

@@ -43,7 +43,7 @@ void line_begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t 
     }
 }
 
-void line_stop_unheard(line_machine *m, uint32_t number, int64_t now_ns)
+void line_stop_before_setup(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     drive->may_turn = true;

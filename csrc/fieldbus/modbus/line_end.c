@@ -3,7 +3,7 @@
 #include "line_machine.h"
 
 /* Beyond the end's time: until each drive was sent its whole power-off once. One that is not heard may hear. */
-static const int64_t UNHEARD_NS = 2500 * LINE_MS;
+static const int64_t POWER_OFF_EXTRA_NS = 2500 * LINE_MS;
 
 static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
 {
@@ -31,6 +31,6 @@ void line_shut_down(line_machine *m, int64_t now_ns)
             line_begin_stop(m, i, drive_power_off(&m->drive[i].state), now_ns);
         }
     } else {
-        m->notify |= end_is_over(&m->end, stopping, sent ? 0 : UNHEARD_NS, now_ns);
+        m->notify |= end_is_over(&m->end, stopping, sent ? 0 : POWER_OFF_EXTRA_NS, now_ns);
     }
 }

@@ -115,7 +115,7 @@ void line_owe(line_machine *m, uint32_t number)
 
 /* What only repeats its request says the same whichever of two equal requests it answers, as long as no other write may
  * have come between them. */
-static bool says_the_same(const line_drive_state *drive, uint32_t place)
+static bool is_same_reply(const line_drive_state *drive, uint32_t place)
 {
     bool same = drive->owed[place].look.repeats;
     for (uint32_t i = place + 1; i < drive->owed_count; i++) {
@@ -129,7 +129,7 @@ bool line_may_be_late(const line_machine *m, uint32_t number, const line_frame *
     const line_drive_state *drive = &m->drive[number];
     line_look look = look_of(frame);
     uint32_t place = frame->exact == 0 ? place_of(drive, &look) : drive->owed_count;
-    return place < drive->owed_count && drive->owed[place].until_ns > sent_ns && !says_the_same(drive, place);
+    return place < drive->owed_count && drive->owed[place].until_ns > sent_ns && !is_same_reply(drive, place);
 }
 
 /* A drive that has just failed, and now answers in less than half of the least time it ever took. */

@@ -34,8 +34,8 @@ static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_fr
 
 static int64_t wait_for_ns(const line_machine *m)
 {
-    if (m->work == WORK_ASK) {
-        return m->transaction.ask_turnaround_ns + LINE_HOST_NS;
+    if (m->work == WORK_REQUEST) {
+        return m->transaction.request_turnaround_ns + LINE_HOST_NS;
     }
     if (m->worker >= m->table.drive_count) {
         int64_t longest_ns = 0;
@@ -83,10 +83,10 @@ void line_machine_sent(line_machine *m, int64_t now_ns)
     shorten_wait(m, now_ns);
 }
 
-static void finish_ask(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
+static void finish_request(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
 {
     const line_frame *frame = &m->transaction.frame;
-    line_answer_ask(m, m->transaction.ask_id, kind, now_ns);
+    line_answer_request(m, m->transaction.request_id, kind, now_ns);
     m->answer.sent_ns = m->start_ns;
     m->answer.stamp_ns = m->start_ns + (now_ns - m->start_ns) / 2;
     m->answer.exception = verdict->exception;
@@ -142,8 +142,8 @@ static void end_exchange(line_machine *m, uint32_t kind, const received *verdict
     } else if (m->worker < m->table.drive_count) {
         drive_ended(m, kind, verdict, now_ns);
     }
-    if (work == WORK_ASK) {
-        finish_ask(m, kind, verdict, now_ns);
+    if (work == WORK_REQUEST) {
+        finish_request(m, kind, verdict, now_ns);
     } else if (work == WORK_BROADCAST) {
         m->broadcasts--;
     }
@@ -190,7 +190,7 @@ static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 }
 
 /* Whatever comes keeps the line busy: the gap counts from the last byte. */
-static void hear(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count)
+static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count)
 {
     received verdict = {.kind = RECEIVED_MORE};
     bool answers = m->transaction.frame.reply_bytes > 0;
@@ -291,13 +291,13 @@ static void spend_slot(line_machine *m, int64_t now_ns)
 }
 
 /* From now on no insertion and no expiry in the queue touches it. */
-static void begin_ask(line_machine *m, uint32_t place, line_output *out)
+static void begin_request(line_machine *m, uint32_t place, line_output *out)
 {
-    const line_ask *ask = &m->ask[place];
-    m->transaction.ask_id = ask->id;
-    m->transaction.ask_turnaround_ns = ask->turnaround_ns;
-    begin(m, WORK_ASK, ask->drive, &ask->frame, out);
-    line_drop_ask(m, place);
+    const line_request *request = &m->request[place];
+    m->transaction.request_id = request->id;
+    m->transaction.request_turnaround_ns = request->turnaround_ns;
+    begin(m, WORK_REQUEST, request->drive, &request->frame, out);
+    line_drop_request(m, place);
 }
 
 static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_output *out)
@@ -312,16 +312,16 @@ static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_out
 {
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
     uint32_t unresponsive = line_due_probe(m, false, now_ns);
-    uint32_t place = line_pick_ask(m, now_ns);
-    const line_ask *ask = place < LINE_ASKS_MAX ? &m->ask[place] : NULL;
-    bool probe_first = unresponsive < LINE_DRIVES_MAX && (ask == NULL || (ask->urgent == 0 && m->slot_turn % 2 != 0));
+    uint32_t place = line_pick_request(m, now_ns);
+    const line_request *request = place < LINE_REQUESTS_MAX ? &m->request[place] : NULL;
+    bool probe_first = unresponsive < LINE_DRIVES_MAX && (request == NULL || (request->urgent == 0 && m->slot_turn % 2 != 0));
     if (probe_first && mine) {
         begin_probe(m, unresponsive, now_ns, out);
         spend_slot(m, now_ns);
         return true;
     }
-    if (ask != NULL && (mine || fits(m, &ask->frame, ask->turnaround_ns, now_ns, next_ns))) {
-        begin_ask(m, place, out);
+    if (request != NULL && (mine || fits(m, &request->frame, request->turnaround_ns, now_ns, next_ns))) {
+        begin_request(m, place, out);
         spend_slot(m, now_ns);
         return true;
     }
@@ -359,10 +359,10 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 /* Behind the stops, on a line that is never silent. */
 static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
 {
-    uint32_t place = line_pick_ask(m, now_ns);
+    uint32_t place = line_pick_request(m, now_ns);
     uint32_t unresponsive = line_due_probe(m, true, now_ns);
-    if (place < LINE_ASKS_MAX && m->ask[place].urgent != 0) {
-        begin_ask(m, place, out);
+    if (place < LINE_REQUESTS_MAX && m->request[place].urgent != 0) {
+        begin_request(m, place, out);
     } else if (unresponsive < LINE_DRIVES_MAX) {
         begin_probe(m, unresponsive, now_ns, out);
     }
@@ -430,7 +430,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
         }
         wake_ns = earlier(wake_ns, due_of(m, i));
     }
-    if (m->ask_count > 0) {
+    if (m->request_count > 0) {
         wake_ns = earlier(wake_ns, later(m->slot_due_ns, now_ns + LINE_MS / 4));
     }
     wake_ns = later(wake_ns, m->free_ns);
@@ -444,13 +444,13 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
     m->answered = false;
     m->notify = false;
     m->round_trip_ns = 0;
-    hear(m, now_ns, bytes, count);
+    receive(m, now_ns, bytes, count);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         line_obey_request(m, i, now_ns);
         line_guard(m, i, now_ns);
     }
     if (!m->answered) {
-        line_expire_ask(m, now_ns);
+        line_expire_request(m, now_ns);
     }
     decide(m, now_ns, out);
     out->feedback_mask = m->feedback_mask;

@@ -9,7 +9,7 @@
  * line_late.c     replies that come late, and how long a drive takes
  * line_unresponsive.c    a drive that does not answer, a line that is never silent
  * line_end.c      how a line is shut down
- * line_asks.c     requests from outside the cycle
+ * line_requests.c  requests from outside the cycle
  * line_report.c   what the line tells of itself
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
@@ -46,15 +46,15 @@ typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
 /* One request under way, and all that was heard since it was sent. */
 typedef struct {
-    line_frame frame; /* request as it goes out */
-    uint64_t ask_id;  /* WORK_ASK: whose it is, and how long its drive may take */
-    int64_t ask_turnaround_ns;
+    line_frame frame;    /* request as it goes out */
+    uint64_t request_id; /* WORK_REQUEST: whose it is, and how long its drive may take */
+    int64_t request_turnaround_ns;
     uint32_t received_bytes;
     uint8_t received[RECEIVED_BYTES_MAX];
 } line_transaction;
 
 /* What the exchange under way is for. */
-typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_DIRECTION, WORK_STOP, WORK_BROADCAST, WORK_ASK, WORK_PROBE } line_work;
+typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_DIRECTION, WORK_STOP, WORK_BROADCAST, WORK_REQUEST, WORK_PROBE } line_work;
 
 typedef enum { DIRECTION_UNKNOWN = 0, DIRECTION_REST = 1, DIRECTION_FORWARD = 2, DIRECTION_REVERSE = 3 } line_direction_sent;
 
@@ -123,8 +123,8 @@ typedef struct line_machine {
     setpoints newest;       /* the core's */
     uint64_t enabled_count; /* how often they have become enabled */
     line_control control;
-    line_ask ask[LINE_ASKS_MAX]; /* those that wait; the urgent ones first */
-    uint32_t ask_count;
+    line_request request[LINE_REQUESTS_MAX]; /* those that wait; the urgent ones first */
+    uint32_t request_count;
     uint32_t echo;   /* line_echo */
     uint32_t work;   /* line_work under way; NONE: the line is ours */
     uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
@@ -171,7 +171,7 @@ typedef struct {
 /* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */
 int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
 /* false: no room */
-bool line_machine_ask(line_machine *m, const line_ask *ask);
+bool line_machine_request(line_machine *m, const line_request *request);
 /* The core has made new set-points of a new command: who is to be told something else is due at once. */
 void line_machine_kick(line_machine *m, int64_t now_ns);
 void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out);
@@ -182,12 +182,12 @@ void line_machine_report(const line_machine *m, line_report *report);
 /* Whether a request can be sent and its answer told: nothing beyond its own bytes is ever looked at. */
 bool line_frame_is_good(const line_frame *frame);
 
-/* ------------------------------------------------------------------------- line_asks.c */
-void line_drop_ask(line_machine *m, uint32_t place);
-void line_answer_ask(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns);
-void line_expire_ask(line_machine *m, int64_t now_ns);
-/* Place of the first that may be sent now; LINE_ASKS_MAX: there is none. */
-uint32_t line_pick_ask(const line_machine *m, int64_t now_ns);
+/* ------------------------------------------------------------------------- line_requests.c */
+void line_drop_request(line_machine *m, uint32_t place);
+void line_answer_request(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns);
+void line_expire_request(line_machine *m, int64_t now_ns);
+/* Place of the first that may be sent now; LINE_REQUESTS_MAX: there is none. */
+uint32_t line_pick_request(const line_machine *m, int64_t now_ns);
 
 /* ----------------------------------------------------------------------- line_values.c */
 /* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */
@@ -216,7 +216,7 @@ void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_begin_stop(line_machine *m, uint32_t drive, drive_stop stop, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
 /* One that was armed before the port was opened. */
-void line_stop_unheard(line_machine *m, uint32_t drive, int64_t now_ns);
+void line_stop_before_setup(line_machine *m, uint32_t drive, int64_t now_ns);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */
 bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);

@@ -18,7 +18,7 @@
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t DRAIN_LIMIT_NS = 2 * 1000000;
 
-enum { RING_PLACES = 4 * LINE_ASKS_MAX };
+enum { RING_PLACES = 4 * LINE_REQUESTS_MAX };
 
 typedef struct {
     line_thread life;
@@ -26,8 +26,8 @@ typedef struct {
     line_config config;
     line_control control[MAILBOX_SLOTS];
     line_report report[MAILBOX_SLOTS];
-    ring asks, answers;
-    line_ask ask_place[RING_PLACES];
+    ring requests, answers;
+    line_request request_place[RING_PLACES];
     line_answer answer_place[RING_PLACES];
     line_report out;
 } rtu_thread;
@@ -121,15 +121,16 @@ static void report_now_and_then(rtu_thread *t, int64_t now_ns, bool notify)
         put_report(t, true, 0);
     }
     if (notify) {
-        line_thread_tell(&t->life);
+        line_thread_notify(&t->life);
     }
 }
 
-static void take_asks(rtu_thread *t)
+static void take_requests(rtu_thread *t)
 {
-    line_ask ask;
-    while (t->machine.ask_count < LINE_ASKS_MAX && ring_take(&t->asks, t->ask_place, RING_PLACES, &ask, sizeof ask)) {
-        (void)line_machine_ask(&t->machine, &ask);
+    line_request request;
+    while (t->machine.request_count < LINE_REQUESTS_MAX &&
+           ring_take(&t->requests, t->request_place, RING_PLACES, &request, sizeof request)) {
+        (void)line_machine_request(&t->machine, &request);
     }
 }
 
@@ -146,7 +147,7 @@ static void hand_on(rtu_thread *t, const line_output *out)
 
 /* -------------------------------------------------------------------------------------------------- the thread */
 /* Bytes, a wake or the time; the bytes' number or -errno. */
-static int wait_for_news(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
+static int wait_for_wakeup(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
     int woken = line_thread_wait(&t->life, fds, 2, until_ns);
@@ -165,7 +166,7 @@ static int round_trip(rtu_thread *t, const uint8_t *bytes, uint32_t count, int64
     line_output out;
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);
     line_thread_take_control(&t->life, &t->machine.control);
-    take_asks(t);
+    take_requests(t);
     int64_t now_ns = clock_now_ns();
     line_machine_step(&t->machine, now_ns, bytes, count, &out);
     t->out.life.rounds++;
@@ -183,9 +184,9 @@ static void *run(void *arg)
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-line");
-    while (!t->life.stop_asked && error == 0) {
+    while (!t->life.stop_requested && error == 0) {
         error = round_trip(t, bytes, (uint32_t)count, &wake_ns);
-        count = error == 0 ? wait_for_news(t, wake_ns, bytes, sizeof bytes) : 0;
+        count = error == 0 ? wait_for_wakeup(t, wake_ns, bytes, sizeof bytes) : 0;
         error = count < 0 ? count : error;
     }
     (void)turn(t, false);
@@ -219,7 +220,7 @@ static int prepare(rtu_thread *t, uint32_t line, const line_config *config, cons
         t->machine.drive[i].state.epoch = epoch;
     }
     t->config = *config;
-    memset(&t->asks, 0, sizeof t->asks);
+    memset(&t->requests, 0, sizeof t->requests);
     memset(&t->answers, 0, sizeof t->answers);
     memset(&t->out, 0, sizeof t->out);
     put_report(t, true, 0);
@@ -242,16 +243,16 @@ void line_put_control(uint32_t line, const line_control *control)
     line_thread_put_control(life_of(line), control);
 }
 
-int line_put_ask(uint32_t line, const line_ask *ask)
+int line_put_request(uint32_t line, const line_request *request)
 {
     if (line >= LINES_MAX || !threads[line].life.running) {
         return -ESRCH;
     }
-    if (!line_frame_is_good(&ask->frame)) {
+    if (!line_frame_is_good(&request->frame)) {
         return -EINVAL;
     }
     rtu_thread *t = &threads[line];
-    return line_thread_hand_over(&t->life, &t->asks, t->ask_place, RING_PLACES, ask, sizeof *ask);
+    return line_thread_hand_over(&t->life, &t->requests, t->request_place, RING_PLACES, request, sizeof *request);
 }
 
 int line_take_answer(uint32_t line, line_answer *out)

@@ -12,13 +12,13 @@ static void check_frame(finding *f, const line_frame *frame)
 {
     uint32_t sum = rtu_seal_bytes(frame->request_seal);
     need(f, frame->request_seal <= SEAL_XMODEM, "request_seal");
-    need(f, frame->reply_seal <= SEAL_CRC8 || (frame->reply_seal == SEAL_ASKED && frame->exact != 0), "reply_seal");
+    need(f, frame->reply_seal <= SEAL_CRC8 || (frame->reply_seal == SEAL_WITH_REQUEST && frame->exact != 0), "reply_seal");
     need(f, frame->request_bytes > sum && frame->request_bytes <= FRAME_BYTES_MAX, "request_bytes");
     need(f, frame->reply_bytes <= FRAME_BYTES_MAX, "reply_bytes");
     need(f, frame->match_bytes <= FRAME_MATCH_MAX, "match_bytes");
     need(f, frame->echo_bytes <= frame->request_bytes, "echo_bytes");
     if (frame->exact != 0) {
-        bool sealed = frame->reply_seal == SEAL_ASKED && frame->request_bytes >= 2 && frame->reply_bytes > 2;
+        bool sealed = frame->reply_seal == SEAL_WITH_REQUEST && frame->request_bytes >= 2 && frame->reply_bytes > 2;
         bool known = frame->match_bytes > 0 && frame->match_bytes == frame->reply_bytes && frame->echo_bytes == 0;
         need(f, sealed || (known && frame->reply_seal == SEAL_NONE), "match");
     } else if (frame->reply_bytes > 0) {

@@ -97,8 +97,8 @@ uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
 /* -------------------------------------------------------------------------------- a line that is never silent */
 static bool is_urgent(const line_machine *m, int64_t now_ns)
 {
-    uint32_t place = line_pick_ask(m, now_ns);
-    bool urgent = m->broadcasts > 0 || (place < LINE_ASKS_MAX && m->ask[place].urgent != 0);
+    uint32_t place = line_pick_request(m, now_ns);
+    bool urgent = m->broadcasts > 0 || (place < LINE_REQUESTS_MAX && m->request[place].urgent != 0);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         urgent |= m->drive[i].state.stop != STOP_NOTHING;
     }

@@ -133,7 +133,7 @@ static bool begins_as_answer(const line_frame *frame, const uint8_t *request, co
 
 static bool is_answer(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
 {
-    if (frame->reply_seal == SEAL_ASKED) {
+    if (frame->reply_seal == SEAL_WITH_REQUEST) {
         uint32_t count = frame->reply_bytes - 2;
         return rtu_read(bytes + count, FORM_U16) == rtu_xmodem(rtu_xmodem(0, request, 2), bytes, count);
     }

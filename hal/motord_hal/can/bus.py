@@ -61,12 +61,12 @@ class CanBus:
         own: Iterable[tuple[int, bool]] = (),
     ) -> None:
         """`own`: identifiers of frames of ours that are to be taken in, too, when they have left;
-        only `hears_own` kinds can."""
+        only `receives_own` kinds can."""
         self.address = address
         self.errors: Counter[str] = Counter()
         self.trouble: PortError | None = None
         self._arguments = bus_arguments(address, bitrate, data_bitrate)
-        if hears_own(address):  # filters: elsewhere they are no cheaper than a look-up
+        if receives_own(address):  # filters: elsewhere they are no cheaper than a look-up
             self._arguments["can_filters"] = [_filter(*one) for one in (*identifiers, *own)]
             self._arguments["receive_own_messages"] = bool(own)
         self._take = take
@@ -215,7 +215,7 @@ class CanBus:
             raise PortError(f"{self.address} is closed")
 
 
-def hears_own(address: str) -> bool:
+def receives_own(address: str) -> bool:
     """Whether its kind says when a frame of ours has left: SocketCAN does."""
     return split_address(address)[0] == "socketcan"
 

@@ -14,7 +14,7 @@ import can
 
 from motord_hal.asyncio_engine.line import STOPPING_CYCLE_S, AsyncioLine
 from motord_hal.base.clock import now_s
-from motord_hal.can.bus import CanBus, hears_own
+from motord_hal.can.bus import CanBus, receives_own
 from motord_hal.can.drive import CanDrive
 from motord_hal.can.motion_gate import MotionGate
 from motord_hal.can.plan import CanPlan, Sent
@@ -41,7 +41,7 @@ class CanLine(AsyncioLine[CanDrive]):
         own = [one for plan in plans for one in plan.setpoint_identifiers]
         wire = (spec.port, spec.baudrate, spec.data_baudrate)
         self._bus = CanBus(*wire, identifiers, self._take_frame, self._warn, own)
-        self._gate = MotionGate(1.0 / spec.cycle_hz, hears_own=hears_own(spec.port))
+        self._gate = MotionGate(1.0 / spec.cycle_hz, receives_own=receives_own(spec.port))
         self._drives = [
             CanDrive(
                 plan,

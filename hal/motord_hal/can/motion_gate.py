@@ -14,10 +14,10 @@ LEAVES_WITHIN_S = 0.005
 class MotionGate:
     """Of one bus. Times are those of clock.now_s."""
 
-    def __init__(self, cycle_s: float, *, hears_own: bool) -> None:
-        """`hears_own`: the bus says when a set-point frame of ours has left; otherwise the gate is
+    def __init__(self, cycle_s: float, *, receives_own: bool) -> None:
+        """`receives_own`: the bus says when a set-point frame of ours has left; else the gate is
         always open."""
-        self.hears_own = hears_own
+        self.receives_own = receives_own
         self._limit_s = max(cycle_s, LEAVES_WITHIN_S)
         self.opened()
 
@@ -47,4 +47,4 @@ class MotionGate:
         """Set-points are to be zero: the bus took nothing in a whole cycle, nor since, or motion
         waits for longer than a cycle."""
         waits = self._since_s is not None and now_s - self._since_s > self._limit_s
-        return self.hears_own and (self._clogged or waits)
+        return self.receives_own and (self._clogged or waits)

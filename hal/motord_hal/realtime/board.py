@@ -167,5 +167,5 @@ def _drive_report(raw: Any) -> BoardDriveReport:
         orders_dropped=raw.orders_dropped,
         knows=raw.knows_ns >= raw.written_ns,
         received_ns=raw.received_ns,
-        payload=bytes(ffi.buffer(raw.said, raw.said_bytes)),
+        payload=bytes(ffi.buffer(raw.feedback_payload, raw.feedback_bytes)),
     )

@@ -58,7 +58,7 @@ class CanReport(LineLife):
     sent: int
     tx_full: int
     bad_frames: int
-    unheard: int
+    dropped: int
     cycle_ns: int
     setpoints_ns: int
     fault_words: tuple[int, ...]
@@ -148,7 +148,7 @@ class CanThread(LineThreadHandle):
             sent=raw.sent,
             tx_full=raw.tx_full,
             bad_frames=raw.bad_frames,
-            unheard=raw.unheard,
+            dropped=raw.dropped,
             cycle_ns=raw.cycle_ns,
             setpoints_ns=raw.setpoints_ns,
             fault_words=tuple(raw.fault_word),

@@ -30,7 +30,7 @@ from motord_hal.realtime.thread import (
 )
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
-ASKS_MAX: int = lib.LINE_ASKS_MAX
+REQUESTS_MAX: int = lib.LINE_REQUESTS_MAX
 FAULT_WORDS: int = lib.JOINTS_MAX
 
 
@@ -156,7 +156,7 @@ class LineThread(LineThreadHandle):
         super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
         self._exchange = exchange
         self._drives = 0
-        self._raw_request = ffi.new("line_ask *")
+        self._raw_request = ffi.new("line_request *")
         self._answer = ffi.new("line_answer *")
         self._report = ffi.new("line_report *")
         self._histogram = ffi.new("histogram *")
@@ -175,7 +175,7 @@ class LineThread(LineThreadHandle):
         raw.id, raw.drive, raw.urgent = request.id, request.drive, request.urgent
         raw.expires_ns, raw.turnaround_ns = request.expires_ns, request.turnaround_ns
         raw.frame = _frame(request.frame)
-        code = lib.line_put_ask(self._line, raw)
+        code = lib.line_put_request(self._line, raw)
         if code == -errno.EAGAIN:
             return False
         check_code(code, "the line takes no request")

@@ -70,7 +70,7 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
         "dialect": _FRAMES,
         "answers": 1,
         "payload_bytes": len(payload),
-        "said_bytes": max(FEEDBACK_HEAD_BYTES, *ends),
+        "feedback_bytes": max(FEEDBACK_HEAD_BYTES, *ends),
         "payload": list(payload),
     }
     return Layout(sent, reported, dialect)
@@ -99,7 +99,7 @@ def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
     }
     dialect |= {
         "answers": 1,
-        "said_bytes": board_text.NUMBER_BYTES * len(received.fields),
+        "feedback_bytes": board_text.NUMBER_BYTES * len(received.fields),
         "read": board_text.read(received, registers),
     }
     gyro = received.fields.index(GYRO_Z) if GYRO_Z in received.fields else None

@@ -185,5 +185,5 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
 def _errors(report: CanReport) -> Counter[str]:
     """What never happened is left out."""
-    counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.unheard}
+    counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.dropped}
     return Counter({kind: count for kind, count in counts.items() if count})

@@ -57,7 +57,7 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
     probes = plan.probed if plan.hello is None else (plan.hello,)
     parts: dict[str, list[Plain]] = {
         "output": [_output(plan, frame) for frame in plan.setpoint_frames],
-        "ask": list(_questions(plan, plan.asked_fast)),
+        "poll": list(_questions(plan, plan.asked_fast)),
         "slow": list(_questions(plan, plan.asked_slow)),
         "probe": list(_questions(plan, probes)),
         "match": list(_matches(plan, inputs)),
@@ -69,7 +69,7 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
         "tries": max(joint.tries for joint in plan.joints),
         "slow_every": SLOW_EVERY_CYCLES,
         "idle_setpoints": int(plan.table.idle_setpoints),
-        "says_enabled": int(plan.profile.enabled is not None),
+        "reports_enabled": int(plan.profile.enabled is not None),
         "hello": 0 if plan.hello is None else 1 + inputs.index(plan.hello),
         "watchdog_ns": round(spec.watchdog_s * _NS_PER_S),
         **parts,

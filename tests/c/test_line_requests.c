@@ -4,20 +4,20 @@
 
 enum { READ_ID = 100, STOP_ID = 200 };
 
-static line_ask request_of(uint64_t id, uint32_t drive, bool urgent)
+static line_request request_of(uint64_t id, uint32_t drive, bool urgent)
 {
     uint8_t unit = (uint8_t)(drive + 1);
-    return (line_ask){.id = id,
-                      .expires_ns = w.now_ns + 1000 * MS,
-                      .turnaround_ns = 5 * MS,
-                      .drive = drive,
-                      .urgent = urgent,
-                      .frame = urgent ? frame_of(unit, WRITE, CONTROL, DISABLE) : frame_of(unit, READ, STATUS, 1)};
+    return (line_request){.id = id,
+                          .expires_ns = w.now_ns + 1000 * MS,
+                          .turnaround_ns = 5 * MS,
+                          .drive = drive,
+                          .urgent = urgent,
+                          .frame = urgent ? frame_of(unit, WRITE, CONTROL, DISABLE) : frame_of(unit, READ, STATUS, 1)};
 }
 
-static void put(line_ask request)
+static void put(line_request request)
 {
-    CHECK(line_machine_ask(&w.machine, &request));
+    CHECK(line_machine_request(&w.machine, &request));
 }
 
 /* Steps without set-points until a request is answered; false: not within a second. */
@@ -57,7 +57,7 @@ static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
 static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
 {
     begin_with(2, 0);
-    line_ask read = request_of(READ_ID, 0, false);
+    line_request read = request_of(READ_ID, 0, false);
     read.expires_ns = w.now_ns + 4 * MS;
     put(read);
     while (!is_sent(1, READ, STATUS)) {
@@ -65,7 +65,7 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
     }
     put(request_of(STOP_ID, 1, true));
     line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out); /* its reply is not here yet */
-    CHECK(!w.machine.answered && w.machine.work == WORK_ASK);
+    CHECK(!w.machine.answered && w.machine.work == WORK_REQUEST);
     w.now_ns = read.expires_ns + MS;
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
@@ -76,7 +76,7 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
 static void one_that_waits_too_long_is_not_sent(void)
 {
     begin_with(1, 0);
-    line_ask stop = request_of(STOP_ID, 0, true);
+    line_request stop = request_of(STOP_ID, 0, true);
     stop.expires_ns = w.now_ns;
     put(stop);
     CHECK(step_until_answered());
@@ -148,5 +148,5 @@ int main(void)
     urgent_requests_overtake_what_waits_and_keep_their_own_order();
     reads_without_end_do_not_keep_an_urgent_request_from_being_sent();
     the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down();
-    return checks_report("line asks");
+    return checks_report("line requests");
 }
