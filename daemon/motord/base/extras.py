@@ -8,12 +8,13 @@ import re
 import shlex
 import sys
 import sysconfig
-from importlib import metadata
 
 
 def how_to_install(extra: str) -> str:
     """A command line that installs what the extra of pyproject.toml needs, for the Python that runs
     now: a checkout's environment, a wheel's, or that of the Debian package, which has no pip."""
+    from importlib import metadata  # takes long to import, and is seldom needed
+
     rows = metadata.requires("motord") or []
     wanted = [
         row.partition(";")[0].strip()

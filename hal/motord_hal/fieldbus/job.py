@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from motord_hal.base.errors import HalError
 from motord_hal.drives.profile import DriveProfile, Step
+
+if TYPE_CHECKING:
+    import asyncio
 
 _ALL_BITS = 0xFFFFFFFF
 VERIFY_WITHIN_S = 0.5
@@ -19,11 +22,13 @@ class Job:
     """Steps, how far they are, and the future of whoever waits for the end."""
 
     def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
+        from asyncio import get_running_loop  # who only reads a robot file needs no asyncio
+
         self.name = name
         self.steps = tuple(steps)
         self.urgent = urgent
         self.failures = 0
-        self.done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.done: asyncio.Future[None] = get_running_loop().create_future()
         self.raw = 0
         """What the newest wait has read."""
         self.wait_until_s: float | None = None

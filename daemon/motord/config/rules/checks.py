@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from motord.config.finding import Finding
 from motord.config.rules.bus import BUS_RULES
-from motord.config.rules.drive import DRIVE_RULES
+from motord.config.rules.drive import drive_rules
 from motord.config.rules.line import LINE_RULES
 from motord.config.rules.robot import ROBOT_RULES
 from motord.config.sections.model import Joint, Robot
@@ -31,7 +31,7 @@ def findings(robot: Robot) -> list[Finding]:
     joints = {name: joint for name, joint in robot.joint.items() if name not in lost}
     if joints:
         rest = robot.model_copy(update={"joint": joints})
-        found += [hit for rule in DRIVE_RULES for hit in rule(rest, profiles)]
+        found += [hit for rule in drive_rules(rest) for hit in rule(rest, profiles)]
     return found
 
 

@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
 from motord.config.rules.battery import battery_readings
-from motord.config.rules.can import CAN_RULES
-from motord.config.rules.pin import PIN_RULES
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.sections.line import CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
     Profiles,
@@ -306,7 +305,8 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((path, at), f'{wanted:g} s is out of range for drive "{drive}" ({span})')
 
 
-DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
+Rule = Callable[[Robot, Profiles], Iterator[Finding]]
+_RULES: tuple[Rule, ...] = (
     _one_joint_a_channel,
     _protocol,
     _mounting,
@@ -318,10 +318,31 @@ DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
     _edges,
     _reach,
     _serial,
-    *PIN_RULES,
     _times,
     _budget,
     _watchdogs,
     battery_readings,
-    *CAN_RULES,
 )
+
+
+def drive_rules(robot: Robot) -> Iterator[Rule]:
+    """The rules for its drives. Those for a CAN bus and for pins are read for robots that have them
+    only: every start of a program reads its robot file."""
+    yield from _RULES
+    lines, joints = robot.line.values(), robot.joint.values()
+    if any(isinstance(line, CanLine) for line in lines) or any(
+        joint.drive_watchdog_s is not None for joint in joints
+    ):
+        from motord.config.rules.can import CAN_RULES
+
+        yield from CAN_RULES
+    if (
+        any(isinstance(line, PwmLine) for line in lines)
+        or any(isinstance(line, SerialLine) and line.direction == "gpio" for line in lines)
+        or any(joint.encoder is not None for joint in joints)
+        or robot.safety.estop is not None
+        or robot.safety.watchdog is not None
+    ):
+        from motord.config.rules.pin import PIN_RULES
+
+        yield from PIN_RULES

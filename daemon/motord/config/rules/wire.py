@@ -15,7 +15,6 @@ from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
-from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
 
 _ASK_BYTES = 8 + 7
 """One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
@@ -108,8 +107,11 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
 
     if spec.kind in _STREAMS:
         return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX
-    kind = DdsmFrames if spec.kind == "ddsm" else DrivePlan
-    return kind(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+    if spec.kind == "ddsm":
+        from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+
+        return DdsmFrames(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+    return DrivePlan(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
 
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
