@@ -2,8 +2,10 @@
 """House rules that a machine can check; a failure names file, line and the rule's reason."""
 
 import ast
+import io
 import re
 import subprocess
+import tokenize
 from pathlib import Path
 
 import pytest
@@ -284,3 +286,34 @@ def test_no_test_module_imports_another():
         if not re.search(rf"\b{path.stem}( as| import|$)", row.partition(": ")[2])  # its own child
     ]
     report(rows, "what two test modules share is a module of its own")
+
+
+# Each stands for a term of docs/glossary.md: sent, received, reported, unresponsive, request,
+# notifier, direction, fault reason, command gate, runtime, command sockets, line counters.
+PRIVATE_WORD = re.compile(
+    "desk|station|doors|sparing|books|news|wish(es|ed)?|told|tells?|teller|heard|hears?|unheard"
+    "|deaf|quiet|demoted|hurry|said|ways?|whoever",
+    re.IGNORECASE,
+)
+WORDS_OF_A_NAME = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+C_TEXT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'', re.DOTALL)
+
+
+def names_in(path: Path) -> set[str]:
+    """Every name in the code, without comments and strings."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        return set(re.findall(r"[A-Za-z_]\w*", C_TEXT.sub(" ", text)))
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return {token.string for token in tokens if token.type == tokenize.NAME}
+
+
+@pytest.mark.parametrize("paths", [PRODUCT, CSRC], ids=["Python", "C"])
+def test_names_are_terms_of_the_glossary(paths):
+    rows = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in paths
+        for name in sorted(names_in(path))
+        if any(PRIVATE_WORD.fullmatch(word) for word in WORDS_OF_A_NAME.findall(name))
+    ]
+    report(rows, "docs/glossary.md has a term for it")

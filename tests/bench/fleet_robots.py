@@ -35,7 +35,7 @@ async def drive(stations: list[Runtime]) -> None:
     while True:
         now_ns = time.monotonic_ns()
         for one in stations:
-            one._tell(dataclasses.replace(snapshot, stamp_ns=now_ns, odometry_stamp_ns=now_ns))
+            one._feed(dataclasses.replace(snapshot, stamp_ns=now_ns, odometry_stamp_ns=now_ns))
         await asyncio.sleep(LOOK_EVERY_S)
 
 

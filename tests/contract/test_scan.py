@@ -122,5 +122,5 @@ def test_a_drive_that_refuses_with_code_zero_is_found_as_one_that_refuses(line):
     run = scan(port_of(line), "--units", "1-2", "--baudrate", baudrate_of(line), "--json")
     assert run.returncode == 0, run.stderr
     first, second = json.loads(run.stdout)["found"]
-    assert (first["said"], first["matches"]) == ("refuses register 0 (0)", [])
+    assert (first["answer"], first["matches"]) == ("refuses register 0 (0)", [])
     assert second["matches"][0]["profile"] == profile_of()

@@ -140,7 +140,7 @@ class Runtime:
 
     def figures(self) -> dict[str, Any]:
         """What went through, for the daemon's `status`."""
-        told = {
+        publishers = {
             name: {"taken": feed.taken, "dropped": feed.dropped}
             for name, feed in self.feeds.items()
         }
@@ -154,7 +154,7 @@ class Runtime:
             }
             for name, source in self.sources.items()
         }
-        return {"publishers": told, "inputs": commanding, "failures": self._failures}
+        return {"publishers": publishers, "inputs": commanding, "failures": self._failures}
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
@@ -231,7 +231,7 @@ class Runtime:
         while True:
             if page.published != number and (snapshot := page.read()) is not None:
                 number = page.published
-                self._tell(snapshot)
+                self._feed(snapshot)
             now_s = time.monotonic()
             if now_s - checked_s > ATTACH_AGAIN_S:
                 checked_s = now_s
@@ -243,7 +243,7 @@ class Runtime:
         fastest_s = min((feed.period_s for feed in self.feeds.values()), default=LOOK_MAX_S)
         return min(max(fastest_s / LOOKS_PER_SAMPLE, LOOK_MIN_S), LOOK_MAX_S)
 
-    def _tell(self, snapshot: Snapshot) -> None:
+    def _feed(self, snapshot: Snapshot) -> None:
         before = self.view
         if before is not None and before.snapshot.owner != snapshot.owner:
             self._asked.set()  # somebody else commands: who, only the daemon knows

@@ -106,7 +106,7 @@ def _scan(
 
 
 def _print(port: str, found: Found) -> None:
-    rows = [f"unit {found.unit} at {found.baudrate} baud, parity {found.parity}: {found.said}"]
+    rows = [f"unit {found.unit} at {found.baudrate} baud, parity {found.parity}: {found.answer}"]
     rows += [
         f"    {match.profile}: {match.fitting} of {match.asked} registers fit"
         for match in found.matches[:3]
@@ -134,7 +134,7 @@ def _try_directions(
         raise click.UsageError("--directions asks one unit: give it with --unit")
     kernel, line = DirectionKind.KERNEL, DirectionKind.GPIO
     low = "direction_active_high = false"
-    ways = [
+    directions = [
         ("auto", DirectionSpec(), ('direction = "auto"',)),
         ("kernel", DirectionSpec(kind=kernel), ('direction = "kernel"',)),
         ("kernel, active low", DirectionSpec(kind=kernel, active_high=False),
@@ -143,15 +143,15 @@ def _try_directions(
     if all(gpio):
         where = (f'direction_gpio_chip = "{gpio[0]}"', f'direction_gpio_line = "{gpio[1]}"')
         spec = DirectionSpec(kind=line, gpio_chip=gpio[0], gpio_line=gpio[1])
-        ways.append(("gpio", spec, ('direction = "gpio"', *where)))
+        directions.append(("gpio", spec, ('direction = "gpio"', *where)))
     trials: list[Trial] = []
-    for trial in tried(port, *setting, units[0], ways):
+    for trial in tried(port, *setting, units[0], directions):
         trials.append(trial)
-        said = trial.problem or (
+        answer = trial.problem or (
             f"{trial.answers} of {ASKED} answers, {trial.echoes} echoes, "
             f"{trial.turnaround_ms:.1f} ms"
         )
-        _say(f"{trial.name}: {said}")
+        _say(f"{trial.name}: {answer}")
     best = max(trials, key=lambda trial: trial.answers)
     if as_json:
         values: list[dict[str, Any]] = [asdict(trial) for trial in trials]

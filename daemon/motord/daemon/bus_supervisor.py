@@ -119,11 +119,11 @@ class BusSupervisor:
             while chunk := await output.read(READ_BYTES):
                 *lines, rest = (rest + chunk).split(b"\n")
                 rest = rest[-BEAT_BYTES_MAX:]
-                if lines and self._hear(lines[-BEATS_A_READ_MAX:]):
+                if lines and self._receive(lines[-BEATS_A_READ_MAX:]):
                     silence.reschedule(loop.time() + SILENT_S)
                 await asyncio.sleep(READ_EVERY_S)
 
-    def _hear(self, lines: list[bytes]) -> bool:
+    def _receive(self, lines: list[bytes]) -> bool:
         """Keep the newest figures among them; False: there are none."""
         for line in reversed(lines):
             try:

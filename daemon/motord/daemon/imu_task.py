@@ -27,7 +27,7 @@ LOOK_EVERY_S = 0.2
 
 _log = logging.getLogger(__name__)
 
-_SAID = {
+_TEXTS = {
     None: "the imu sends nothing",
     "unbiased": "the gyro sends samples; its zero is known once the base has stood still",
     "used": "the heading follows the gyro (its zero is at {:.5f} rad/s)",
@@ -59,7 +59,7 @@ async def _say(operation: Operation) -> None:
         if now != state:
             state = now
             level = logging.WARNING if now in (None, "stale", "reversed") else logging.INFO
-            text = _SAID.get(now, f"the gyro is {now}")
+            text = _TEXTS.get(now, f"the gyro is {now}")
             _log.log(level, text.format(imu.bias_rad_s if imu else 0.0), extra=about(event="imu"))
         await asyncio.sleep(LOOK_EVERY_S)
 

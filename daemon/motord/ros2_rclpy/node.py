@@ -116,7 +116,7 @@ class RclpyNode:
         """As Node.subscribe."""
         quality = quality or Quality()
         ear = _Ear(self._node, name, kind, take)
-        inbox: Inbox[tuple[bytes, Any]] = Inbox(quality.depth, ear.hear)
+        inbox: Inbox[tuple[bytes, Any]] = Inbox(quality.depth, ear.receive)
         self._inboxes.append(inbox)
         self._threads += 1
 
@@ -283,7 +283,7 @@ class _Ear:
         self._names: dict[bytes, str] = {}
         self._named_s = -NAMES_EVERY_S
 
-    def hear(self, item: tuple[bytes, Any]) -> None:
+    def receive(self, item: tuple[bytes, Any]) -> None:
         raw, info = item
         try:
             message = decode(self._kind, raw)

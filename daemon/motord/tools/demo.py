@@ -68,10 +68,10 @@ class Result:
 
     @property
     def ok(self) -> bool:
-        quiet = self.status["state"] == "idle" and not self.status["faults"]
+        idle = self.status["state"] == "idle" and not self.status["faults"]
         judged = self.source is Source.COUNTERS
         good = self.score.ok if judged else self.score.ok_as_estimate
-        return good and quiet and self.clean_exit
+        return good and idle and self.clean_exit
 
     def to_json(self) -> dict[str, Any]:
         """The keys of `motord demo --json`."""

@@ -72,7 +72,7 @@ class Found:
     parity: str
     kind: str
     """The line's kind in a robot file: "modbus-rtu" or "ddsm"."""
-    said: str
+    answer: str
     matches: tuple[Match, ...] = ()
 
 
@@ -209,14 +209,14 @@ def scan(
 def _look(asker: Asker, unit: int, say: Callable[[str], None]) -> Iterator[Found]:
     reply = asker.ask(Request(unit, Function.READ_HOLDING, 0, count=1))
     if reply is not None:
-        said = "answers" if reply.exception is None else f"refuses register 0 ({reply.exception})"
-        say(f"unit {unit} {said}: looking which drive it may be")
+        answer = "answers" if reply.exception is None else f"refuses register 0 ({reply.exception})"
+        say(f"unit {unit} {answer}: looking which drive it may be")
         yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="modbus-rtu",
-                    said=said, matches=fingerprint(asker, unit))  # fmt: skip
+                    answer=answer, matches=fingerprint(asker, unit))  # fmt: skip
     elif asker.baudrate == 115200 and asker.parity == "none" and asker.ask_ddsm(unit) is not None:
         names = [name for name, profile in _profiles() if profile.protocol == "ddsm"]
         yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="ddsm",
-                    said="answers in ten-byte frames",
+                    answer="answers in ten-byte frames",
                     matches=tuple(Match(name, 1, 1) for name in names))  # fmt: skip
 
 
@@ -290,10 +290,10 @@ def directions(
     baudrate: int,
     parity: str,
     unit: int,
-    ways: Iterable[tuple[str, DirectionSpec, tuple[str, ...]]],
+    directions: Iterable[tuple[str, DirectionSpec, tuple[str, ...]]],
 ) -> Iterator[Trial]:
     """Each way with some reads of one unit."""
-    for name, direction, lines in ways:
+    for name, direction, lines in directions:
         try:
             opened = open_port(spec_of(port, baudrate, parity, direction))
         except PortError as error:

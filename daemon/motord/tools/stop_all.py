@@ -41,10 +41,10 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     specs = line_specs(robot, profiles_of(robot))
     # exceptions come back as values, of whatever kind: one that nobody foresaw on one line must not
     # leave the motors of the other lines running
-    said = await asyncio.gather(
+    results = await asyncio.gather(
         *(_problems(spec, within_s) for spec in specs), return_exceptions=True
     )
-    return tuple(_halted(spec, result) for spec, result in zip(specs, said, strict=True))
+    return tuple(_halted(spec, result) for spec, result in zip(specs, results, strict=True))
 
 
 async def _problems(spec: LineSpec, within_s: float) -> list[str]:
@@ -57,7 +57,7 @@ async def _problems(spec: LineSpec, within_s: float) -> list[str]:
         return [f"{spec.name}: not everything was sent within {within_s:g} s"]
 
 
-def _halted(spec: LineSpec, said: list[str] | BaseException) -> Halted:
-    if isinstance(said, BaseException):
-        said = [f"{spec.name}: {type(said).__name__}: {said}"]
-    return Halted(spec.name, tuple(joint.name for joint in spec.joints), tuple(said))
+def _halted(spec: LineSpec, results: list[str] | BaseException) -> Halted:
+    if isinstance(results, BaseException):
+        results = [f"{spec.name}: {type(results).__name__}: {results}"]
+    return Halted(spec.name, tuple(joint.name for joint in spec.joints), tuple(results))

@@ -253,19 +253,19 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         line's task. Raises PortError."""
         self._disarmed()
         self._rules.quick_stop(now_ns())
-        await self._tell_now("quick_stop", self.plan.profile.quick_stop)
+        await self._send_now("quick_stop", self.plan.profile.quick_stop)
 
     async def power_off(self) -> None:
         """Power off now, ahead of everything else. Of the line's task. Raises PortError."""
         self._powerless()
-        await self._tell_now("disarm", self.plan.profile.disarm)
+        await self._send_now("disarm", self.plan.profile.disarm)
 
-    async def tell_power_off(self) -> bool:
+    async def send_power_off(self) -> bool:
         """As power_off, but only once. False: not all of it got through."""
         self._powerless()
         return not await self._write_now(self.plan.profile.disarm)
 
-    async def _tell_now(self, name: str, steps: Sequence[Step]) -> None:
+    async def _send_now(self, name: str, steps: Sequence[Step]) -> None:
         """What does not get through becomes a job, but for a drive that is not heard: that one is
         probed."""
         left = await self._write_now(steps)

@@ -44,7 +44,7 @@ AnyDrive = TypeVar("AnyDrive", bound=AsyncioDrive[Plan])
 class AsyncioLine(DriveLine[AnyDrive]):
     """ports.Line, engine "asyncio"."""
 
-    deaf = "no answer"
+    unresponsive_text = "no answer"
     """Why drives may not get their last power-off, though the medium is there."""
 
     def __init__(
@@ -152,7 +152,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
     async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
         """Each once, then until each has got it, or it is too late. Whoever has got it is taken
         from `left`."""
-        why = self.deaf
+        why = self.unresponsive_text
         try:
             async with within(POWER_OFF_WITHIN_S):
                 await self._switch_each_off(left)
@@ -174,7 +174,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 each.push_async_callback(self._try_to_switch_off, drive, left)
 
     async def _try_to_switch_off(self, drive: AnyDrive, left: list[AnyDrive]) -> None:
-        if await drive.tell_power_off():
+        if await drive.send_power_off():
             left.remove(drive)
 
     async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:

@@ -295,15 +295,15 @@ class _ReaderThread:
                     emptied_ns = looked_ns
                     message = self._bus.recv(timeout=THREAD_LOOKS_S)
             except _UNREADABLE as error:
-                self._tell(self._fail, error)
+                self._call_in_loop(self._fail, error)
                 self._stopped.wait(THREAD_LOOKS_S)
                 continue
             if message is not None:
                 self._queue.append((message, came_ns(message, emptied_ns)))
-                self._tell(self.drain)
+                self._call_in_loop(self.drain)
         _shut(self._bus)
 
-    def _tell(self, call: Callable[..., None], *values: Any) -> None:
+    def _call_in_loop(self, call: Callable[..., None], *values: Any) -> None:
         try:
             self._loop.call_soon_threadsafe(call, *values)
         except RuntimeError:  # the event loop has ended

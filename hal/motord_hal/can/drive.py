@@ -217,7 +217,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         """Set-points out, questions out, one step of the first job. Raises PortError."""
         self.look()
         if self.is_cycled:
-            self.tell(wanted)
+            self.send_setpoints(wanted)
             for frame in self.plan.asked_fast:
                 self._ask(frame)
             if self._cycles % SLOW_EVERY_CYCLES == 0:
@@ -238,7 +238,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         if silent and not self.jobs and not self.is_stopping:
             self._write_all(self.plan.profile.disarm)
 
-    def tell(self, wanted: Wanted) -> None:
+    def send_setpoints(self, wanted: Wanted) -> None:
         """Only the set-points."""
         received = self.state is DriveState.ARMED or self.is_stopping
         if received or self.plan.table.idle_setpoints:

@@ -24,7 +24,7 @@ from motord_hal.fieldbus.units import joints_by_unit
 SEND_WITHIN_S = 0.1
 """A queue that is full for longer is one that nobody empties."""
 CONFIRM_WITHIN_S = 0.25
-HEAR_WITHIN_S = 0.5
+RECEIVE_WITHIN_S = 0.5
 LOOK_EVERY_S = 0.005
 
 
@@ -82,11 +82,11 @@ class _Unit:
         self._fresh.pop(register, None)
         if question is not None:
             self._bus.send(question)
-        until_s = now_s() + HEAR_WITHIN_S
+        until_s = now_s() + RECEIVE_WITHIN_S
         while register not in self._fresh:
             self._bus.check()
             if now_s() > until_s:
-                raise NoReply(f"no {frame.name} frame in {HEAR_WITHIN_S:g} s")
+                raise NoReply(f"no {frame.name} frame in {RECEIVE_WITHIN_S:g} s")
             await asyncio.sleep(LOOK_EVERY_S)
         return self._fresh[register]
 
@@ -101,7 +101,7 @@ class _Unit:
         place = self.profile.enabled
         if place is None:
             return f"{self.name}: told to stop; it cannot say whether it has power"
-        until_s = now_s() + HEAR_WITHIN_S
+        until_s = now_s() + RECEIVE_WITHIN_S
         try:
             while await self.read(place.register) & place.mask == place.equals:
                 if now_s() > until_s:

@@ -31,7 +31,7 @@ STEADY_S = 1.0
 class CanLine(AsyncioLine[CanDrive]):
     """ports.Line for `kind = "can"`, engine "asyncio"."""
 
-    deaf = "the bus takes no frames"
+    unresponsive_text = "the bus takes no frames"
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)

@@ -123,8 +123,8 @@ def _check_place(key: str, register: Register, problems: Problems) -> None:
 def _check_board_place(key: str, register: Register, problems: Problems) -> None:
     """A byte of the set-points, of the feedback, or of both (docs/mcu-frame.md)."""
     place = set(range(register.address, register.address + register.type.bits // 8))
-    for way in register.access:
-        if place & _BOARD_OWN[way] or max(place) >= _BOARD_BYTES[way]:
+    for access in register.access:
+        if place & _BOARD_OWN[access] or max(place) >= _BOARD_BYTES[access]:
             problems.add(f"{key}.address", f"{register.address} is no place for a register")
             return
 

@@ -193,8 +193,8 @@ class Channel:
     @property
     def commands(self) -> frozenset[str]:
         """All registers that say what the motor shall do."""
-        way = (self.direction.register,) if self.direction else ()
-        return frozenset({self.setpoint, *way, *dict(self.setpoint_with)})
+        direction = (self.direction.register,) if self.direction else ()
+        return frozenset({self.setpoint, *direction, *dict(self.setpoint_with)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,7 +42,7 @@ _RESTARTED = _RESTART_NOTED = 8
 _COUNT = struct.Struct("<i")
 _COUNTS = 1 << 32
 
-Tell = Callable[[int, int, int, int], None]
+Report = Callable[[int, int, int, int], None]
 """BridgeThread.tell."""
 Say = Callable[[EventKind, str], None]
 
@@ -58,10 +58,10 @@ class CountingBoard:
     """One port. `wheels`: motor of the board → place of the joint on its line."""
 
     def __init__(
-        self, encoder: BoardEncoder, wheels: Mapping[int, int], tell: Tell, say: Say
+        self, encoder: BoardEncoder, wheels: Mapping[int, int], report: Report, say: Say
     ) -> None:
         self._wheels = dict(wheels)
-        self._tell = tell
+        self._report = report
         self._say = say
         self._port = encoder.port
         self._stream = Stream(_spec(encoder), self._take_in)
@@ -135,10 +135,10 @@ class CountingBoard:
             before = self._counts.get(motor, raw)
             moved = (raw - before + _COUNTS // 2) % _COUNTS - _COUNTS // 2
             self._counts[motor] = before + moved
-            self._tell(place, self._counts[motor], stamp_ns, self._origin)
-        self._hear()
+            self._report(place, self._counts[motor], stamp_ns, self._origin)
+        self._receive()
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         self._received_s = now_s()
         if not self._well:
             self._well = True

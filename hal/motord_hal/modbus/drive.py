@@ -323,7 +323,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._directions.clear()
         self._forget_enabled()
 
-    async def tell_power_off(self) -> bool:
+    async def send_power_off(self) -> bool:
         """As AsyncioDrive.tell_power_off: all of it, whatever is not answered, for the drive may
         hear us though we do not hear it. The next time only what was not answered."""
         self._powerless()

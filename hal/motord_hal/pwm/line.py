@@ -125,7 +125,7 @@ class PwmLine(LineTask):
             def say(kind: EventKind, text: str, names: tuple[str, ...] = names) -> None:
                 self._say(kind, names, f"{self.spec.name}: {', '.join(names)}: {text}")
 
-            yield CountingBoard(encoders[port], wheels, self._thread.tell, say)
+            yield CountingBoard(encoders[port], wheels, self._thread.report_count, say)
 
     async def _open_medium(self) -> str:
         pins = await open_pins(self.spec)

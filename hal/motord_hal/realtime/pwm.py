@@ -145,7 +145,7 @@ class BridgeThread:
         )
         return self._number
 
-    def tell(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
+    def report_count(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
         """What a board has counted of the joint at that place (EncoderKind.REPORTED), and when.
         `origin`: another number each time the board has begun anew."""
         sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}

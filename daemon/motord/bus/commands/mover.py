@@ -100,9 +100,9 @@ class Mover:
         return bounds_of(axis, sent)
 
     async def move(
-        self, plan: Plan, tell: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
+        self, plan: Plan, report: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
     ) -> tuple[MotionStep, Motion | None]:
-        """Until its end; `tell` is called at each look. Motion None: it did not begin."""
+        """Until its end; `report` is called at each look. Motion None: it did not begin."""
         try:
             stops = await self._stops()
             with self._runtime.page() as page:
@@ -121,7 +121,7 @@ class Mover:
                 )
                 async with asyncio.TaskGroup() as tasks:
                     counting = tasks.create_task(self._count_stops(motion))
-                    step = await self._follow(motion, start, page, tell, cancel)
+                    step = await self._follow(motion, start, page, report, cancel)
                     counting.cancel()
                 return step, motion
         except (NoPage, ClientError) as error:
@@ -144,7 +144,7 @@ class Mover:
         motion: Motion,
         newest: Snapshot,
         page: StatePage,
-        tell: Callable[[Motion, Snapshot], None],
+        report: Callable[[Motion, Snapshot], None],
         cancel: asyncio.Event,
     ) -> MotionStep:
         try:
@@ -158,7 +158,7 @@ class Mover:
                 if step.end is not None:
                     return step
                 self._source.drive(step.linear_m_s, step.angular_rad_s, seen=self._direct)
-                tell(motion, newest)
+                report(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:
             if not self._interrupted:  # else it is another's to say where the robot goes

@@ -67,9 +67,9 @@ class FoxgloveAdapter:
         async with asyncio.TaskGroup() as tasks:
             if self._commands is not None:
                 tasks.create_task(self._commands.run())
-            tasks.create_task(self._tell())
+            tasks.create_task(self._send())
 
-    async def _tell(self) -> None:
+    async def _send(self) -> None:
         server = await self._started()
         try:
             if self._commands is not None:

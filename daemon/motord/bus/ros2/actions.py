@@ -55,8 +55,8 @@ class Refused(Exception):
 _NO_ERROR, _UNKNOWN_GOAL, _GOAL_ENDED = 0, 2, 3
 _ANY_ID = bytes(16)
 _NUMBER = re.compile(r"[-+.\d]+")
-Tell = Callable[[SimpleNamespace], None]
-Work = Callable[[Tell, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
+Report = Callable[[SimpleNamespace], None]
+Work = Callable[[Report, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
 """Does what a goal asks for. It tells feedback, looks whether it is cancelled, and does not raise.
 """
 
@@ -123,7 +123,7 @@ class ActionServer:
             self._become(goal, Status.EXECUTING)
         due_s = 0.0
 
-        def tell(feedback: SimpleNamespace) -> None:
+        def report(feedback: SimpleNamespace) -> None:
             nonlocal due_s
             now_s = time.monotonic()
             if now_s >= due_s:
@@ -132,7 +132,7 @@ class ActionServer:
                     SimpleNamespace(goal_id=_uuid(goal.number), feedback=feedback)
                 )
 
-        status, goal.result = await goal.work(tell, goal.cancel)
+        status, goal.result = await goal.work(report, goal.cancel)
         self._become(goal, status)
         goal.ended.set()
 

@@ -15,7 +15,7 @@ from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.commands.mover import Mover, NotNow
 from motord.bus.messages.calibration import Calibration, Found, Measure, measure
-from motord.bus.ros2.actions import ActionServer, Refused, Status, Tell, Turn, Work
+from motord.bus.ros2.actions import ActionServer, Refused, Report, Status, Turn, Work
 from motord.bus.ros2.nodes import Node
 
 if TYPE_CHECKING:
@@ -94,10 +94,10 @@ class Moves:
         feedback: Callable[[Motion, Snapshot], SimpleNamespace],
         result: Callable[[Motion | None, float, str], SimpleNamespace],
     ) -> Work:
-        async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
+        async def work(report: Report, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
             begin_s = time.monotonic()
             step, motion = await self._mover.move(
-                plan, lambda motion, newest: tell(feedback(motion, newest)), cancel
+                plan, lambda motion, newest: report(feedback(motion, newest)), cancel
             )
             return _ended(step), result(motion, time.monotonic() - begin_s, step.why)
 
@@ -112,17 +112,17 @@ class Moves:
         except ValueError as error:
             raise Refused(str(error)) from error
 
-        async def work(tell: Tell, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
+        async def work(report: Report, cancel: asyncio.Event) -> tuple[Status, SimpleNamespace]:
             try:
                 with self._runtime.page() as page:
-                    return await self._watch(asked, page, tell, cancel)
+                    return await self._watch(asked, page, report, cancel)
             except NoPage as error:
                 return Status.ABORTED, _with(_CALIBRATE_NOTHING, message=str(error))
 
         return work
 
     async def _watch(
-        self, asked: Measure, page: StatePage, tell: Tell, cancel: asyncio.Event
+        self, asked: Measure, page: StatePage, report: Report, cancel: asyncio.Event
     ) -> tuple[Status, SimpleNamespace]:
         newest = page.read()
         if newest is None:
@@ -133,7 +133,7 @@ class Moves:
             found = watched.step(newest, time.monotonic_ns())
             if found is not None:
                 return _ENDS[found.end], self._calibrated(asked, watched, found)
-            tell(
+            report(
                 SimpleNamespace(
                     distance_m=watched.travel.distance_m,
                     angle_rad=watched.travel.angle_rad,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from motord.config import Ros2Node, ZenohNode
 
 
-class Teller(Protocol):
+class TopicPublisher(Protocol):
     """A topic that is published."""
 
     def publish(self, message: Any) -> None:
@@ -35,7 +35,7 @@ class Node(Protocol):
         """A name with its namespace, as `remap` has it."""
         ...
 
-    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Teller:
+    def publisher(self, name: str, kind: str, quality: Quality | None = None) -> TopicPublisher:
         """Of a type of `table.TYPES`."""
         ...
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from motord.bus.messages.forms import as_cdr
 from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.names import full_name
-from motord.bus.ros2.nodes import Teller, node_of
+from motord.bus.ros2.nodes import TopicPublisher, node_of
 from motord.bus.ros2.quality import offered
 from motord.bus.ros2.rosout import LOG, ROSOUT, Rosout
 from motord.bus.ros2.static_frames import STATIC, static_transforms
@@ -46,7 +46,7 @@ class Ros2Publisher:
         self._prefix = section.prefix_of_frames()
         body = runtime.body.with_frames(self._prefix)
         self._feed = runtime.feed(name, section.rates_hz(), as_cdr, body)
-        self._publishers: dict[str, Teller] = {
+        self._publishers: dict[str, TopicPublisher] = {
             topic: self._node.publisher(
                 robot_topic(topic, section), TOPICS[topic].type_name, offered(topic)
             )
@@ -56,7 +56,7 @@ class Ros2Publisher:
         log = self._node.publisher(ROSOUT, LOG, offered(ROSOUT))
         self._rosout = Rosout(full_name(section.namespace, section.node_name, "~/")[:-1], log)
         self._runtime = runtime
-        self._static: Teller | None = None
+        self._static: TopicPublisher | None = None
         if "tf" in section.topics:
             self._static = self._node.publisher(
                 robot_topic(STATIC, section), TOPICS["tf"].type_name, offered(STATIC)
@@ -71,7 +71,7 @@ class Ros2Publisher:
 
     async def _publish(self) -> None:
         self._describing.publish(SimpleNamespace(data=self._description))
-        self._tell_frames()
+        self._send_frames()
         async for sample in self._feed:
             self._publishers[sample.topic.name].publish(sample.message)
 
@@ -82,7 +82,7 @@ class Ros2Publisher:
                 self._rosout.look(view.why() if view is not None else ())
                 await asyncio.sleep(_LOOK_EVERY_S)
 
-    def _tell_frames(self) -> None:
+    def _send_frames(self) -> None:
         if self._static is None:
             return
         try:

@@ -49,7 +49,7 @@ class RosbridgeAdapter:
         async with asyncio.TaskGroup() as tasks:
             if self._gate is not None:
                 tasks.create_task(self._gate.source.run())
-            tasks.create_task(self._tell())
+            tasks.create_task(self._send())
             tasks.create_task(self._server.run())
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
@@ -85,7 +85,7 @@ class RosbridgeAdapter:
             return web.Response(status=HTTPStatus.UPGRADE_REQUIRED, text="a WebSocket, please\n")
         return None
 
-    async def _tell(self) -> None:
+    async def _send(self) -> None:
         """Each sample is written once, whoever wants it."""
         async for sample in self._feed:
             wanting = [client for client in self._clients if client.wants(sample.topic.name)]

@@ -60,15 +60,15 @@ class RosbridgeClient:
     async def run(self) -> None:
         """Until it goes away: perhaps OSError, in a group."""
         async with asyncio.TaskGroup() as tasks:
-            telling = tasks.create_task(self._tell())
+            sending = tasks.create_task(self._send_newest())
             async for message in self._connection:
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     break  # what aiohttp found to be no message has ended the connection
                 with contextlib.suppress(NotTaken):  # said by the command gate
                     await self._take(message.data, tasks)
-            telling.cancel()
+            sending.cancel()
 
-    async def _tell(self) -> None:
+    async def _send_newest(self) -> None:
         while True:
             await self._arrived.wait()
             self._arrived.clear()

@@ -272,11 +272,11 @@ def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         )
         if more := [f"{words}: {then_hz:.3g} Hz" for words, then_hz in helps(spec)]:
             text += f" ({'; '.join(more)})"
-        wished = [("line", spec.name, "cycle_hz")]
-        wished += [("joint", joint.name, "cycle_hz") for joint in spec.joints]
-        given = [path for path in wished if _is_given(robot, path)]
+        paths = [("line", spec.name, "cycle_hz")]
+        paths += [("joint", joint.name, "cycle_hz") for joint in spec.joints]
+        given = [path for path in paths if _is_given(robot, path)]
         on = (("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
-        yield Finding((*(given or wished[:1]), *on), text, warning=not given)
+        yield Finding((*(given or paths[:1]), *on), text, warning=not given)
 
 
 def _is_given(robot: Robot, path: tuple[str, str, str]) -> bool:

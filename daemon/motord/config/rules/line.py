@@ -156,20 +156,20 @@ def _direction(robot: Robot) -> Iterator[Finding]:
     for name, line in robot.line.items():
         if not isinstance(line, SerialLine):
             continue
-        way = ("line", name, "direction")
+        direction = ("line", name, "direction")
         if line.direction == "gpio" and line.engine == "asyncio":
             text = '"gpio" needs engine "rt": the line is switched by its real-time thread'
-            yield Finding((way, ("line", name, "engine")), text)
+            yield Finding((direction, ("line", name, "engine")), text)
         for key in ("direction_gpio_chip", "direction_gpio_line"):
             path = ("line", name, key)
             if line.direction == "gpio" and not getattr(line, key):
-                yield Finding((path, way), 'is missing: direction = "gpio" needs it')
+                yield Finding((path, direction), 'is missing: direction = "gpio" needs it')
             elif line.direction != "gpio" and key in line.model_fields_set:
-                yield Finding((path, way), 'is only for direction = "gpio"')
+                yield Finding((path, direction), 'is only for direction = "gpio"')
         for key in ("direction_active_high", "direction_before_s", "direction_after_s"):
             if line.direction == "auto" and key in line.model_fields_set:
                 text = 'is only for direction = "kernel" and "gpio"'
-                yield Finding((("line", name, key), way), text)
+                yield Finding((("line", name, key), direction), text)
 
 
 def _priority(robot: Robot) -> Iterator[Finding]:

@@ -53,10 +53,10 @@ def _chips(spec: LineSpec, places: list[Place]) -> Iterator[Finding]:
 
 
 def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
-    bridge, wished_hz = bridge_of(joint), spec.pins.pwm_hz
-    if wished_hz is not None and not bridge.pwm_min_hz <= wished_hz <= bridge.pwm_max_hz:
+    bridge, requested_hz = bridge_of(joint), spec.pins.pwm_hz
+    if requested_hz is not None and not bridge.pwm_min_hz <= requested_hz <= bridge.pwm_max_hz:
         span = f"{bridge.pwm_min_hz:g} to {bridge.pwm_max_hz:g} Hz"
-        text = f'{wished_hz:g} Hz is out of range for drive "{joint.profile.name}" ({span})'
+        text = f'{requested_hz:g} Hz is out of range for drive "{joint.profile.name}" ({span})'
         yield Finding((("line", spec.name, "pwm_hz"), ("joint", joint.name, "drive")), text)
 
 

@@ -82,7 +82,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
         probe=_probe(cyclic),
         cyclic=tuple(_exchange(frames, planned, kept) for planned in cyclic),
         extra=tuple(_exchange(frames, planned, kept) for planned in _extra(frames)),
-        direction=tuple(_ways(frames)),
+        direction=tuple(_directions(frames)),
         quick_stop=step_frames(frames, profile.quick_stop),
         disarm=step_frames(frames, profile.disarm),
         idle=frames.idle(),
@@ -162,19 +162,18 @@ def raw_limits(register: Register) -> tuple[float, float]:
     )
 
 
-def _way_joints(frames: DriveFrames) -> list[JointSpec]:
+def _direction_joints(frames: DriveFrames) -> list[JointSpec]:
     channels = frames.profile.channels
     return [joint for joint in frames.joints if channels[joint.channel].direction is not None]
 
 
-def _ways(frames: DriveFrames) -> Iterable[LineDirection]:
-    for joint in _way_joints(frames):
+def _directions(frames: DriveFrames) -> Iterable[LineDirection]:
+    for joint in _direction_joints(frames):
         channel = frames.profile.channels[joint.channel]
-        way = channel.direction
-        assert way is not None  # _way_joints
-        rest, forward, reverse = (
-            frames.writes({way.register: raw})[0] for raw in (way.rest, way.forward, way.reverse)
-        )
+        direction = channel.direction
+        assert direction is not None  # _direction_joints
+        levels = (direction.rest, direction.forward, direction.reverse)
+        rest, forward, reverse = (frames.writes({direction.register: raw})[0] for raw in levels)
         yield LineDirection(
             joint=joint.index,
             kind=setpoint_kind(channel),
@@ -199,13 +198,14 @@ def _joint_field(
     frames: DriveFrames, joint: JointSpec, kind: FieldKind, register: Register, byte: int
 ) -> LineField:
     form, mask = _FORMS[register.type.value], register.mask or 0
-    factor, way = si_per_raw(register), 0
+    factor, direction = si_per_raw(register), 0
     if kind is FieldKind.COUNT:
         form, mask = _counter(register, frames.profile.counter_bits)
     elif kind is FieldKind.VELOCITY:
         factor *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
-        ways = _way_joints(frames)
-        way = 0 if register.type.signed or joint not in ways else 1 + ways.index(joint)
+        joints = _direction_joints(frames)
+        if not register.type.signed and joint in joints:
+            direction = 1 + joints.index(joint)
     bits, codes = harmless(frames.profile) if kind is FieldKind.FAULT else (0, None)
     return LineField(
         joint=joint.index,
@@ -213,7 +213,7 @@ def _joint_field(
         byte=byte,
         form=form,
         mask=mask,
-        direction=way,
+        direction=direction,
         si_per_raw=factor,
         harmless_bits=bits,
         is_code=int(codes is not None),

@@ -110,7 +110,7 @@ class SimulatedBoard:
         if data is None:
             self._unresponsive()
         elif data:
-            self._hear(data, now_s)
+            self._receive(data, now_s)
         while self._incoming and self._incoming[0][0] <= now_s:
             self._obey(self._incoming.popleft()[1], now_s)
         if now_s >= self._feedback_due_s:
@@ -126,7 +126,7 @@ class SimulatedBoard:
         }
 
     # -------------------------------------------------------------------------- what comes and goes
-    def _hear(self, data: bytes, now_s: float) -> None:
+    def _receive(self, data: bytes, now_s: float) -> None:
         """The bytes are over when they would have passed the wire: each way has one of its own."""
         settings = self.port.settings()
         if not self._fits(settings):

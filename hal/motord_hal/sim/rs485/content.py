@@ -66,7 +66,7 @@ class FrameContent(NamedContent):
             return None
         frame = bytearray((unit, command, *bytes(FRAME_CONTENT_BYTES)))
         for register in sent:
-            _tell(frame, register, self.value(register.name))
+            _put(frame, register, self.value(register.name))
         return seal(bytes(frame))
 
 
@@ -76,7 +76,7 @@ def _in_range(register: Register, raw: int) -> bool:
     return (low is None or value >= low) and (high is None or value <= high)
 
 
-def _tell(frame: bytearray, register: Register, raw: int) -> None:
+def _put(frame: bytearray, register: Register, raw: int) -> None:
     if register.mask is None:
         place(frame, register, raw)
         return

@@ -114,7 +114,7 @@ class SimulatedDrive:
         return self.on and motor.switched_on and not motor.stopped_by_fault
 
     # -------------------------------------------------------------------------------- the wire
-    def hears(self, now_s: float) -> bool:
+    def receives(self, now_s: float) -> bool:
         """False while it stores a setting and listens to nobody."""
         return self._flash_busy or now_s >= self._flash_until_s
 
@@ -273,7 +273,7 @@ class SimulatedDrive:
             return
         name = channel.setpoint
         raw = motor.sent_raw if channel.setpoint_with else self.registers.stored(name)
-        value = self.profile.registers[name].to_si(raw) * self._way(channel)
+        value = self.profile.registers[name].to_si(raw) * self._sign(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)
         elif channel.torque_setpoint is not None:
@@ -281,11 +281,11 @@ class SimulatedDrive:
         else:
             axis.wheel.push(value * axis.sign, axis.full_duty_rad_s)
 
-    def _way(self, channel: Channel) -> float:
+    def _sign(self, channel: Channel) -> float:
         if channel.direction is None:
             return 1.0
-        way = self.registers.stored(channel.direction.register)
-        return {channel.direction.forward: 1.0, channel.direction.reverse: -1.0}.get(way, 0.0)
+        direction = self.registers.stored(channel.direction.register)
+        return {channel.direction.forward: 1.0, channel.direction.reverse: -1.0}.get(direction, 0.0)
 
     # ------------------------------------------------------------------------------------ time
     def tick(self, now_s: float) -> None:

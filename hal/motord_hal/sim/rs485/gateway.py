@@ -44,7 +44,7 @@ class GatewayPort(TcpPort):
 
     def _rest(self) -> None:
         self._requests: deque[_Request] = deque()
-        self._under_way: _Request | None = None
+        self._in_progress: _Request | None = None
         self._reply = bytearray()
         self._deadline_s = math.inf
         self._overdue = False
@@ -62,7 +62,7 @@ class GatewayPort(TcpPort):
         return True
 
     def due_s(self, now_s: float) -> float:
-        waiting_s = self._free_s if self._requests and self._under_way is None else math.inf
+        waiting_s = self._free_s if self._requests and self._in_progress is None else math.inf
         waiting_s = now_s if self._just_over else waiting_s
         return min(super().due_s(now_s), self._deadline_s, waiting_s)
 
@@ -76,26 +76,26 @@ class GatewayPort(TcpPort):
         if self._just_over:  # only now is the last byte surely over
             self._just_over = False
             self._free_s = now_s + self._gap_s
-        if self._under_way is not None and self._overdue:
-            self._fail(self._under_way, now_s)
+        if self._in_progress is not None and self._overdue:
+            self._fail(self._in_progress, now_s)
         self._overdue = now_s >= self._deadline_s
-        if self._under_way is not None or not self._requests or now_s < self._free_s:
+        if self._in_progress is not None or not self._requests or now_s < self._free_s:
             return b""
         return self._begin(self._requests.popleft(), now_s)
 
     def put(self, data: bytes, now_s: float) -> int:
         """Bytes of the wire; those that nobody has asked for are dropped."""
-        if self._under_way is None:
+        if self._in_progress is None:
             return len(data)
         self._reply += data
         self._deadline_s = max(self._deadline_s, now_s + REST_TIMEOUT_S)
         self._overdue = False
         if _complete(bytes(self._reply)):
-            answered = self._reply[0] == self._under_way.frame[0]
+            answered = self._reply[0] == self._in_progress.frame[0]
             body = bytes(self._reply[:-2])
             self._reply.clear()
             if answered:
-                self._finish(self._under_way, body, now_s)
+                self._finish(self._in_progress, body, now_s)
         return len(data)
 
     # --------------------------------------------------------------------------------- in detail
@@ -121,7 +121,7 @@ class GatewayPort(TcpPort):
         if request.frame[0] == BROADCAST_UNIT:
             self._free_s = now_s + on_wire_s + self._gap_s
         else:
-            self._under_way = request
+            self._in_progress = request
             self._deadline_s = now_s + on_wire_s + REPLY_TIMEOUT_S
         return request.frame
 
@@ -136,7 +136,7 @@ class GatewayPort(TcpPort):
         else:
             self._transmit(request.client, unit_and_pdu, now_s)
         self._hold = False
-        self._under_way = None
+        self._in_progress = None
         self._overdue = False
         self._deadline_s = math.inf
         self._free_s = math.inf

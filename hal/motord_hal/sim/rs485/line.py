@@ -124,15 +124,15 @@ class SimulatedLine:
         if data is None:
             self._unresponsive()
         elif data:
-            self._hear(data, clock())
+            self._receive(data, clock())
         return data is not None
 
-    def _hear(self, data: bytes, now_s: float) -> None:
+    def _receive(self, data: bytes, now_s: float) -> None:
         if not self._request:
             self._gap_s = now_s - self.wire.free_s
             self._follow_settings()
         starts_s = max(self.wire.free_s, now_s)
-        self.wire.hear(len(data), now_s)
+        self.wire.receive(len(data), now_s)
         for _ in self._script.states("echo", None, now_s):
             self.wire.send(self._disturbed(data, now_s), starts_s)
         self._request += self._disturbed(data, now_s)
@@ -199,7 +199,7 @@ class SimulatedLine:
             unit: drive
             for unit, drive in self.drives.items()
             if (broadcast or unit == frame[0])
-            and drive.hears(now_s)
+            and drive.receives(now_s)
             and self._understands(drive, now_s)
             and not self._script.silent(unit, now_s)
         }
@@ -225,8 +225,8 @@ class SimulatedLine:
         if turnaround_s is None:
             turnaround_s = TURNAROUND_PART * drive.profile.turnaround_s
         starts_s = ended_s + turnaround_s + spoiled.delay_s
-        deaf_s = ended_s + spoiled.deafening_s - starts_s
-        lost = max(0, math.ceil(deaf_s / self.wire.character_s))
+        muted_s = ended_s + spoiled.deafening_s - starts_s
+        lost = max(0, math.ceil(muted_s / self.wire.character_s))
         if lost < len(spoiled.frame):
             received = self._disturbed(spoiled.frame[lost:], now_s)
             self._reply(received, starts_s + lost * self.wire.character_s)

@@ -66,7 +66,7 @@ class Wire:
         self.free_s = -math.inf
         self._outgoing: deque[_Outgoing] = deque()
 
-    def hear(self, count: int, now_s: float) -> None:
+    def receive(self, count: int, now_s: float) -> None:
         """The master has put so many bytes on the wire."""
         self.free_s = max(self.free_s, now_s) + count * self.character_s
 

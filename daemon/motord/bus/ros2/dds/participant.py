@@ -80,7 +80,7 @@ def _domain(domain_id: int, xml: str) -> Domain:
     return Domain(domain_id, xml)
 
 
-def _quiet() -> None:
+def _mute_library() -> None:
     """Cyclone warns of each request that it cannot read, on standard error: a flood, and
     `Discovered` has named the client. What it warns of its configuration is said before."""
     load_cyclonedds().dds_set_log_mask(_FATAL_AND_ERROR)
@@ -216,7 +216,7 @@ class Participant:
             self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
             raise DdsError(f"no DDS participant in domain {domain_id}: {error.msg}") from error
-        _quiet()
+        _mute_library()
         self.gid = self.entity.guid.bytes
         self.readers: list[Reader] = []
         self.writers: list[Writer] = []

@@ -69,14 +69,14 @@ class Unanswered:
             del self._waiting[gid, service]
         if found:
             self._due_s = now_s + AGAIN_S
-            self._tell(found)
+            self._report(found)
 
     def _remember(self, client: str, service: str) -> None:
         if len(self._reported) == _REPORTED_MAX:
             self._reported.clear()
         self._reported.add((client, service))
 
-    def _tell(self, found: dict[str, list[str]]) -> None:
+    def _report(self, found: dict[str, list[str]]) -> None:
         clients = "; ".join(f"{client} asks {_few(names)}" for client, names in found.items())
         more = f" ({self._more} more)" if self._more else ""
         self._more = 0

@@ -126,7 +126,7 @@ class Subscription:
     ) -> None:
         """`take` is told how long in s a message waited on its way, too, and whose it is."""
         self._topic, self._kind, self._quality = topic, kind, quality
-        self._tell = take
+        self._hand_over = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
         self._delays, self._voice = Delays(), RateLimitedLog(_log)
         self._publishers: Inbox[str] = Inbox(WAITING_MAX, self._look_at)
@@ -172,10 +172,10 @@ class Subscription:
         try:
             sent = Attachment.decode(attachment)
         except ValueError:  # ROS 2 did not send it; it is heard all the same
-            self._tell(message, 0.0, "a program that is no ROS 2 node")
+            self._hand_over(message, 0.0, "a program that is no ROS 2 node")
             return
         sender = self._names.get(sent.gid) or unnamed(sent.gid)
-        self._tell(message, self._delays.waited_s(sent.gid, sent.stamp_ns), sender)
+        self._hand_over(message, self._delays.waited_s(sent.gid, sent.stamp_ns), sender)
 
 
 class Service:
