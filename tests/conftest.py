@@ -10,6 +10,7 @@ import sys
 
 import pytest
 from hypothesis import settings
+from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
 EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 50
 

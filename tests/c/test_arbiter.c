@@ -261,6 +261,26 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
     CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
 }
 
+/* After the computer was suspended: what was stamped before it counts as never said. */
+static void after_a_pause_of_the_computer_no_command_is_alive(void)
+{
+    begin();
+    for (uint32_t lease = 0; lease < 3; lease++) {
+        CHECK(say(lease, 1, 0.1) == 0);
+    }
+    for (uint32_t lease = 0; lease < 3; lease++) {
+        CHECK(b.arbiter.report.lease[lease].expires_ns > b.now_ns);
+    }
+    command_datagram before = command_of(0, 2, 0.1);
+    b.now_ns += MS;
+    arbiter_resume(&b.arbiter, b.now_ns);
+    for (uint32_t lease = 0; lease < LEASES_MAX; lease++) {
+        CHECK(b.arbiter.report.lease[lease].expires_ns == 0);
+    }
+    CHECK(submit(before) != 0);
+    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it went on */
+}
+
 int main(void)
 {
     each_byte_of_a_token_counts();
@@ -278,5 +298,6 @@ int main(void)
     any_rate_but_zero_is_a_limit();
     who_was_held_is_held_under_his_next_lease_until_the_bar_is_over();
     a_bar_counts_once_and_only_a_later_one_is_a_new_one();
+    after_a_pause_of_the_computer_no_command_is_alive();
     return checks_report("arbiter");
 }

@@ -49,6 +49,9 @@ static void the_bus_s_own_numbers(void)
     GOOD(w.table.setpoint_timeout_ns, 1);
     GOOD(w.table.setpoint_timeout_ns, LONGEST_NS);
     BAD(w.table.setpoint_timeout_ns, LONGEST_NS + 1, "setpoint_timeout_ns");
+    GOOD(w.table.rest_velocity_rad_s, 1e-9);
+    BAD(w.table.rest_velocity_rad_s, 0.0, "rest_velocity_rad_s");
+    BAD(w.table.rest_velocity_rad_s, (double)INFINITY, "rest_velocity_rad_s");
     GOOD(w.table.sync_count, CAN_SYNCS_MAX);
     BAD(w.table.sync_count, CAN_SYNCS_MAX + 1, "sync_count");
     for (uint32_t i = 0; i < CAN_SYNCS_MAX; i++) {

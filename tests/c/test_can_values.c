@@ -279,6 +279,20 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
     }
 }
 
+static void only_a_counted_set_point_moves(void)
+{
+    begin_with(1);
+    w.machine.drive[0].state.mode = DRIVE_ARMED;
+    can_output *output = &w.machine.table.drive[0].output[0];
+    output->setpoint[1] = output->setpoint[0]; /* of one the second */
+    output->setpoint[1].scale.joint = 3;
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = JOINTS_MAX};
+    w.machine.newest.joint[3].velocity_rad_s = 1.0;
+    CHECK(!can_wants_motion(&w.machine, 0));
+    output->setpoint_count = 2;
+    CHECK(can_wants_motion(&w.machine, 0));
+}
+
 static void only_a_counted_field_says_that_a_drive_has_power(void)
 {
     begin_with(1);
@@ -304,6 +318,7 @@ int main(void)
     a_fault_that_is_a_number_stops_unless_it_is_listed();
     a_joint_that_the_core_says_nothing_of_stands_still();
     each_kind_of_set_point_is_sent_to_whom_it_is_for();
+    only_a_counted_set_point_moves();
     only_a_counted_field_says_that_a_drive_has_power();
     return checks_report("can values");
 }

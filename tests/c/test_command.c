@@ -212,9 +212,11 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     command_datagram turn = command_of('a', 3, START_NS, 0.5);
     turn.angular_rad_s = -1e308;
     CHECK(say(&a, turn, START_NS, true) == 1 + REFUSED_OUT_OF_RANGE && speed_m_s(&a, START_NS, true) == 0.0);
+    turn.sequence = 30, turn.angular_rad_s = 20.0; /* ten times the limit is not more */
+    CHECK(say(&a, turn, START_NS, true) == 0);
     now.linear.velocity_u_s = 2.0;
-    CHECK(say(&a, command_of('a', 4, START_NS, 20.0), START_NS, true) == 0);
-    CHECK(say(&a, command_of('a', 5, START_NS, 1e308), START_NS, false) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(say(&a, command_of('a', 40, START_NS, 20.0), START_NS, true) == 0);
+    CHECK(say(&a, command_of('a', 50, START_NS, 1e308), START_NS, false) == 1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.refused[REFUSED_OUT_OF_RANGE] == 3);
 }
 

@@ -84,6 +84,15 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
     CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX);
     put(3, 2, 0, INT64_MAX); /* to no drive of the table: it does not wait for any */
     CHECK(line_pick_request(&w.machine, w.now_ns) == 2);
+    begin_with(1, 0);
+    put(1, 0, 0, INT64_MAX);
+    w.machine.drive[0].held_until_ns = w.now_ns; /* the silence is over */
+    CHECK(line_pick_request(&w.machine, w.now_ns) == 0);
+    w.machine.drive[0].held_until_ns = w.now_ns + 1;
+    for (uint64_t id = 2; id <= LINE_REQUESTS_MAX; id++) {
+        put(id, 0, 0, INT64_MAX);
+    }
+    CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX); /* a full queue, and each has to wait */
 }
 
 int main(void)

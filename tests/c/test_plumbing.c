@@ -186,6 +186,16 @@ static void a_page_is_read_as_it_was_written(uint8_t *page)
     }
 }
 
+/* A reader that comes while a slot is written sees an odd number: here the number itself is what is written. */
+static void a_slot_is_marked_while_it_is_written(uint8_t *page)
+{
+    uint64_t mark;
+    CHECK(page_init(page) == 0);
+    page_write(page, (const robot_state *)(const void *)(page + SLOTS_AT));
+    memcpy(&mark, page + SLOTS_AT + sizeof mark, sizeof mark);
+    CHECK(mark == 1);
+}
+
 static uint32_t place(const uint8_t *memory, size_t offset)
 {
     uint32_t value;
@@ -422,6 +432,7 @@ int main(void)
     a_line_is_sent_how_often_its_set_points_became_enabled();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
+    a_slot_is_marked_while_it_is_written(page);
     a_page_begins_empty_in_memory_that_was_used_before(page);
     a_journal_holds_what_went_in_and_what_came_out();
     a_journal_begins_empty_and_says_how_it_is_laid_out();

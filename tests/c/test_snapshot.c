@@ -1,0 +1,189 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_snapshot: what a tick reports: every field from its own place, and NaN for what nobody measures. */
+#include <stdlib.h>
+
+#include "core_rig.h"
+
+static rig *r;
+
+static core_config config_with_gyro(void)
+{
+    core_config config = good_config();
+    config.gyro = (gyro_config){.used = 1,
+                                .timeout_s = 0.05,
+                                .bias_max_rad_s = 0.5,
+                                .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7,
+                                .turn_variance_rad2_per_rad = 1e-4};
+    return config;
+}
+
+/* A sample in each tick, with that rate about z. */
+static const robot_state *tick_with(double rate_rad_s)
+{
+    r->input.imu = (imu_sample){
+        .stamp_ns = r->input.now_ns + TICK_NS, .angular_rad_s = {0.25, -0.5, rate_rad_s}, .acceleration_m_s2 = {1.0, 2.0, 9.5}};
+    return tick(r);
+}
+
+static void begin(void)
+{
+    core_config config = config_with_gyro();
+    start(r, &config);
+    for (uint32_t j = 0; j < config.joint_count; j++) {
+        joint_feedback *feedback = &r->input.feedback[j];
+        feedback->current_a = 1.0 + j, feedback->voltage_v = 24.0 + j, feedback->temperature_c = 40.0 + j;
+    }
+    for (int i = 0; i < 2500; i++) {
+        (void)tick_with(0.125); /* the gyro's bias is known */
+    }
+}
+
+static void drive(void)
+{
+    r->input.control.armed = 1;
+    (void)tick_with(0.125);
+    r->input.command.linear_m_s = 0.5, r->input.command.angular_rad_s = 0.75;
+    for (int i = 0; i < 1500; i++) {
+        (void)tick_with(0.875);
+    }
+}
+
+static void each_wheel_is_reported_by_itself(void)
+{
+    begin();
+    drive();
+    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; its word is looked at below */
+    const robot_state *shown = tick_with(0.875);
+    for (uint32_t j = 0; j < 4; j++) {
+        const joint_state *joint = &shown->joint[j];
+        const joint_odometry *odometry = &r->state.odometry.joint[j];
+        CHECK(joint->position_rad == odometry->position_rad && fabs(joint->position_rad) > 1.0);
+        CHECK(joint->velocity_rad_s == odometry->velocity_rad_s && fabs(joint->velocity_rad_s) > 1.0);
+        CHECK(joint->current_a == 1.0 + j && joint->voltage_v == 24.0 + j && joint->temperature_c == 40.0 + j);
+        CHECK(joint->enabled == 1 && joint->stale == 0 && joint->drive_faults == 0);
+    }
+    CHECK(shown->joint[0].position_rad != shown->joint[1].position_rad);
+    r->input.feedback[2].current_a = r->input.feedback[2].voltage_v = r->input.feedback[2].temperature_c = INFINITY;
+    r->input.feedback[2].drive_faults = 0x30;
+    shown = tick_with(0.875);
+    CHECK(isnan(shown->joint[2].current_a) && isnan(shown->joint[2].voltage_v) && isnan(shown->joint[2].temperature_c));
+    CHECK(shown->joint[2].drive_faults == 0x30 && shown->joint[3].drive_faults == 0 && shown->joint[3].current_a == 4.0);
+}
+
+static void of_a_wheel_that_was_never_heard_nothing_is_reported(void)
+{
+    core_config config = good_config();
+    start(r, &config);
+    r->deaf = true;
+    r->input.feedback[0].stamp_ns = 1;
+    const robot_state *shown = tick(r);
+    CHECK(shown->joint[0].current_a == 0.0 && shown->joint[0].enabled == 1);
+    CHECK(isnan(shown->joint[1].current_a) && isnan(shown->joint[1].voltage_v) && isnan(shown->joint[1].temperature_c));
+    CHECK(shown->joint[1].enabled == 2 && shown->joint[1].stale == 1);
+}
+
+static void the_odometry_is_reported_whole(void)
+{
+    begin();
+    drive();
+    const odometry_state *from = &r->state.odometry;
+    const robot_state *shown = &r->shown;
+    CHECK(shown->x_m == from->x_m && shown->y_m == from->y_m && shown->heading_rad == from->heading_rad);
+    CHECK(shown->distance_m == from->distance_m && shown->turned_rad == from->turned_rad);
+    CHECK(fabs(shown->x_m) > 0.01 && fabs(shown->y_m) > 0.01 && shown->distance_m > 0.1 && shown->turned_rad > 0.1);
+    CHECK(shown->linear_m_s == from->linear_m_s && shown->angular_rad_s == from->angular_rad_s);
+    CHECK(shown->linear_m_s > 0.1 && shown->angular_rad_s > 0.1);
+    CHECK(shown->odometry_stamp_ns == from->stamp_ns && shown->odometry_stamp_ns > 0);
+    for (int i = 0; i < 6; i++) {
+        CHECK(shown->pose_covariance[i] == from->pose_covariance[i]);
+        CHECK(i >= 3 || shown->twist_covariance[i] == from->twist_covariance[i]);
+    }
+    CHECK(shown->pose_covariance[0] > 0.0 && shown->pose_covariance[5] > 0.0 && shown->twist_covariance[0] > 0.0);
+    r->input.control.odometry_reset_count++;
+    uint32_t epoch = shown->odometry_epoch;
+    CHECK(tick_with(0.875)->odometry_epoch == epoch + 1 && r->state.odometry.epoch == epoch + 1);
+}
+
+static void the_sensor_is_reported_less_its_bias(void)
+{
+    core_config config = config_with_gyro();
+    start(r, &config);
+    const imu_state *imu = &tick_with(0.125)->imu;
+    CHECK(isnan(imu->bias_rad_s) && isnan(imu->bias_variance_rad2_s2) && isnan(imu->rate_variance_rad2_s2));
+    CHECK(imu->state == gyro_status(&r->state.odometry.gyro, &config.gyro, r->input.now_ns) && imu->heading_by_gyro == 0);
+    begin();
+    const gyro_state *gyro = &r->state.odometry.gyro;
+    imu = &r->shown.imu;
+    CHECK(imu->bias_rad_s == gyro->bias_rad_s && fabs(imu->bias_rad_s - 0.125) < 1e-9 && imu->still == 1);
+    CHECK(imu->bias_variance_rad2_s2 == gyro->bias_variance_rad2_s2 && imu->state == GYRO_USED);
+    CHECK(imu->rate_variance_rad2_s2 == gyro->rate_variance_rad2_s2);
+    CHECK(imu->angular_rad_s[0] == 0.25 && imu->angular_rad_s[1] == -0.5 && fabs(imu->angular_rad_s[2]) < 1e-9);
+    CHECK(imu->acceleration_m_s2[0] == 1.0 && imu->acceleration_m_s2[1] == 2.0 && imu->acceleration_m_s2[2] == 9.5);
+    CHECK(imu->stamp_ns == r->input.now_ns);
+    drive();
+    CHECK(fabs(r->shown.imu.angular_rad_s[2] - 0.75) < 1e-9 && r->shown.imu.heading_by_gyro == 1 && r->shown.imu.still == 0);
+    r->input.imu.angular_rad_s[2] = 1e9;
+    r->input.imu.angular_rad_s[0] = r->input.imu.acceleration_m_s2[1] = INFINITY;
+    r->input.imu.stamp_ns += TICK_NS;
+    imu = &tick(r)->imu;
+    CHECK(imu->refused == gyro->refused && isnan(imu->angular_rad_s[0]) && isnan(imu->acceleration_m_s2[1]));
+    config.gyro.used = 0;
+    start(r, &config);
+    CHECK(tick_with(0.5)->imu.stamp_ns == 0);
+}
+
+static void what_the_base_does_and_why_is_reported(void)
+{
+    begin();
+    r->input.control.machine_state = 5, r->input.control.owner = 7;
+    const robot_state *shown = tick_with(0.125);
+    CHECK(shown->stamp_ns == r->input.now_ns && shown->tick == r->state.tick && shown->tick > 2000);
+    CHECK(shown->machine_state == 5 && shown->owner == 7 && shown->armed == 0 && shown->at_rest == 1 && shown->enabled == 0);
+    CHECK((shown->reasons & REASON_NOT_ARMED) != 0 && (shown->reasons & (REASON_STOP_REQUESTED | REASON_FAULT)) == 0);
+    CHECK(shown->dt_s == 1e-3 && shown->faults == 0 && shown->command_age_s >= 0.0);
+    r->input.control.stop = 1;
+    CHECK((tick_with(0.125)->reasons & REASON_STOP_REQUESTED) != 0);
+    r->input.control.stop = 0;
+    drive();
+    shown = tick_with(0.875);
+    CHECK(shown->armed == 1 && shown->enabled == 1 && shown->at_rest == 0 && (shown->reasons & REASON_NOT_ARMED) == 0);
+    CHECK(shown->wanted_linear_m_s == 0.5 && shown->wanted_angular_rad_s == 0.75);
+    CHECK(shown->setpoint_linear_m_s == 0.5 && shown->setpoint_angular_rad_s == 0.75 && shown->saturation == 1.0);
+    r->mute = true;
+    r->input.command.stamp_ns = r->input.now_ns - 50 * MS_NS;
+    shown = tick_with(0.875);
+    CHECK(fabs(shown->command_age_s - 0.051) < 1e-9);
+    r->input.command.stamp_ns = r->input.now_ns + 2 * TICK_NS; /* a little ahead: it has no age */
+    CHECK(tick_with(0.875)->command_age_s == 0.0);
+    r->input.command.stamp_ns = r->input.now_ns - 400 * MS_NS;
+    shown = tick_with(0.875);
+    CHECK(shown->wanted_linear_m_s == 0.0 && shown->wanted_angular_rad_s == 0.0 && shown->command_age_s > 0.4);
+    r->mute = false;
+    r->input.feedback[1].drive_faults = 1;
+    shown = tick_with(0.875);
+    CHECK(shown->faults == r->state.faults && shown->faults != 0 && (shown->reasons & REASON_FAULT) != 0 && shown->armed == 0);
+}
+
+static void a_heading_stays_within_half_a_turn(void)
+{
+    begin();
+    drive();
+    for (int i = 0; i < 8000; i++) {
+        CHECK(fabs(tick_with(0.875)->heading_rad) <= 3.14159265358979324);
+    }
+    CHECK(r->shown.turned_rad > 6.5);
+}
+
+int main(void)
+{
+    r = malloc(sizeof *r);
+    each_wheel_is_reported_by_itself();
+    of_a_wheel_that_was_never_heard_nothing_is_reported();
+    the_odometry_is_reported_whole();
+    the_sensor_is_reported_less_its_bias();
+    what_the_base_does_and_why_is_reported();
+    a_heading_stays_within_half_a_turn();
+    free(r);
+    return checks_report("snapshot");
+}

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of deadlines mean something only while the machine gives every process its time. While each
+test runs, a thread measures whether it does. A test that fails while the machine was late is run
+again, at most three times; the summary names each with what was measured. A test that fails while
+the machine was in time has failed.
+"""
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+LOOK_EVERY_S = 0.02
+LATE_S = 0.05
+"""A thread that wakes so much later than it wanted to."""
+CROWD = 2.0
+"""So many processes for each processor that want to run, on average."""
+RUNS_MAX = 4
+_NAME = "late machine"
+
+
+class Watch:
+    """Measures while it is entered."""
+
+    def __init__(self):
+        self.late_s = 0.0
+        self.waiting = self.looks = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+
+    def _look(self):
+        began_s = time.monotonic()
+        while not self._over.wait(LOOK_EVERY_S):
+            now_s = time.monotonic()
+            self.late_s = max(self.late_s, now_s - began_s - LOOK_EVERY_S)
+            self.waiting += runnable()
+            self.looks += 1
+            began_s = time.monotonic()
+
+    @property
+    def crowd(self):
+        """Processes that want to run, for each processor; without those that look."""
+        return self.waiting / max(self.looks, 1) / (os.cpu_count() or 1)
+
+    @property
+    def why(self):
+        """What was measured, if the machine was late; else nothing."""
+        if self.late_s <= LATE_S and self.crowd <= CROWD:
+            return ""
+        return f"a thread woke {self.late_s:.2f} s late, {self.crowd:.1f} processes a processor"
+
+
+def runnable():
+    """How many processes want to run now: proc(5), /proc/loadavg, the fourth field."""
+    return int(Path("/proc/loadavg").read_text(encoding="ascii").split()[3].partition("/")[0]) - 1
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item, nextitem):
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for run in range(1, RUNS_MAX + 1):
+        with Watch() as watch:
+            reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        failed = any(report.failed and report.when == "call" for report in reports)
+        if not failed or run == RUNS_MAX or not watch.why:
+            break
+        item.user_properties.append((_NAME, watch.why))
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def pytest_terminal_summary(terminalreporter):
+    rows = [
+        f"{report.nodeid}: {value}"
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if getattr(report, "when", "") == "call"
+        for name, value in report.user_properties
+        if name == _NAME
+    ]
+    if rows:
+        terminalreporter.section("run again: the machine was late")
+        for row in rows:
+            terminalreporter.write_line(row)
