@@ -124,7 +124,7 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     const stamped_twist twist = {.linear_m_s = 0.5, .angular_rad_s = -0.25};
     command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 && socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
-    memset(&o, 0xFF, sizeof o);
+    memset(&o, 0x55, sizeof o);
     outlet_init(&o);
     CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
     CHECK(outlet_direct(&o) == 0 && outlet_let_go(&o) == 0);

@@ -27,10 +27,15 @@ static void a_wheel_beyond_its_limit_is_brought_to_it(void)
     CHECK(factor_of(4.0, -1.0, 2.0) == 0.5 && factor_of(-4.0, -1.0, 2.0) == 0.25);
     CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 && factor_of(0.05, -9.0, 0.025) == 0.5);
     CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0); /* it cannot reverse */
-    for (int i = 1; i < 20000; i++) {
-        double want_rad_s = 2.0 + i * 1.37e-3, factor = factor_of(want_rad_s, -1.0, 2.0);
-        CHECK(want_rad_s * factor <= 2.0 && want_rad_s * factor > 2.0 - 1e-15); /* never beyond by a rounding */
+    uint32_t rounded_up = 0;
+    for (int i = 1; i < 20000; i++) { /* never beyond by a rounding, and no less than that asks for */
+        double want_rad_s = 0.3 + i * 1.37e-3, quotient = 0.3 / want_rad_s, factor = factor_of(want_rad_s, -1.0, 0.3);
+        bool beyond = want_rad_s * quotient > 0.3;
+        rounded_up += beyond;
+        CHECK(want_rad_s * factor <= 0.3 &&
+              (beyond ? factor < quotient && nextafter(factor, 1.0) == quotient : factor == quotient));
     }
+    CHECK(rounded_up > 100);
 }
 
 static void what_is_no_number_moves_nothing(void)

@@ -331,7 +331,7 @@ async def test_round_trips_and_rates_are_counted(rig):
     await rig.ready()
     await until(lambda: rig.line.stats().exchanges > 30)
     stats = rig.line.stats()
-    assert 0 < stats.round_trip.p50_us < 1e6
+    assert 0 < stats.round_trip.p50_us <= stats.round_trip.max_us
     assert stats.wire_limit_hz > 100
     assert stats.cycle_hz > 1
 
