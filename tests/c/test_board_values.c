@@ -119,6 +119,10 @@ static void each_field_goes_where_its_meaning_says(void)
     CHECK(m->joint[1].feedback.velocity_rad_s == -4.0 && m->joint[1].feedback.current_a == 3.0);
     CHECK(m->joint[0].feedback.voltage_v == 24.0 && m->joint[0].feedback.temperature_c == 25.0);
     CHECK(!m->notify && m->state.enabled == 0);
+    m->table.field[5].meaning.counter_bits = 63;
+    CHECK(board_read(m) && m->joint[1].feedback.count == INT64_MAX);
+    m->table.field[5].meaning.counter_bits = 64;
+    CHECK(board_read(m) && m->joint[1].feedback.count == UINT64_MAX);
 }
 
 static void a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_changes(void)

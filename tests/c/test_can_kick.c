@@ -170,6 +170,30 @@ static void a_kick_is_for_the_drives_of_the_table(void)
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
 }
 
+static void four_frames_may_go_out_at_once_and_then_one_a_cycle(void)
+{
+    begin_with(1);
+    arm(0);
+    go_on(100 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    step();
+    w.now_ns += MS;
+    w.machine.cycle.early_ns = 0;
+    forget_sent();
+    for (uint32_t i = 1; i <= 6; i++) {
+        kick(1.0 + i);
+        (void)can_machine_step(&w.machine, w.now_ns);
+        CHECK(w.sent_count == (i < 4 ? i : 4));
+    }
+    for (int64_t early_ns = 0; early_ns < 2; early_ns++) {
+        forget_sent();
+        w.machine.cycle.early_ns = w.now_ns + 3 * w.machine.table.period_ns + early_ns;
+        kick(20.0 + (double)early_ns);
+        (void)can_machine_step(&w.machine, w.now_ns);
+        CHECK(w.sent_count == (early_ns == 0));
+    }
+}
+
 int main(void)
 {
     a_new_set_point_goes_out_at_once_to_all_that_are_armed();
@@ -180,5 +204,6 @@ int main(void)
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
     a_kick_tells_a_drive_that_is_not_armed_nothing();
     a_kick_is_for_the_drives_of_the_table();
+    four_frames_may_go_out_at_once_and_then_one_a_cycle();
     return checks_report("can_kick");
 }

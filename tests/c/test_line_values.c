@@ -92,6 +92,10 @@ static void what_is_not_armed_and_enabled_is_sent_zero(void)
         CHECK(!line_wants_motion(m, JOINT) && !line_build(m, JOINT, 0, &built) && sent_raw() == 0);
     }
     begin(1.0);
+    m->newest.joint_count = 99; /* more than there are */
+    const double behind = 1.0;
+    memcpy(&m->newest.joint[0] + JOINTS_MAX, &behind, sizeof behind);
+    CHECK(line_wanted(m, JOINT, JOINTS_MAX, SETPOINT_VELOCITY) == 0.0);
     m->newest.joint_count = JOINT; /* the core says nothing of it */
     CHECK(!line_build(m, JOINT, 0, &built) && sent_raw() == 0);
 }
