@@ -119,6 +119,18 @@ static void the_report_says_what_the_bus_has_done(void)
     CHECK(report.shut_down == 1);
 }
 
+static void the_time_between_two_cycles_is_smoothed_over_eight(void)
+{
+    begin_with(1);
+    const int64_t took_ms[] = {10, 18, 3}, smoothed_ms[] = {10, 11, 10};
+    for (uint32_t i = 0; i < 3; i++) {
+        w.machine.cycle.start_ns = w.now_ns - took_ms[i] * MS;
+        w.machine.cycle.due_ns = w.now_ns;
+        step();
+        CHECK(w.machine.cycle.took_ns == smoothed_ms[i] * MS && w.machine.cycle.start_ns == w.now_ns);
+    }
+}
+
 int main(void)
 {
     one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often();
@@ -126,5 +138,6 @@ int main(void)
     the_end_waits_until_the_last_of_them_is_at_rest();
     asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to();
     the_report_says_what_the_bus_has_done();
+    the_time_between_two_cycles_is_smoothed_over_eight();
     return checks_report("can looks");
 }
