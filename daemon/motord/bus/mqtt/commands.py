@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import aiomqtt
 
 from motord.bus.commands.gate import COMMANDS, URGENT, CommandGate, NotTaken, request_of, tag
-from motord.bus.mqtt.connection import MqttConnection
+from motord.bus.mqtt.connection import MqttConnection, taken
 from motord.bus.mqtt.names import CALL
 from motord.config import MqttInput
 
@@ -57,7 +57,7 @@ class MqttCommands:
 
     async def _use(self, client: aiomqtt.Client) -> None:
         commands = [(topic, 0) for topic in self._commands]
-        await client.subscribe([*commands, (self._call_topic, 1)])
+        await taken(client.subscribe([*commands, (self._call_topic, 1)]))
         async with asyncio.TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:

@@ -49,7 +49,7 @@ class MqttConnection:
         if section.password_file is not None:
             self._password = read_secret(runtime.beside_robot_file(section.password_file))
         self._tls = _tls_context(section, runtime) if section.tls else None
-        # it says every message that a full queue drops: whoever floods a topic would fill the log
+        # it logs every message that a full queue drops: a flooded topic would fill the log
         self._library_log = logging.getLogger(f"{__name__}.{where}")
         self._library_log.setLevel(logging.WARNING)
         self._library_log.addFilter(RateLimitedFilter(self._library_log, where))
@@ -78,6 +78,7 @@ class MqttConnection:
         while True:
             try:
                 async with self._connected(will()) as client:
+                    raise_if_cancelled()  # as of `taken`
                     if failing:
                         _log.info("%s: connected again", self._where)
                     again_s, failing = AGAIN_MIN_S, False
@@ -109,6 +110,14 @@ class MqttConnection:
             max_queued_outgoing_messages=QUEUED_MAX,
         ) as client:
             yield client
+
+
+async def taken(call: Awaitable[object]) -> None:
+    """Awaits a call of aiomqtt, and ends with it when the task is cancelled. aiomqtt waits by
+    asyncio.wait_for, which before Python 3.12 drops a cancellation that meets the answer: the
+    publisher would go on, and motord-bus never end."""
+    await call
+    raise_if_cancelled()
 
 
 def _tls_context(section: MqttBroker, runtime: Runtime) -> ssl.SSLContext:

@@ -23,7 +23,7 @@ ONLINE, OFFLINE = b"online", b"offline"
 SPARKPLUG = "spBv1.0"
 GROUP = "motord"
 CALL = "call"
-"""What is heard beside commands."""
+"""What is received beside commands."""
 Encode = Callable[[Any], bytes]
 Sent = tuple[str, bytes]
 """A topic, and what is retained there."""
@@ -34,11 +34,11 @@ class Names(Protocol):
     """Where calls are answered."""
 
     def data(self, topic: str) -> str:
-        """Where its messages are told."""
+        """The topic of its messages."""
         ...
 
     def received(self, what: str) -> str:
-        """Where commands of that topic, or calls, are heard."""
+        """Where commands of that topic, or calls, are received."""
         ...
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:

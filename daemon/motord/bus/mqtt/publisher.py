@@ -11,7 +11,7 @@ import aiomqtt
 
 from motord.api.snapshot import SNAPSHOT_VERSION
 from motord.bus.messages.topics import TOPICS
-from motord.bus.mqtt.connection import MqttConnection
+from motord.bus.mqtt.connection import MqttConnection, taken
 from motord.config import MqttPublish
 
 if TYPE_CHECKING:
@@ -37,10 +37,11 @@ class MqttPublisher:
     async def _use(self, client: aiomqtt.Client) -> None:
         names = self._connection.names
         for topic, message in names.births(self._description):
-            await client.publish(topic, message, 1, retain=True)
+            await taken(client.publish(topic, message, 1, retain=True))
         try:
             async for sample in self._feed:
-                await client.publish(names.data(sample.topic.name), sample.message, self._qos)
+                topic = names.data(sample.topic.name)
+                await taken(client.publish(topic, sample.message, self._qos))
         finally:
             with contextlib.suppress(aiomqtt.MqttError):
                 await client.publish(*self._death, 0, retain=True)
